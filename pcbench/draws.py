@@ -1,0 +1,34 @@
+"""Random numbers addressed by run: (root seed, seed index, stream, channel, sample index), and by nothing else.
+
+A draw never depends on the observer, the order of cells, the size of a block, the device or the worker: all observers
+see the same noise, and a run has the same numbers alone or among thousands. Threefry, float64.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "process": 5}
+
+
+def run_keys(root_seed: Array, seeds: Array, stream: str, channels: int) -> list[Array]:
+    """Return one key per run for each channel of a stream: `channels` arrays of keys [L]."""
+
+    def key(seed: Array, channel: int) -> Array:
+        base = jax.random.fold_in(jax.random.key(root_seed), seed)
+        return jax.random.fold_in(jax.random.fold_in(base, STREAMS[stream]), channel)
+
+    return [jax.vmap(lambda s, c=channel: key(s, c))(seeds) for channel in range(channels)]
+
+
+def normals(keys: list[Array], index: Array) -> Array:
+    """Draw N(0, 1) for sample index[j] of each channel j: [channels, L]."""
+    draw = jax.vmap(lambda key, i: jax.random.normal(jax.random.fold_in(key, i), dtype=jnp.float64), (0, None))
+    return jnp.stack([draw(key, index[j]) for j, key in enumerate(keys)])
+
+
+def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1) -> Array:
+    """Return the standard normal noise of one run, [channels, samples]: what every observer sees, before scaling."""
+    keys = run_keys(jnp.asarray(root_seed), jnp.asarray([seed]), "measurement", channels)
+    each = [jax.vmap(lambda i, j=j: normals([keys[j]], jnp.array([i]))[0, 0])(jnp.arange(samples)) for j in range(channels)]
+    return jnp.stack(each)

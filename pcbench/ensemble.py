@@ -1,0 +1,82 @@
+"""Many runs at once: blocks of lanes over all devices, always in calls of one compiled width.
+
+A *job* is one cell's `Problem` with up to `width` seeds; short blocks are padded, so a run has the same bits alone, in any
+block and on any number of devices. Jobs are stacked, one per device, and each device works on its own.
+"""
+
+from collections.abc import Iterable, Iterator
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+
+from pcbench.rollout import Layout, Outcome, Problem, simulate
+
+WIDTH = 1024  # lanes a call and device
+
+
+class Job(NamedTuple):
+    """The runs of one cell that one device simulates in one call."""
+
+    problem: Problem
+    root_seed: int
+    seeds: np.ndarray  # at most `width`
+
+
+@lru_cache(maxsize=64)
+def program(layout: Layout, devices: int) -> Any:
+    """Return the compiled-once function (problems, root seeds [D], seeds [D, L]) -> Outcome, arrays [D, ...]."""
+    mesh = Mesh(np.array(jax.devices()[:devices]), ("device",))
+    each = PartitionSpec("device")
+
+    def one(problems: Problem, root_seed: Any, seeds: Any) -> Outcome:
+        own = jax.tree.map(lambda a: a[0], (problems, root_seed, seeds))
+        return jax.tree.map(lambda a: a[None], simulate(layout, *own))
+
+    mapped = jax.shard_map(one, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
+    return jax.jit(mapped, in_shardings=NamedSharding(mesh, each), out_shardings=NamedSharding(mesh, each))
+
+
+def stack(jobs: list[Job], width: int) -> tuple[Problem, Any, Any]:
+    """Stack one job per device; short seed lists are padded by repeating the first."""
+    problems = jax.tree.map(lambda *a: np.stack([np.asarray(x) for x in a]), *(job.problem for job in jobs))
+    seeds = np.stack([np.resize(job.seeds, width) for job in jobs])
+    return problems, np.array([job.root_seed for job in jobs]), seeds
+
+
+def run(layout: Layout, jobs: Iterable[Job], devices: int | None = None) -> Iterator[tuple[Job, Outcome]]:
+    """Simulate jobs in order, `devices` at a time (default all); yield each with what it left, as NumPy arrays [..., L].
+
+    The next call is handed to the devices before the last one's results are read.
+    """
+    count = devices or len(jax.devices())
+    call = program(layout, count)
+    waiting: list[tuple[list[Job], Any]] = []
+    for group in _groups(jobs, count):
+        padded = group + [group[0]] * (count - len(group))
+        waiting.append((group, call(*stack(padded, layout.width))))
+        if len(waiting) > 1:
+            yield from _read(*waiting.pop(0))
+    for group, out in waiting:
+        yield from _read(group, out)
+
+
+def _groups(jobs: Iterable[Job], size: int) -> Iterator[list[Job]]:
+    group: list[Job] = []
+    for job in jobs:
+        group.append(job)
+        if len(group) == size:
+            yield group
+            group = []
+    if group:
+        yield group
+
+
+def _read(group: list[Job], out: Outcome) -> Iterator[tuple[Job, Outcome]]:
+    whole = jax.tree.map(np.asarray, out)
+    for i, job in enumerate(group):
+        yield job, jax.tree.map(lambda a, i=i, n=len(job.seeds): a[i, ..., :n], whole)
+
+

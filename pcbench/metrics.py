@@ -1,0 +1,75 @@
+"""Error metrics as streams: what is kept of e = x - xhat from tick to tick, and what is read from it at the end.
+
+Errors are read after the jump of each tick, on ticks 0 .. N-1. Sums run over a *window* (the whole horizon is the sum
+of its windows; the last is the tail).
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from numpy.typing import NDArray
+
+
+class Stream(NamedTuple):
+    """What is kept of one run in one window; n states."""
+
+    absolute: Array  # [n] sum of |e|
+    square: Array  # [n] sum of e^2
+    peak: Array  # [n] max |e|
+
+
+class Watch(NamedTuple):
+    """What is kept of one run over the whole horizon."""
+
+    unsettled: Array  # [n] the tick after the last one at which |e| left its band
+    first_bad: Array  # first tick at which an error was not finite or beyond the bound, or -1
+
+
+def start(n: int) -> Stream:
+    """Return the stream of an empty window."""
+    return Stream(jnp.zeros(n), jnp.zeros(n), jnp.zeros(n))
+
+
+def start_watch(n: int) -> Watch:
+    """Return the watch before the first tick."""
+    return Watch(jnp.zeros(n), jnp.asarray(-1.0))
+
+
+def update(stream: Stream, e: Array) -> Stream:
+    """Take the error e[n] of one tick into the window."""
+    size = jnp.abs(e)
+    return Stream(stream.absolute + size, stream.square + e * e, jnp.maximum(stream.peak, size))
+
+
+def look(watch: Watch, tick: Array, e: Array, band: Array, bound: Array) -> Watch:
+    """Note when e[n] leaves its settling band [n], and when it first leaves `bound` (a NaN does)."""
+    size, now = jnp.abs(e), tick.astype(float)
+    good = jnp.all(size <= bound)
+    first_bad = jnp.where(good | (watch.first_bad >= 0), watch.first_bad, now)
+    return Watch(jnp.where(size > band, now + 1, watch.unsettled), first_bad)
+
+
+METRICS = ("mae", "rmse", "mse", "peak", "final", "settling_time", "tail_mae", "tail_rmse", "tail_mse", "tail_peak")
+
+
+def read(streams: Stream, watch: Watch, final: Array, ticks: int, tail: int, dt: float) -> dict[str, NDArray]:
+    """Return every metric, [n, L] each, from windows [W, n, L], all but the first in the tail, the watch, and the last e.
+
+    `settling_time` [s] is the time of the last exit from the band; a run still outside at the end is given the horizon.
+    A diverged run has NaN for every metric; `diverged` [L] and `first_bad_time` [L, s] (NaN where none) tell it apart.
+    """
+    whole = Stream(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
+    late = Stream(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
+    out = {}
+    for prefix, s, count in (("", whole, ticks), ("tail_", late, ticks - tail)):
+        out[prefix + "mae"] = np.asarray(s.absolute) / count
+        out[prefix + "mse"] = np.asarray(s.square) / count
+        out[prefix + "rmse"] = np.sqrt(out[prefix + "mse"])
+        out[prefix + "peak"] = np.asarray(s.peak)
+    out["final"] = np.asarray(final)
+    out["settling_time"] = np.asarray(watch.unsettled) * dt
+    bad = np.asarray(watch.first_bad) >= 0
+    out = {name: np.where(bad, np.nan, values) for name, values in out.items()}
+    return out | {"diverged": bad, "first_bad_time": np.where(bad, np.asarray(watch.first_bad) * dt, np.nan)}

@@ -1,0 +1,112 @@
+"""KFBO: the Kalman-filter-based observer of delayed measurements, which takes the held sample for a continuous signal.
+
+    z'(t) = (A - K C) z + B u(t - d) + K Y(t),  t >= d;   z frozen at xhat(0) before         (25)
+    g' = A g + B u,  g(0) = 0                                                                (28)
+    xhat(t) = g(t) + e^{A min(t, d)} [z(t) - g(t - d)]                                       (29)
+
+z estimates the state d ago; Y is the sample that arrived last, held (0 until the first). Here s(t) = g(t) - e^{A d} g(t-d),
+the input's response over the last d, is one state: s' = A s + B u - e^{A d} B u(t - d), so no history of g is kept.
+
+Source: Mohammed et al. 2017, section 5 (after Roberts 1986). Different from print: K = P C' R^-1 and Q = 0.002 B B' (see
+`synthesis.riccati`). It does not know that Y is held: on a constant velocity it stays behind by velocity x te/2, so perfect
+start is not claimed. All channels share one delay.
+Options: `lag-aware` uses d + te/2 in place of d (whole ticks, rounded down); `sampled-innovation` holds the innovation
+Y_i - C z(t_i) instead of the measurement, z' = A z + B u(t - d) + K (Y_i - C z(t_i)), which can be unstable.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.synthesis import linear, riccati
+from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
+from pcbench.types import Arrival, Now, Observer
+
+
+class Gains(NamedTuple):
+    """n states, m inputs, q outputs; maps over one tick."""
+
+    Phi: Array  # [n, n] of A
+    Gamma: Array  # [n, m] of A, B
+    Phi_z: Array  # [n, n] of the filter, A - K C (or A, where the innovation is sampled)
+    Gamma_z: Array  # [n, m] of the filter, B
+    Gain_z: Array  # [n, q] of the filter, K
+    E: Array  # [n, n] e^{A d}
+    C: Array  # [q, n]
+    lag: Array  # [ticks] d
+    sampled: Array  # 1 where the innovation is sampled and held, 0 where the measurement is
+
+
+class Memory(NamedTuple):
+    """What stands between ticks."""
+
+    z: Array  # [n] estimate of the state d ago
+    s: Array  # [n] response to the input of the last d
+    xhat: Array  # [n]
+    Y: Array  # [q] what drives the filter: the arrived sample (or innovation), held
+
+
+class Options(BaseModel):
+    """Weights of the Riccati equation and the two variants."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    R: float = Field(1.0, gt=0, description="assumed intensity of measurement noise")
+    Q: float = Field(0.002, gt=0, description="assumed intensity of process noise through the input")
+    lag_aware: bool = Field(False, description="use d + te/2 in place of d")
+    sampled_innovation: bool = Field(False, description="hold the innovation, not the measurement")
+
+
+def init(gains: Gains, xhat0: Array) -> Memory:
+    """Start from xhat(0) [n], nothing measured."""
+    return Memory(xhat0, jnp.zeros_like(xhat0), xhat0, jnp.zeros(gains.C.shape[0]))
+
+
+def note(gains: Gains, memory: Memory, now: Now) -> Array:
+    """Note nothing."""
+    return jnp.zeros(0)
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Hold what arrived."""
+    Y = arrival.value - gains.sampled * (gains.C @ memory.z)
+    return memory._replace(Y=jnp.where(arrival.fresh, Y, memory.Y))
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Move the filter and the prediction by one tick, exactly under held input and held Y."""
+    u, started = now.u, now.tick >= gains.lag
+    u_then = now.past_u(gains.lag)
+    z = jnp.where(started, gains.Phi_z @ memory.z + gains.Gamma_z @ u_then + gains.Gain_z @ memory.Y, memory.z)
+    leaving = jnp.where(started, gains.E @ (gains.Gamma @ u_then), 0.0)
+    pushed = gains.Gamma @ u
+    s = gains.Phi @ memory.s + pushed - leaving
+    return Memory(z, s, jnp.where(started, gains.E @ z + s, gains.Phi @ memory.xhat + pushed), memory.Y)
+
+
+def estimate(gains: Gains, memory: Memory) -> Array:
+    """Return xhat of now (29), [n]."""
+    return memory.xhat
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Solve the Riccati equation (27), check that A - K C is Hurwitz, and discretise exactly."""
+    period, delay = one_clock(setting, "kfbo")
+    A, B, C = setting.model
+    where = f"kfbo in {setting.scenario}"
+    stationary = riccati.continuous(setting.model, options.Q * B @ B.T, options.R * np.eye(len(C)), where)
+    certificate = certified(stationary.certificate, where)
+    K, h, m = stationary.K, setting.dt, B.shape[1]
+    lag = delay + (period // 2 if options.lag_aware else 0)
+    Phi, Gamma = linear.held(A, B, h)
+    Phi_z, Gammas = linear.held(A if options.sampled_innovation else A - K @ C, np.hstack([B, K]), h)
+    E = linear.over(linear.doublings(A, h, linear.bits_for(lag)), lag)
+    gains = Gains(
+        Phi, Gamma, Phi_z, Gammas[:, :m], Gammas[:, m:], E, C, np.asarray(lag), np.asarray(float(options.sampled_innovation))
+    )
+    return Design(gains, certificate)

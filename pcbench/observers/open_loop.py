@@ -1,0 +1,61 @@
+"""The model alone, never corrected: the floor that every observer must beat.
+
+    xhat(0) = xhat0,   xhat' = A xhat + B u
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from pydantic import BaseModel, ConfigDict
+
+from pcbench.synthesis import linear
+from pcbench.synthesis.certificate import Certificate, Design, Setting
+from pcbench.types import Arrival, Now, Observer
+
+
+class Gains(NamedTuple):
+    """n states, m inputs."""
+
+    Phi: Array  # [n, n] one tick
+    Gamma: Array  # [n, m]
+
+
+class Options(BaseModel):
+    """The model alone has no options."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+def init(gains: Gains, xhat0: Array) -> Array:
+    """Start from xhat(0) [n]."""
+    return xhat0
+
+
+def note(gains: Gains, memory: Array, now: Now) -> Array:
+    """Note nothing."""
+    return jnp.zeros(0)
+
+
+def jump(gains: Gains, memory: Array, now: Now, arrival: Arrival) -> Array:
+    """Ignore what arrives."""
+    return memory
+
+
+def flow(gains: Gains, memory: Array, now: Now) -> Array:
+    """Move by one tick under the held input."""
+    return gains.Phi @ memory + gains.Gamma @ now.u
+
+
+def estimate(gains: Gains, memory: Array) -> Array:
+    """Return xhat of now, [n]."""
+    return memory
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Discretise the model exactly; there is no gain to prove."""
+    Phi, Gamma = linear.held(setting.model.A, setting.model.B, setting.dt)
+    return Design(Gains(Phi, Gamma), Certificate("none: no gain", float("inf"), "none", "not needed", {"Phi": Phi}))

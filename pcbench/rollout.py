@@ -1,0 +1,253 @@
+"""One run, tick by tick: sense, deliver, estimate, flow; thousands of lanes at once.
+
+The loop is shaped like the hybrid system it simulates: at an event it *jumps* (samples are taken, packets arrive), then
+it *flows* tick after tick to the next event, so nothing is asked at a tick where nothing happens. Whole-number data
+(`sampling.Schedule`) say where the events are; they are traced, so one compiled program serves every period and delay.
+Plant and observers are one-lane functions carried over the lanes by `pcbench.lanes`.
+
+The rollout owns the packets in flight (a ring by packet number) and the input history (one array for all lanes).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from pcbench import draws, lanes, metrics
+from pcbench.sampling import Schedule
+from pcbench.types import Arrival, Gains, Now, Observer, Plant
+
+
+class Layout(NamedTuple):
+    """What fixes the compiled program; everything else is traced."""
+
+    plant: Plant
+    observers: tuple[tuple[str, Observer], ...]  # (label, functions)
+    width: int  # lanes
+    ring: int  # packets the network can hold
+    random_start: bool  # x(0) ~ N(xhat0, P0) instead of x0
+    watch: bool = True  # settling time and divergence, besides the streams
+
+
+class Problem(NamedTuple):
+    """The numbers of one cell: everything traced. N ticks, n states, m inputs, q outputs."""
+
+    params: Any  # the plant's
+    gains: dict[str, Gains]  # by observer label
+    schedule: Schedule
+    inputs: Array  # [N+1, m] u held over [t_k, t_k+1)
+    dt: Array  # [s]
+    x0: Array  # [n]
+    xhat0: Array  # [n]
+    spread0: Array  # [n, n] a square root of P0: x0 = xhat0 + spread0 @ normal, where the start is random
+    noise_std: Array  # [q]
+    band: Array  # [n] settling band of |e|
+    bound: Array  # [] beyond it a run has diverged
+    windows: Array  # [W, 2] first tick and end of each window; the last is one tick, N-1
+
+
+class State(NamedTuple):
+    """What a block of lanes carries from tick to tick."""
+
+    x: Any
+    memories: dict[str, Any]
+    flight: tuple[Any, dict[str, Any]]  # rings of measured values and of notes
+    streams: dict[str, metrics.Stream]
+    watches: dict[str, metrics.Watch]
+
+
+class Outcome(NamedTuple):
+    """What a block of lanes leaves, by observer label; every array ends in lanes [L]."""
+
+    streams: dict[str, metrics.Stream]  # [W, n, L]
+    watches: dict[str, metrics.Watch]  # [n, L]
+    final: dict[str, Array]  # [n, L] the error at tick N-1
+
+
+def present(p: Problem, k: Array, decided: bool) -> Now:
+    """The present at tick k; u_k is known (`decided`) to the plant and to flow, not to note and jump."""
+
+    def past_u(age: Array) -> Array:
+        return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
+
+    return Now(k * p.dt, k, p.dt, past_u(0 if decided else 1), past_u)
+
+
+def advance(layout: Layout, p: Problem, k: Array, state: State) -> State:
+    """Estimate and measure the error at tick k, then flow to tick k + 1."""
+
+    def one_lane(x: Array, memories: Any, streams: Any, watches: Any) -> Any:
+        now, new = present(p, k, True), ({}, {}, {})
+        for label, observer in layout.observers:
+            gains, memory = p.gains[label], memories[label]
+            e = x - observer.estimate(gains, memory)
+            new[0][label] = observer.flow(gains, memory, now)
+            new[1][label] = metrics.update(streams[label], e)
+            if layout.watch:
+                new[2][label] = metrics.look(watches[label], k, e, p.band, p.bound)
+        return layout.plant.step(p.params, now, x), *new
+
+    x, *rest = lanes.over(one_lane)(state.x, state.memories, state.streams, state.watches)
+    return State(x, rest[0], state.flight, rest[1], rest[2])
+
+
+def take(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State) -> Any:
+    """Return the packet of tick k: measured values and each observer's note."""
+    noise = lanes.split(draws.normals(keys, p.schedule.sample[k]))
+
+    def one_lane(x: Array, v: Array, memories: Any) -> Any:
+        y = layout.plant.output(p.params, present(p, k, True), x) + p.noise_std * v
+        now = present(p, k, False)
+        return y, {label: o.note(p.gains[label], memories[label], now) for label, o in layout.observers}
+
+    return lanes.over(one_lane)(state.x, noise, state.memories)
+
+
+def hand_over(layout: Layout, p: Problem, k: Array, slot: int, packet: Any, state: State) -> State:
+    """Let every observer jump with a packet that arrives at tick k in one of its slots."""
+    row = jax.tree.map(lambda a: a[k], p.schedule)
+    age = jnp.full(row.fresh[slot].shape, k - row.sent[slot])
+
+    def one_lane(packet: Any, memories: Any) -> Any:
+        value, notes = packet
+        now = present(p, k, False)
+        arrival = Arrival(value, row.fresh[slot], age, row.index[slot], jnp.zeros(0), row.since[slot])
+        return {
+            label: observer.jump(p.gains[label], memories[label], now, arrival._replace(note=notes[label]))
+            for label, observer in layout.observers
+        }
+
+    return state._replace(memories=lanes.over(one_lane)(packet, state.memories))
+
+
+def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State) -> State:
+    """Let everything that the schedule has for tick k happen: sense, then deliver, the oldest packet first."""
+
+    def sense(state: State) -> State:
+        packet, slot = take(layout, p, keys, k, state), p.schedule.sense[k] % layout.ring
+        flight = jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, slot, 0), state.flight, packet)
+        return state._replace(flight=flight)
+
+    def deliver(slot: int, state: State) -> State:
+        place = p.schedule.arrive[k, slot] % layout.ring
+        packet = jax.tree.map(lambda ring: lax.dynamic_index_in_dim(ring, place, 0, keepdims=False), state.flight)
+        return hand_over(layout, p, k, slot, packet, state)
+
+    def maybe(condition: Array, f: Callable[[State], State], state: State) -> State:
+        return lax.cond(condition, lambda s: lanes.like(f(s), s, layout.width), lambda s: s, state)
+
+    state = maybe(p.schedule.sense[k] >= 0, sense, state)
+    for slot in range(p.schedule.arrive.shape[1]):
+        state = maybe(p.schedule.arrive[k, slot] >= 0, lambda s, slot=slot: deliver(slot, s), state)
+    return state
+
+
+def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
+    """Return the state before tick 0, with whatever will differ between lanes already spread over them."""
+    n, q = p.x0.shape[0], p.noise_std.shape[0]
+    x: Any = p.x0
+    if layout.random_start:
+        normal = draws.normals(draws.run_keys(root_seed, seeds, "initial", n), jnp.zeros(n, int))
+        x = lanes.over(lambda v: p.xhat0 + p.spread0 @ v)(lanes.split(normal))
+    labels = [label for label, _ in layout.observers]
+    memories = {label: observer.init(p.gains[label], p.xhat0) for label, observer in layout.observers}
+    now = present(p, jnp.asarray(0), False)
+    notes = {label: observer.note(p.gains[label], memories[label], now) for label, observer in layout.observers}
+    state = State(
+        x,
+        memories,
+        (jnp.zeros(q), notes),
+        {label: metrics.start(n) for label in labels},
+        {label: metrics.start_watch(n) for label in labels} if layout.watch else {},
+    )
+    keys, k = draws.run_keys(root_seed, seeds, "measurement", q), jnp.asarray(0)
+
+    def everything(state: State) -> State:  # one tick on which all happens: what it makes different is per lane
+        packet = take(layout, p, keys, k, state)
+        return advance(layout, p, k, hand_over(layout, p, k, 0, packet, state))._replace(flight=packet)
+
+    state = lanes.settle(everything, jax.tree.map(jnp.asarray, state), layout.width)
+    return state._replace(flight=jax.tree.map(lambda v: jnp.zeros((layout.ring, *v.shape)), state.flight))
+
+
+def errors(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
+    """Return e = x - xhat of every observer, as the state stands."""
+
+    def one_lane(x: Array, memories: Any) -> Any:
+        return {label: x - o.estimate(p.gains[label], memories[label]) for label, o in layout.observers}
+
+    return lanes.over(one_lane)(state.x, state.memories)
+
+
+def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
+    """Simulate one lane for each of seeds[L] over all windows; L must be `layout.width`."""
+    keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
+    state = begin(layout, p, root_seed, seeds)
+    empty = state.streams
+
+    def flow(start: Array, stop: Array, state: State) -> State:
+        def tick(k: Array, state: State) -> State:
+            return lanes.like(advance(layout, p, k, state), state, layout.width)
+
+        def pair(i: Array, state: State) -> State:  # two ticks in one body: 1.3 times as fast as one (memory passes)
+            return tick(start + 2 * i + 1, tick(start + 2 * i, state))
+
+        pairs = (stop - start) // 2
+        state = lax.fori_loop(0, pairs, pair, state)
+        return lax.fori_loop(start + 2 * pairs, stop, tick, state)
+
+    def window(state: State, edges: Array) -> tuple[State, Any]:
+        def segment(carry: Any) -> Any:
+            k, state, _ = carry
+            state = lax.cond(p.schedule.event[k], lambda s: happen(layout, p, keys, k, s), lambda s: s, state)
+            stop = jnp.minimum(p.schedule.next_event[k], edges[1])
+            return stop, flow(k, stop, state), lanes.like(errors(layout, p, state), final, layout.width)
+
+        final = errors(layout, p, state)
+        _, state, last = lax.while_loop(lambda c: c[0] < edges[1], segment, (edges[0], state, final))
+        return state._replace(streams=empty), (state.streams, last)
+
+    state, (streams, last) = lax.scan(window, state, p.windows)
+    whole = jax.tree.map(lambda a: _whole(a, layout.width), (streams, state.watches, last), is_leaf=lanes.is_lanes)
+    return Outcome(whole[0], whole[1], jax.tree.map(lambda e: e[-1], whole[2]))
+
+
+def _whole(x: Any, width: int) -> Array:
+    """An array [..., L] of a Lanes whose entries may have windows in front: [W, n, L] from n entries [W, L]."""
+    if lanes.is_lanes(x):
+        parts = list(x.parts.flat)
+        stacked = jnp.stack(parts, -2) if x.parts.ndim else parts[0]
+        return stacked
+    return jnp.broadcast_to(x[..., None], (*x.shape, width))
+
+
+class Trace(NamedTuple):
+    """Every tick 0 .. N of one run."""
+
+    x: Array  # [N+1, n]
+    estimates: dict[str, Array]  # [N+1, n], after the jump of each tick
+    samples: Array  # [N+1, q] what was measured at this tick, NaN where nothing was
+
+
+def trace(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Trace:
+    """Record one run tick by tick, tick N included."""
+    layout = layout._replace(width=1)
+    seeds = seed[None]
+    q = p.noise_std.shape[0]
+    keys = draws.run_keys(root_seed, seeds, "measurement", q)
+    state = begin(layout, p, root_seed, seeds)
+
+    def tick(state: State, k: Array) -> tuple[State, Trace]:
+        state = lax.cond(p.schedule.event[k], lambda s: happen(layout, p, keys, k, s), lambda s: s, state)
+        place = p.schedule.sense[k] % layout.ring
+        value = jnp.stack([_whole(v, 1)[place] if v.ndim == 1 else v[place, 0] for v in state.flight[0].parts])
+        y = jnp.where(p.schedule.sampled[k], value, jnp.nan)
+        e = errors(layout, p, state)
+        x = _whole(state.x, 1)[:, 0]
+        estimates = {label: x - _whole(e[label], 1)[:, 0] for label in e}
+        return lanes.like(advance(layout, p, k, state), state, 1), Trace(x, estimates, y)
+
+    _, out = lax.scan(tick, state, jnp.arange(p.schedule.event.shape[0]))
+    return out

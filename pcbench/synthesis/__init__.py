@@ -1,0 +1,1 @@
+"""Gains and their proofs, in NumPy, SciPy and cvxpy: no jax here."""

@@ -1,0 +1,68 @@
+"""What proves a gain: an inequality re-checked in float64 by eigenvalues, with its margin."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.errors import DesignError
+from pcbench.synthesis.linear import Model
+
+
+class Certificate(NamedTuple):
+    """The inequality that was re-checked, how far inside it the gain stands, and who found the gain."""
+
+    inequality: str
+    margin: float  # > 0: certified
+    solver: str
+    status: str
+    numbers: dict[str, Any] = {}  # matrices and rates worth showing, by name
+
+
+class Design(NamedTuple):
+    """An observer's numbers with their proof."""
+
+    gains: Any
+    certificate: Certificate
+
+
+class Setting(NamedTuple):
+    """What a designer of an observer is told of a cell. n states, m inputs, q outputs."""
+
+    scenario: str
+    model: Model  # nominal
+    dt: float  # [s]
+    ticks: int  # horizon N
+    period: tuple[int, ...]  # [q] ticks
+    delay: tuple[int, ...]  # [q] ticks
+    noise_std: tuple[float, ...]  # [q] of one sample
+    P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
+    input_intensity: float  # process noise through the input that a designer assumes, per second
+
+
+def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certificate:
+    """Return the certificate; raise DesignError where its margin is not above `least` (a NaN is not)."""
+    if not certificate.margin > least:
+        raise DesignError(
+            f"{where}: the gain is not certified: {certificate.inequality} has margin {certificate.margin:.3g}, "
+            f"expected above {least:g}; solver {certificate.solver} said '{certificate.status}'; "
+            "change the weights or the sampling period."
+        )
+    return certificate
+
+
+def least_eigenvalue(M: np.ndarray) -> float:
+    """Return the smallest eigenvalue of the symmetric part of M; NaN where M is not finite."""
+    return float(np.linalg.eigvalsh((M + M.T) / 2)[0]) if np.isfinite(M).all() else float("nan")
+
+
+def one_clock(setting: Setting, observer: str) -> tuple[int, int]:
+    """Return the period and delay (ticks) that all channels share, or say that this observer needs it."""
+    from pcbench.errors import UserError
+
+    if len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
+        raise UserError(
+            f"observer {observer} in {setting.scenario}: got channels with periods {setting.period} and delays "
+            f"{setting.delay} (ticks), expected one period and one delay for all; give equal ones or leave "
+            f"{observer} out."
+        )
+    return setting.period[0], setting.delay[0]

@@ -1,0 +1,75 @@
+"""The gain of a current estimator by LMI: xhat_m = xbar_m + L (y_m - C xbar_m), e_m = (I - L C) Phi e_(m-1).
+
+    [-P, (P Phi - Y C Phi)'; P Phi - Y C Phi, -P] < 0,   L = P^-1 Y                          (23)
+
+(23) is feasible for whole families of L, so feasibility defines nothing. The sharp choice here: maximise t subject to
+
+    [P, M'; M, P] >= t I,   P <= I,   M = P Phi - Y C Phi.
+
+Where the optimum is P = I it is known in closed form, L = argmin ||(I - L C) Phi||, and the closed form replaces the
+solver's last digits (so that no digit of a table comes from a solver); elsewhere the solver's L stands.
+Source: Mohammed et al. 2017, Theorem 1; the objective is ours.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.errors import DesignError
+from pcbench.synthesis.certificate import Certificate, least_eigenvalue
+from pcbench.synthesis.linear import Matrix
+
+SAME = 1e-5  # a solver's P is I, and its L the closed form's, to this: then they are
+
+
+class Solution(NamedTuple):
+    """A solver's answer, as it came."""
+
+    P: Matrix  # [n, n]
+    L: Matrix  # [n, q]
+    t: float
+    status: str
+    solver: str
+
+
+def closed_form(Phi: Matrix, C: Matrix) -> Matrix:
+    """Return argmin over L of ||(I - L C) Phi||: L = Phi c (c'c)^-1, c = (C Phi)'."""
+    c = (C @ Phi).T
+    return np.linalg.solve(c.T @ c, c.T @ Phi.T).T
+
+
+def solve(Phi: Matrix, C: Matrix, solver: str = "CLARABEL") -> Solution:
+    """Solve the LMI with cvxpy; raise DesignError where the solver leaves no answer."""
+    import cvxpy as cp
+
+    n, q = Phi.shape[0], C.shape[0]
+    P, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
+    M = P @ Phi - Y @ (C @ Phi)
+    block = cp.bmat([[P, M.T], [M, P]])
+    problem = cp.Problem(cp.Maximize(t), [block >> t * np.eye(2 * n), P << np.eye(n)])
+    try:
+        problem.solve(solver=solver)
+    except cp.SolverError as error:
+        raise DesignError(f"pccebo: LMI (23) was not solved: {solver} said '{error}'; try another period.") from error
+    if P.value is None or Y.value is None:
+        raise DesignError(f"pccebo: LMI (23) has no solution: {solver} said '{problem.status}'; try another period.")
+    return Solution(P.value, np.linalg.solve(P.value, Y.value), float(t.value), str(problem.status), solver)
+
+
+def sharpen(found: Solution, Phi: Matrix, C: Matrix) -> Solution:
+    """Return the closed form in place of a solver's answer that agrees with it; any other as it came."""
+    L = closed_form(Phi, C)
+    if np.abs(found.P - np.eye(len(Phi))).max() < SAME and np.abs(found.L - L).max() < SAME:
+        return found._replace(P=np.eye(len(Phi)), L=L)
+    return found
+
+
+def certify(found: Solution, Phi: Matrix, C: Matrix) -> Certificate:
+    """Re-check (23) with the gain itself: the least eigenvalue of [P, M'; M, P], M = P (I - L C) Phi, is the margin."""
+    P, L = found.P, found.L
+    closed = (np.eye(len(Phi)) - L @ C) @ Phi
+    M = P @ closed
+    block = np.block([[P, M.T], [M, P]])
+    margin = min(least_eigenvalue(block), least_eigenvalue(P))
+    numbers = {"P": P, "L": L, "eigenvalues": np.linalg.eigvals(closed)}
+    return Certificate("(23): [P, M'; M, P] > 0, M = P (I - L C) Phi", margin, found.solver, found.status, numbers)

@@ -1,0 +1,61 @@
+"""The protocols: a plant and an observer are NamedTuples of pure functions plus a pytree of numbers.
+
+Every function here is written for ONE run (a *lane*); `pcbench.lanes` carries it over thousands. Arrays have the
+shapes named below; n states, m inputs, q outputs, r numbers in a note. Time is counted in ticks of `dt` seconds.
+
+Order of events at tick k (design: "one run, tick by tick"): sense, deliver, estimate, flow. Values are
+right-continuous: the estimate of tick k is read after the jump of tick k.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from jax import Array
+
+Gains = Any  # a pytree of arrays: an observer's numbers, traced, never captured in a closure
+Memory = Any  # a pytree of arrays: an observer's state between ticks
+
+
+class Now(NamedTuple):
+    """What a function may know of the present.
+
+    `u` and `past_u` are the input *applied* to the plant, held over [t_k, t_k+1). In `flow` and `step`, `u` is u_k,
+    which equals `past_u(0)`. In `note` and `jump` u_k is not yet decided: `u` is u_(k-1) and `past_u` needs age >= 1.
+    Before t = 0 the input is 0.
+    """
+
+    t: Array  # [s], scalar
+    tick: Array  # integer scalar
+    dt: Array  # [s], scalar
+    u: Array  # [m]
+    past_u: Callable[[Array], Array]  # age [ticks] -> u[m] applied `age` ticks ago
+
+
+class Arrival(NamedTuple):
+    """What the network delivers to `jump`: one sampling instant; channels that did not arrive are not fresh."""
+
+    value: Array  # [q] measured values; meaningful where fresh
+    fresh: Array  # [q] bool
+    age: Array  # [q] ticks since the sample was taken
+    index: Array  # [q] which sample of its channel this is (0 is the first)
+    note: Array  # [r] what the observer noted when the sample was taken
+    since: Array  # ticks since the last tick at which anything arrived (counted from 0 before the first)
+
+
+class Plant(NamedTuple):
+    """A plant as pure functions of its numbers `params`."""
+
+    step: Callable[[Any, Now, Array], Array]  # x[n] -> x[n] one tick later, under the held now.u
+    output: Callable[[Any, Now, Array], Array]  # x[n] -> y[q]
+    field: Callable[[Any, Now, Array], Array] | None = None  # x[n] -> dx/dt[n]; now.t is the stage's time
+
+
+class Observer(NamedTuple):
+    """An observer as pure functions of its `gains` and its `memory`."""
+
+    init: Callable[[Gains, Array], Memory]  # xhat0[n] -> memory
+    note: Callable[[Gains, Memory, Now], Array]  # -> [r], when a sample is taken
+    jump: Callable[[Gains, Memory, Now, Arrival], Memory]  # when something arrives
+    flow: Callable[[Gains, Memory, Now], Memory]  # one tick later
+    estimate: Callable[[Gains, Memory], Array]  # -> xhat[n], the *current* estimate
+    field: Callable[[Gains, Memory, Now, Array], Memory] | None = None  # d memory / dt with y held

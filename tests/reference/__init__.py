@@ -1,0 +1,1 @@
+"""Reference implementation in NumPy, loops and all: the oracle of the tests, sharing no code with pcbench."""
