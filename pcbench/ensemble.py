@@ -6,6 +6,7 @@ block and on any number of devices. Jobs are stacked, one per device, and each d
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
+from time import perf_counter
 from typing import Any, NamedTuple
 
 import jax
@@ -25,9 +26,25 @@ class Job(NamedTuple):
     seeds: np.ndarray  # at most `width`
 
 
+class Program(NamedTuple):
+    """A compiled call and what it took to make."""
+
+    call: Any  # (problems, root seeds [D], seeds [D, L]) -> Outcome with arrays [D, ..., L]
+    devices: int
+    width: int
+    compile_seconds: float
+
+
+def program(layout: Layout, job: Job, devices: int | None = None) -> Program:
+    """Compile the call for jobs shaped like `job` on so many devices (default all); once for each shape."""
+    count = devices or len(jax.devices())
+    arguments = stack([job] * count, layout.width)
+    leaves, tree = jax.tree.flatten(arguments)
+    return _compiled(layout, count, tree, tuple((a.shape, a.dtype) for a in leaves))
+
+
 @lru_cache(maxsize=64)
-def program(layout: Layout, devices: int) -> Any:
-    """Return the compiled-once function (problems, root seeds [D], seeds [D, L]) -> Outcome, arrays [D, ...]."""
+def _compiled(layout: Layout, devices: int, tree: Any, shapes: tuple[Any, ...]) -> Program:
     mesh = Mesh(np.array(jax.devices()[:devices]), ("device",))
     each = PartitionSpec("device")
 
@@ -36,7 +53,16 @@ def program(layout: Layout, devices: int) -> Any:
         return jax.tree.map(lambda a: a[None], simulate(layout, *own))
 
     mapped = jax.shard_map(one, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
-    return jax.jit(mapped, in_shardings=NamedSharding(mesh, each), out_shardings=NamedSharding(mesh, each))
+    place = NamedSharding(mesh, each)
+    arguments = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=place) for s, d in shapes])
+    start = perf_counter()
+    call = jax.jit(mapped, in_shardings=place, out_shardings=place).lower(*arguments).compile()
+    return Program(lambda *a: call(*jax.device_put(a, place)), devices, layout.width, perf_counter() - start)
+
+
+def compilations() -> int:
+    """Return how many programs this process has traced and compiled."""
+    return _compiled.cache_info().misses
 
 
 def stack(jobs: list[Job], width: int) -> tuple[Problem, Any, Any]:
@@ -46,17 +72,15 @@ def stack(jobs: list[Job], width: int) -> tuple[Problem, Any, Any]:
     return problems, np.array([job.root_seed for job in jobs]), seeds
 
 
-def run(layout: Layout, jobs: Iterable[Job], devices: int | None = None) -> Iterator[tuple[Job, Outcome]]:
-    """Simulate jobs in order, `devices` at a time (default all); yield each with what it left, as NumPy arrays [..., L].
+def run(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
+    """Simulate jobs in order, one a device at a time; yield each with what it left, as NumPy arrays [..., L].
 
     The next call is handed to the devices before the last one's results are read.
     """
-    count = devices or len(jax.devices())
-    call = program(layout, count)
     waiting: list[tuple[list[Job], Any]] = []
-    for group in _groups(jobs, count):
-        padded = group + [group[0]] * (count - len(group))
-        waiting.append((group, call(*stack(padded, layout.width))))
+    for group in _groups(jobs, made.devices):
+        padded = group + [group[0]] * (made.devices - len(group))
+        waiting.append((group, made.call(*stack(padded, made.width))))
         if len(waiting) > 1:
             yield from _read(*waiting.pop(0))
     for group, out in waiting:

@@ -172,13 +172,19 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     return state._replace(flight=jax.tree.map(lambda v: jnp.zeros((layout.ring, *v.shape)), state.flight))
 
 
+def estimates(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
+    """Return xhat of every observer, as the state stands."""
+
+    def one_lane(memories: Any) -> Any:
+        return {label: o.estimate(p.gains[label], memories[label]) for label, o in layout.observers}
+
+    return lanes.over(one_lane)(state.memories)
+
+
 def errors(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
     """Return e = x - xhat of every observer, as the state stands."""
-
-    def one_lane(x: Array, memories: Any) -> Any:
-        return {label: x - o.estimate(p.gains[label], memories[label]) for label, o in layout.observers}
-
-    return lanes.over(one_lane)(state.x, state.memories)
+    subtract = lanes.over(lambda x, estimates: {label: x - xhat for label, xhat in estimates.items()})
+    return subtract(state.x, estimates(layout, p, state))
 
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
@@ -218,8 +224,7 @@ def _whole(x: Any, width: int) -> Array:
     """An array [..., L] of a Lanes whose entries may have windows in front: [W, n, L] from n entries [W, L]."""
     if lanes.is_lanes(x):
         parts = list(x.parts.flat)
-        stacked = jnp.stack(parts, -2) if x.parts.ndim else parts[0]
-        return stacked
+        return jnp.stack(parts, -2) if x.parts.ndim else parts[0]
     return jnp.broadcast_to(x[..., None], (*x.shape, width))
 
 
@@ -244,10 +249,9 @@ def trace(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Trace:
         place = p.schedule.sense[k] % layout.ring
         value = jnp.stack([_whole(v, 1)[place] if v.ndim == 1 else v[place, 0] for v in state.flight[0].parts])
         y = jnp.where(p.schedule.sampled[k], value, jnp.nan)
-        e = errors(layout, p, state)
-        x = _whole(state.x, 1)[:, 0]
-        estimates = {label: x - _whole(e[label], 1)[:, 0] for label in e}
-        return lanes.like(advance(layout, p, k, state), state, 1), Trace(x, estimates, y)
+        shown = {label: _whole(xhat, 1)[:, 0] for label, xhat in estimates(layout, p, state).items()}
+        row = Trace(_whole(state.x, 1)[:, 0], shown, y)
+        return lanes.like(advance(layout, p, k, state), state, 1), row
 
     _, out = lax.scan(tick, state, jnp.arange(p.schedule.event.shape[0]))
     return out

@@ -98,7 +98,8 @@ def pccebo_gain(te: int) -> Array:
 
 def kfbo_gain(R: float) -> tuple[Array, Array]:
     """Return K [2, 1] and P [2, 2] of (26), (27) with R^-1 and Q = 0.002 B B'."""
-    K1 = -LAM + np.sqrt(LAM**2 + 2 * GAIN * np.sqrt(INTENSITY / R))
+    push = 2 * GAIN * np.sqrt(INTENSITY / R)
+    K1 = push / (LAM + np.sqrt(LAM**2 + push))  # = -lam + sqrt(lam^2 + push), without its cancellation
     K2 = K1**2 / 2
     P = R * np.array([[K1, K2], [K2, K2 * (LAM + K1)]])
     return np.array([[K1], [K2]]), P

@@ -80,7 +80,7 @@ def simulate(
     """Run the plant and its delayed sampler; return x [N+1, n] and the samples which arrive by tick N.
 
     u [N+1, m]; te, d: period and delay of each channel [ticks]; noise[j][i]: added to sample i of channel j.
-    `plant_step(k, x, u_k)` replaces the exact step from tick k to k + 1. Samples: by arrival, then oldest first.
+    `plant_step(k, x, u_k)` replaces the exact step from tick k to k + 1. Samples: by arrival, oldest first.
     """
     Ad, Bd = discretise(model.A, model.B, model.h)
     N = len(u) - 1
@@ -205,8 +205,8 @@ def dkf(
 ) -> Array:
     """Return xhat [N+1, n] of the delay-compensated Kalman filter with prior N(xhat0, P0) at tick 0.
 
-    Each sample updates at its own sampling tick when it arrives. R [q]: variances per sample; W [n, n]: intensity
-    of the process noise (None: none), added tick by tick. A sample older than one already used: ValueError.
+    Each sample updates at its own sampling tick when it arrives. R [q]: variances per sample; W [n, n]:
+    intensity of the process noise (None: none), added tick by tick. ValueError where an older sample follows.
     """
     A, B, C, h = model
     Ad, Bd = discretise(A, B, h)

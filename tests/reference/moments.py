@@ -23,7 +23,7 @@ ErrorOf = Callable[[Array, Array, Array, list[Array]], Array]
 
 
 class ErrorMap(NamedTuple):
-    """base [N+1, n]: e without noise; noise [M, N+1, n]: e per unit of v_i; start [n, N+1, n]: per unit of x0.
+    """base [N+1, n]: e without noise; noise [M, N+1, n]: e per unit of v_i; start [n, N+1, n]: of x0.
 
     The M samples stand channel by channel.
     """
@@ -92,7 +92,7 @@ def posterior_covariance(
     """Return cov(x(t_k) | all samples arrived by tick k) [N+1, n, n]: the bound when W is None.
 
     R [q] variances, W [n, n] process noise intensity. Whenever something arrives, the Riccati recursion
-    starts again from P0 at tick 0 and walks through all that is known, so the order of arrival does not matter.
+    starts again from P0 at tick 0 and walks through all that is known: the order of arrival does not matter.
     """
     Ad, _ = linear.discretise(model.A, model.B, model.h)
     Qd = np.zeros_like(Ad) if W is None else linear.process_noise(model.A, W, model.h)

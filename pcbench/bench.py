@@ -1,0 +1,204 @@
+"""The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
+
+from collections.abc import Callable
+from datetime import UTC, datetime
+from functools import cached_property, partial
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import jax
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.dataset as ds
+
+from pcbench import machine, rollout, statistics, store, sweep, tables
+from pcbench.errors import UserError, unknown
+from pcbench.observers import OBSERVERS
+from pcbench.plants import PLANTS
+from pcbench.scenarios import SCENARIOS
+from pcbench.study import Study, cells, digest, load, options_of, parse, to_toml
+from pcbench.synthesis.certificate import Design
+
+Tell = Callable[[str, float], None]
+
+
+class Result:
+    """What a study gave: three tables as pandas frames (see `tables.MEANING`), and its provenance."""
+
+    def __init__(self, study: Study, stats: pa.Table, pairs: pa.Table, provenance: dict[str, Any], runs: Any, out: Any):
+        self.study, self.provenance, self.out = study, provenance, out
+        self.stats, self.pairs = tables.frame(stats), tables.frame(pairs)
+        self._runs = runs
+
+    @cached_property
+    def runs(self) -> pd.DataFrame:
+        """One row per cell, observer, seed and signal."""
+        return self._runs()
+
+    def __repr__(self) -> str:
+        return f"<pcbench result of study '{self.study.name}': {len(self.stats)} rows of stats>"
+
+
+def study_of(study: str | Path | dict[str, Any] | Study, changes: dict[str, Any], overrides: list[str]) -> Study:
+    """Return a checked study from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
+    if isinstance(study, str | Path):
+        study = load(str(study), overrides)
+    raw = study.model_dump(exclude_none=True) if isinstance(study, Study) else dict(study)
+    raw |= {key: value for key, value in changes.items() if value is not None}
+    return parse(raw, str(raw.get("name", "study")))
+
+
+def run(
+    study: str | Path | dict[str, Any] | Study,
+    *,
+    seeds: int | None = None,
+    observers: list[str] | None = None,
+    axes: dict[str, list[Any]] | None = None,
+    options: dict[str, dict[str, Any]] | None = None,
+    root_seed: int | None = None,
+    out: str | Path | None = None,
+    overrides: list[str] | None = None,
+    devices: int | None = None,
+    tell: Tell = lambda event, value: None,
+) -> Result:
+    """Run a study and return its tables; with `out`, leave them in that folder as well.
+
+    `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study; the other arguments
+    replace its keys. `overrides` are texts such as "axes.noise_std=0.1". Raises UserError, one sentence, for whatever the
+    user can mend; then nothing is written.
+    """
+    changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
+    with machine.float64():
+        chosen = study_of(study, changes, overrides or [])
+        start, began = perf_counter(), datetime.now(UTC)
+        planned = sweep.plan(chosen)
+        folder = None if out is None else Path(out)
+        if folder is not None:
+            store.claim(folder, to_toml(chosen))
+        tell("planned", float(sum(len(p.problem.gains) for p in planned) * chosen.seeds))
+        stats, pairs, kept, compile_seconds = _collect(chosen, planned, folder, devices, tell)
+        provenance = machine.describe() | {
+            "schema": tables.SCHEMA,
+            "study": chosen.name,
+            "study_sha256": digest(chosen),
+            "root_seed": chosen.root_seed,
+            "started": began.isoformat(timespec="seconds"),
+            "wall_seconds": round(perf_counter() - start, 3),
+            "compile_seconds": round(compile_seconds, 3),
+        }
+    if folder is not None:
+        store.write_table(folder / "stats.parquet", stats)
+        store.write_table(folder / "pairs.parquet", pairs)
+        store.write_json(folder / "provenance.json", provenance)
+    return Result(chosen, stats, pairs, provenance, partial(_runs, folder, kept), folder)
+
+
+def _collect(
+    study: Study, planned: list[sweep.Planned], folder: Path | None, devices: int | None, tell: Tell
+) -> tuple[pa.Table, pa.Table, list[tuple[str, str, pa.Table]], float]:
+    """Run, and turn each finished cell into rows; runs go to the folder, or are kept where there is none."""
+    stats, pairs, kept, compiled = [], [], [], []
+
+    def listen(event: str, value: float) -> None:
+        if event == "compiled":
+            compiled.append(value)
+        tell(event, value)
+
+    for done in sweep.execute(study, planned, devices=devices, tell=listen):
+        scenario = done.planned.cell.scenario
+        signals = PLANTS[scenario.plant].signals
+        head = tables.keys(study.name, done.planned.cell) | {"plant": scenario.plant}
+        for observer, results in done.results.items():
+            table = tables.runs_table(study.name, done, observer, signals)
+            if folder is None:
+                kept.append((scenario.name, observer, table))
+            else:
+                store.write_table(store.runs_path(folder, scenario.name, observer, done.planned.cell.index), table)
+            stats += [head | {"observer": observer} | row for row in _described(done, results, signals)]
+        units = dict(signals)
+        for row in statistics.pairs(done.results, [name for name, _ in signals]):
+            pairs.append(head | {"unit": units[row["signal"]]} | row)
+    axes = tables.axes_of(stats[0])
+    return (
+        tables.rows_table(stats, tables.stats_order(axes)),
+        tables.rows_table(statistics.adjusted(pairs), tables.pairs_order(axes)),
+        kept,
+        sum(compiled),
+    )
+
+
+def _described(done: sweep.Done, results: dict[str, Any], signals: tuple[tuple[str, str], ...]) -> list[dict[str, Any]]:
+    rows = []
+    for i, (signal, unit) in enumerate(signals):
+        prior, bound = done.planned.cell.scenario.prior_std[i], done.planned.bound
+        known = None if bound is None or bound[i] < statistics.SEEN * prior else float(bound[i])
+        rows += [{"signal": signal, "unit": unit} | row for row in statistics.describe(results, i, known)]
+    return rows
+
+
+def _runs(folder: Path | None, kept: list[tuple[str, str, pa.Table]]) -> pd.DataFrame:
+    if folder is not None:
+        whole = ds.dataset(folder / "runs", format="parquet", partitioning="hive").to_table().to_pandas()
+    else:
+        named = [t.append_column("scenario", [[s] * len(t)]).append_column("observer", [[o] * len(t)]) for s, o, t in kept]
+        whole = pa.concat_tables(named).to_pandas()
+    first = ["study", "scenario", "observer", "cell"]
+    ordered = whole[first + [c for c in whole.columns if c not in first]]
+    return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
+
+
+def _one_cell(scenario: str, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:
+    if scenario not in SCENARIOS:
+        raise unknown("scenario", "scenario", scenario, SCENARIOS)
+    for observer in observers:
+        if observer not in OBSERVERS:
+            raise unknown("observer", "observer", observer, OBSERVERS)
+    study = study_of(load(scenario, overrides), {"observers": observers}, [])
+    every = cells(study, scenario)
+    if len(every) > 1:
+        raise UserError(f"{scenario}: got {len(every)} cells, expected one here; give each axis one value.")
+    return study, every[0]
+
+
+def trace(scenario: str, observers: str | list[str], *, seed: int = 0, overrides: list[str] | None = None) -> pd.DataFrame:
+    """Return one run tick by tick, ticks 0 .. N: t [s], each state, <observer>.<state>, u1.., y1.. (held arrivals).
+
+    Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.
+    """
+    names = [observers] if isinstance(observers, str) else list(observers)
+    if seed < 0:
+        raise UserError(f"--seed: got {seed}, expected 0 or more; write a seed index.")
+    with machine.float64():
+        study, _ = _one_cell(scenario, names, overrides or [])
+        (p,) = sweep.plan(study)
+        record = jax.jit(rollout.trace, static_argnums=0)
+        out = record(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
+        out = jax.tree.map(np.asarray, out)
+    states = [name for name, _ in PLANTS[p.cell.scenario.plant].signals]
+    columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
+    columns |= {state: out.x[:, i] for i, state in enumerate(states)}
+    for name in names:
+        columns |= {f"{name}.{state}": out.estimates[name][:, i] for i, state in enumerate(states)}
+    columns |= {f"u{i + 1}": u for i, u in enumerate(p.problem.inputs.T)}
+    columns |= {f"y{i + 1}": y for i, y in enumerate(_held(p.problem.schedule, out.samples).T)}
+    return pd.DataFrame(columns)
+
+
+def _held(plan: Any, samples: np.ndarray) -> np.ndarray:
+    """What has arrived and is held at every tick, from what was measured at the sampling ticks; [N+1, q]."""
+    held = np.full_like(samples, np.nan)
+    now = np.full(samples.shape[1], np.nan)
+    for k in range(len(held)):
+        for slot in range(plan.arrive.shape[1]):
+            now = np.where(plan.fresh[k, slot], samples[plan.sent[k, slot]], now)
+        held[k] = now
+    return held
+
+
+def design(scenario: str, observer: str, *, overrides: list[str] | None = None) -> Design:
+    """Return an observer's gains in a scenario with the certificate that proves them."""
+    with machine.float64():
+        study, cell = _one_cell(scenario, [observer], overrides or [])
+        return OBSERVERS[observer].design(sweep.setting(cell), options_of(study, cell.scenario, observer))

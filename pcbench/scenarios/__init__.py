@@ -1,0 +1,6 @@
+"""The published experiments, as data: one file a plant, one dict for all. SI units; no jax."""
+
+from pcbench.scenarios.base import Scenario
+from pcbench.scenarios.cart import CART
+
+SCENARIOS: dict[str, Scenario] = {s.name: s for s in CART}

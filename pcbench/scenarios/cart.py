@@ -1,0 +1,71 @@
+"""The five experiments on the mobile cart, and a second reading of one.
+
+Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017), section 6. Decided where the paper is silent:
+horizon 10 s, tick 1 ms, tail from 3 s; in 6.2 the delay is 0.6 s and te is not printed, so `gaussian` takes the paper's rule
+d = te and `gaussian-fast` te = 0.2 s; white noise of power 0.07 at 0.2 s is a variance of 0.35 per sample, once and for all.
+The settling band is 5 % of the initial error.
+"""
+
+from math import sqrt
+
+from pcbench.scenarios.base import Scenario
+
+PAPER = "Mohammed, Wang, Tian 2017, section "
+
+NOMINAL = Scenario(
+    name="cart/nominal",
+    summary="no noise, te = d = 0.2 s",
+    source=PAPER + "6.1",
+    plant="cart",
+    observers=("pccebo", "kfbo", "dkf", "open-loop"),
+    sampling_period=(0.2,),
+    delay=(0.2,),
+    noise_std=(0.0,),
+    drift=0.0,
+    input="sawtooth",
+    x0=(5.0, 10.0),
+    xhat0=(0.0, 0.0),
+    prior_std=(5.0, 10.0),
+    settle_band=(0.25, 0.5),
+    bound=1e6,
+    drift_intensity=0.002,
+    options={"kfbo": {"R": 0.004}},
+)
+
+CART = (
+    NOMINAL,
+    NOMINAL._replace(
+        name="cart/gaussian",
+        summary="noise of variance 1, te = d = 0.6 s",
+        source=PAPER + "6.2",
+        sampling_period=(0.6,),
+        delay=(0.6,),
+        noise_std=(1.0,),
+        options={"kfbo": {"R": 1.0}},
+    ),
+    NOMINAL._replace(
+        name="cart/gaussian-fast",
+        summary="noise of variance 1, te = 0.2 s, d = 0.6 s",
+        source=PAPER + "6.2, other reading",
+        delay=(0.6,),
+        noise_std=(1.0,),
+        options={"kfbo": {"R": 1.0}},
+    ),
+    NOMINAL._replace(
+        name="cart/white",
+        summary="white noise of power 0.07: variance 0.35 a sample, te = d = 0.2 s",
+        source=PAPER + "6.2",
+        noise_std=(sqrt(0.07 / 0.2),),
+    ),
+    NOMINAL._replace(
+        name="cart/drift", summary="drifting parameters, no noise, te = d = 0.2 s", source=PAPER + "6.3", drift=1.0
+    ),
+    NOMINAL._replace(
+        name="cart/slow",
+        summary="no noise, te = d = 1 s",
+        source=PAPER + "6.4",
+        sampling_period=(1.0,),
+        delay=(1.0,),
+        options={"kfbo": {"R": 0.3}},
+    ),
+)

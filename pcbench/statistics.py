@@ -1,0 +1,146 @@
+"""Numbers over runs: estimates with their uncertainty, and paired comparisons. NumPy and SciPy, no jax.
+
+Intervals are 95 % Student intervals over seeds. `pooled_rmse` is the square root of the mean square over runs: its interval
+is that of the mean square, its standard error by the delta method; `efficiency` likewise. Diverged runs are counted, never
+averaged. p-values are of the paired t-test on common draws, with Holm's correction over all comparisons of one scenario,
+signal and metric in the study. Where all runs give one and the same number (no noise) the interval has no width: p is 0 or 1.
+"""
+
+import itertools
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtr, stdtrit
+
+from pcbench.errors import unknown
+
+RUN_METRICS = ("mae", "rmse", "mse", "peak", "final", "settling_time", "tail_mae", "tail_rmse", "tail_mse", "tail_peak")
+COMPARED = tuple(m for m in RUN_METRICS if m != "final")  # a signed error is neither better nor worse
+POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
+METRICS = (*RUN_METRICS, *POOLED, "efficiency")
+QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
+SEEN = 1e-9  # a bound below this part of the prior is zero for every purpose: no efficiency against it
+
+Values = NDArray[np.float64]
+Row = dict[str, Any]
+
+
+def mean(values: Values) -> Row:
+    """Return n, mean, standard error and 95 % interval of values [n]; NaN where there are too few."""
+    n = len(values)
+    out = {"n": n, "mean": np.nan, "se": np.nan, "ci_low": np.nan, "ci_high": np.nan}
+    if n and (values == values[0]).all():  # exactly, without the rounding of a sum
+        centre, se = float(values[0]), 0.0 if n > 1 else np.nan
+    elif n:
+        centre, se = float(values.mean()), float(values.std(ddof=1) / np.sqrt(n))
+    else:
+        return out
+    half = se * float(stdtrit(n - 1, 0.975)) if n > 1 else np.nan
+    return out | {"mean": centre, "se": se, "ci_low": centre - half, "ci_high": centre + half}
+
+
+def quantiles(values: Values) -> Row:
+    """Return the quantiles over runs of values [n]; NaN where there are none."""
+    found = np.quantile(values, list(QUANTILES.values())) if len(values) else [np.nan] * len(QUANTILES)
+    return dict(zip(QUANTILES, map(float, found), strict=True))
+
+
+def pooled(squares: Values) -> Row:
+    """Return the root of the mean of squares [n] with its uncertainty."""
+    m = mean(squares)
+    root = np.sqrt(m["mean"])
+    se = m["se"] / (2 * root) if root > 0 else m["se"]
+    low, high = np.sqrt(max(m["ci_low"], 0.0)) if m["n"] > 1 else np.nan, np.sqrt(m["ci_high"])
+    return m | {"mean": float(root), "se": float(se), "ci_low": float(low), "ci_high": float(high)}
+
+
+def efficiency(tail_squares: Values, bound: float) -> Row:
+    """Return bound / tail_pooled_rmse: 1 attains the bound, 1/5 is five times its rms. Square it for the variance ratio."""
+    p = pooled(tail_squares)
+    value = bound / p["mean"] if p["mean"] > 0 else np.nan
+    return p | {
+        "mean": value,
+        "se": value * p["se"] / p["mean"] if p["mean"] > 0 else np.nan,
+        "ci_low": bound / p["ci_high"] if p["ci_high"] > 0 else np.nan,
+        "ci_high": bound / p["ci_low"] if p["ci_low"] > 0 else np.nan,
+    }
+
+
+def describe(results: dict[str, NDArray[Any]], signal: int, bound: float | None) -> Iterable[Row]:
+    """Yield a row for every metric of one signal; results are metric -> [n, seeds], `diverged` [seeds]."""
+    good = ~results["diverged"]
+    blank = dict.fromkeys(QUANTILES, np.nan)
+    common = {"diverged": int((~good).sum())}
+    for metric in RUN_METRICS:
+        values = results[metric][signal][good]
+        yield {"metric": metric} | common | mean(values) | quantiles(values)
+    for metric, square in POOLED.items():
+        yield {"metric": metric} | common | pooled(results[square][signal][good]) | blank
+    if bound is not None:
+        yield {"metric": "efficiency"} | common | efficiency(results["tail_mse"][signal][good], bound) | blank
+
+
+def compare(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bool_]) -> Row:
+    """Compare a metric (smaller is better) of two observers on the same draws [seeds].
+
+    The difference a - b is over runs in which neither diverged. `prob_a_better` is over all runs: a diverged run loses
+    against one that did not, and a tie counts half.
+    """
+    both = ~bad_a & ~bad_b
+    d = mean(a[both] - b[both])
+    wins = np.where(both, (a < b) + 0.5 * (a == b), 0.5 + 0.5 * (bad_b & ~bad_a) - 0.5 * (bad_a & ~bad_b))
+    if d["n"] < 2:
+        p = np.nan
+    elif d["se"] == 0:
+        p = float(d["mean"] == 0)
+    else:
+        p = 2 * float(stdtr(d["n"] - 1, -abs(d["mean"] / d["se"])))
+    return {
+        "n": d["n"],
+        "mean_diff": d["mean"],
+        "se": d["se"],
+        "ci_low": d["ci_low"],
+        "ci_high": d["ci_high"],
+        "prob_a_better": float(wins.mean()) if len(wins) else np.nan,
+        "p_value": p,
+    }
+
+
+def holm(p_values: Values) -> Values:
+    """Return Holm's step-down adjustment of p-values [k]; NaN stays NaN and is not counted."""
+    out = np.full(len(p_values), np.nan)
+    known = np.flatnonzero(~np.isnan(p_values))
+    order = known[np.argsort(p_values[known], kind="stable")]
+    steps = p_values[order] * (len(order) - np.arange(len(order)))
+    out[order] = np.minimum(np.maximum.accumulate(steps), 1.0) if len(order) else steps
+    return out
+
+
+def pairs(results: dict[str, dict[str, NDArray[Any]]], signals: list[str]) -> Iterable[Row]:
+    """Yield a row for every pair of observers, signal and metric of one cell."""
+    for a, b in itertools.combinations(results, 2):
+        ra, rb = results[a], results[b]
+        for i, signal in enumerate(signals):
+            for metric in COMPARED:
+                row = compare(ra[metric][i], rb[metric][i], ra["diverged"], rb["diverged"])
+                yield {"observer_a": a, "observer_b": b, "signal": signal, "metric": metric} | row
+
+
+def adjusted(rows: list[Row]) -> list[Row]:
+    """Put Holm's adjusted p-value into the rows of `pairs`, one family a scenario, signal and metric."""
+    families: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        families.setdefault((row["scenario"], row["signal"], row["metric"]), []).append(row)
+    for family in families.values():
+        for row, p in zip(family, holm(np.array([r["p_value"] for r in family])), strict=True):
+            row["p_holm"] = float(p)
+    return rows
+
+
+def known_metric(where: str, metric: str) -> str:
+    """Return the metric's name; raise UserError with the nearest valid one where there is none."""
+    if metric not in METRICS:
+        raise unknown(where, "metric", metric, METRICS)
+    return metric

@@ -1,0 +1,129 @@
+"""The columns of the three tables, their units and meaning, and rows from results. No jax.
+
+Other programs read this: a change is a new SCHEMA number.
+"""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pcbench.statistics import QUANTILES, RUN_METRICS
+
+SCHEMA = "1"
+AXIS_UNITS = {"sampling_period": "s", "delay": "s", "noise_std": "unit of the output", "drift": "1"}
+MEANING = {
+    "study": "name of the study",
+    "scenario": "published experiment",
+    "plant": "plant of the scenario",
+    "observer": "observer, with the options in study.toml",
+    "observer_a": "first observer of the pair",
+    "observer_b": "second observer of the pair",
+    "cell": "number of the combination of axis values, from 0, within its scenario",
+    "sampling_period": "time between samples; a list where output channels differ",
+    "delay": "age of a sample when it arrives; a list where output channels differ",
+    "noise_std": "standard deviation of one sample's noise; a list where output channels differ",
+    "drift": "scale of the scenario's parameter drift: 0 nominal, 1 as printed",
+    "seed": "seed index: with the study's root seed it addresses every random number of the run",
+    "signal": "state whose error e = x - xhat is measured",
+    "unit": "unit of the signal",
+    "mae": "mean |e| over ticks 0 .. N-1",
+    "rmse": "square root of the mean of e^2 over ticks 0 .. N-1",
+    "mse": "mean of e^2 over ticks 0 .. N-1 [unit squared]",
+    "peak": "largest |e| over ticks 0 .. N-1",
+    "final": "e at tick N-1, signed",
+    "settling_time": "time [s] of the last exit of |e| from the scenario's band; the horizon where it is still outside",
+    "tail_mae": "mean |e| from the scenario's tail start on",
+    "tail_rmse": "square root of the mean of e^2 from the tail start on",
+    "tail_mse": "mean of e^2 from the tail start on [unit squared]",
+    "tail_peak": "largest |e| from the tail start on",
+    "diverged": "runs: the error became non-finite or left the scenario's bound (its metrics are null); "
+    "stats: how many such runs, none of them averaged",
+    "first_bad_time": "time [s] at which a diverged run left the bound; null elsewhere",
+    "metric": "a metric of `runs`; or pooled_rmse, tail_pooled_rmse (root of the mean square over runs); or efficiency "
+    "(bound / tail_pooled_rmse against the best any causal estimator can do on average over x(0) ~ N(xhat0, P0))",
+    "n": "runs that enter the number",
+    "mean": "estimate over runs",
+    "se": "its standard error",
+    "ci_low": "lower end of its 95 % interval",
+    "ci_high": "upper end of its 95 % interval",
+    "mean_diff": "mean of metric(a) - metric(b) over common draws: negative where a is better",
+    "prob_a_better": "fraction of runs in which a is better; ties count half, a diverged run loses",
+    "p_value": "two-sided paired t-test of mean_diff = 0",
+    "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
+} | {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
+TEXT = {"study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
+WHOLE = {"cell", "seed", "n"}
+
+
+def keys(study: str, cell: Any) -> dict[str, Any]:
+    """Return the columns that name a cell: study, scenario, cell number, axes."""
+    return {"study": study, "scenario": cell.scenario.name, "cell": cell.index, **cell.values}
+
+
+def runs_table(study: str, done: Any, observer: str, signals: tuple[tuple[str, str], ...]) -> pa.Table:
+    """Return the runs of one observer in one cell: a row per seed and signal."""
+    results, seeds, many = done.results[observer], done.seeds, len(signals)
+    columns: dict[str, Any] = {
+        name: [value] * (len(seeds) * many)
+        for name, value in keys(study, done.planned.cell).items()
+        if name != "scenario"  # in the path, as `observer` is
+    }
+    columns["seed"] = np.repeat(seeds, many)
+    columns["signal"] = [name for name, _ in signals] * len(seeds)
+    columns["unit"] = [unit for _, unit in signals] * len(seeds)
+    for metric in RUN_METRICS:
+        columns[metric] = results[metric].T.ravel()
+    for name in ("diverged", "first_bad_time"):
+        columns[name] = np.repeat(results[name], many)
+    return table(columns, bools=("diverged",))
+
+
+def rows_table(rows: list[dict[str, Any]], order: list[str]) -> pa.Table:
+    """Return rows as a table with its columns in the given order."""
+    return table({name: [row[name] for row in rows] for name in order})
+
+
+def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:
+    """Return a table with types, units and meanings fixed by column name; NaN is null."""
+    arrays, fields = [], []
+    for name, values in columns.items():
+        kind = _type(name, values, bools)
+        arrays.append(pa.array(values, kind, from_pandas=True))
+        unit = AXIS_UNITS.get(name, "s" if name in ("settling_time", "first_bad_time") else "")
+        about = {"meaning": MEANING.get(name, "the plant's parameter in this cell")} | ({"unit": unit} if unit else {})
+        fields.append(pa.field(name, kind, metadata=about))
+    return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"pcbench.schema": SCHEMA}))
+
+
+def _type(name: str, values: Any, bools: tuple[str, ...]) -> pa.DataType:
+    if name in bools:
+        return pa.bool_()
+    if name in TEXT:
+        return pa.string()
+    if name in WHOLE or name == "diverged":
+        return pa.int64()
+    return pa.list_(pa.float64()) if any(isinstance(v, list) for v in values[:1]) else pa.float64()
+
+
+def axes_of(row: dict[str, Any]) -> list[str]:
+    """Return the axis columns among a row's keys, in order."""
+    return [name for name in row if name in AXIS_UNITS or name.startswith("plant.")]
+
+
+def stats_order(axes: list[str]) -> list[str]:
+    """Return the columns of stats.parquet."""
+    head = ["study", "scenario", "plant", "observer", "cell", *axes, "signal", "unit", "metric"]
+    return [*head, "n", "diverged", "mean", "se", "ci_low", "ci_high", *QUANTILES]
+
+
+def pairs_order(axes: list[str]) -> list[str]:
+    """Return the columns of pairs.parquet."""
+    head = ["study", "scenario", "plant", "cell", *axes, "observer_a", "observer_b", "signal", "unit", "metric"]
+    return [*head, "n", "mean_diff", "se", "ci_low", "ci_high", "prob_a_better", "p_value", "p_holm"]
+
+
+def frame(arrow: pa.Table) -> pd.DataFrame:
+    """Return a table as a pandas frame."""
+    return arrow.to_pandas()
