@@ -3,7 +3,7 @@
 Intervals are 95 % Student intervals over seeds. `pooled_rmse` is the square root of the mean square over runs: its interval
 is that of the mean square, its standard error by the delta method; `efficiency` likewise. Diverged runs are counted, never
 averaged. p-values are of the paired t-test on common draws, with Holm's correction over all comparisons of one scenario,
-signal and metric in the study. Where all runs give one and the same number (no noise) the interval has no width: p is 0 or 1.
+signal and metric in the study. Where the runs do not vary (no noise) the interval has no width and there is no test: p is NaN.
 """
 
 import itertools
@@ -21,6 +21,7 @@ COMPARED = tuple(m for m in RUN_METRICS if m != "final")  # a signed error is ne
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
 METRICS = (*RUN_METRICS, *POOLED, "efficiency")
 QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
+SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie: rounding, not merit
 SEEN = 1e-9  # a bound below this part of the prior is zero for every purpose: no efficiency against it
 
 Values = NDArray[np.float64]
@@ -90,13 +91,10 @@ def compare(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bo
     """
     both = ~bad_a & ~bad_b
     d = mean(a[both] - b[both])
-    wins = np.where(both, (a < b) + 0.5 * (a == b), 0.5 + 0.5 * (bad_b & ~bad_a) - 0.5 * (bad_a & ~bad_b))
-    if d["n"] < 2:
-        p = np.nan
-    elif d["se"] == 0:
-        p = float(d["mean"] == 0)
-    else:
-        p = 2 * float(stdtr(d["n"] - 1, -abs(d["mean"] / d["se"])))
+    tie = np.abs(a - b) <= SAME * np.maximum(np.abs(a), np.abs(b))
+    wins = np.where(both, np.where(tie, 0.5, a < b), 0.5 + 0.5 * (bad_b & ~bad_a) - 0.5 * (bad_a & ~bad_b))
+    varies = d["n"] > 1 and d["se"] > 0
+    p = 2 * float(stdtr(d["n"] - 1, -abs(d["mean"] / d["se"]))) if varies else np.nan
     return {
         "n": d["n"],
         "mean_diff": d["mean"],

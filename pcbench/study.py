@@ -277,4 +277,5 @@ def _sentence(where: str, error: ValidationError, model: type[BaseModel]) -> Use
         names = [name if model is Study else name.replace("_", "-") for name in model.model_fields]
         return unknown(where, "key here", str(first["loc"][-1]), names)
     got = "" if first["type"] == "missing" else f"got {first['input']!r}, "
-    return UserError(f"{where}: {place}: {got}expected: {first['msg'][0].lower() + first['msg'][1:]}.")
+    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    return UserError(f"{where}: {place + ': ' if place else ''}{got}expected {message[0].lower() + message[1:]}.")

@@ -49,8 +49,8 @@ MEANING = {
     "ci_low": "lower end of its 95 % interval",
     "ci_high": "upper end of its 95 % interval",
     "mean_diff": "mean of metric(a) - metric(b) over common draws: negative where a is better",
-    "prob_a_better": "fraction of runs in which a is better; ties count half, a diverged run loses",
-    "p_value": "two-sided paired t-test of mean_diff = 0",
+    "prob_a_better": "fraction of runs in which a is better; a tie (equal to 1e-9) counts half, a diverged run loses",
+    "p_value": "two-sided paired t-test of mean_diff = 0; null where the runs do not vary",
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
 } | {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
 TEXT = {"study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
@@ -57,6 +57,12 @@ class Options(BaseModel):
     Q: float = Field(0.002, gt=0, description="assumed intensity of process noise through the input")
     lag_aware: bool = Field(False, description="use d + te/2 in place of d")
     sampled_innovation: bool = Field(False, description="hold the innovation, not the measurement")
+
+    @model_validator(mode="after")
+    def _one_variant(self) -> "Options":
+        if self.lag_aware and self.sampled_innovation:
+            raise ValueError("one of lag-aware and sampled-innovation, not both (they disagree about z's time)")
+        return self
 
 
 def init(gains: Gains, xhat0: Array) -> Memory:

@@ -1,0 +1,176 @@
+"""The command line: parse, call, print. Whatever the user can mend is one sentence and exit code 2."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from pcbench.errors import UserError, unknown
+
+app = typer.Typer(
+    name="pcbench",
+    help="Which observer should I use when my measurements are sampled, late, noisy or lost, and how sure am I?",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+AsJson = Annotated[bool, typer.Option("--json", help="print JSON for a program instead of a table")]
+Set = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="change the study, e.g. axes.noise_std=0.1 (repeatable)"),
+]
+
+
+def main() -> None:
+    """Run the command line and exit: 0 done, 2 a mistake that the user can mend, 130 stopped."""
+    code = 0
+    try:
+        code = app(standalone_mode=False) or 0
+    except UserError as error:
+        code = _complain(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        code = _complain("stopped; every file already written is complete.", 130)
+    except BrokenPipeError:
+        code = 141
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # the command line's own usage errors have one
+            raise
+        code = _complain(error.format_message().rstrip(".") + "; see pcbench --help.")
+    sys.exit(code)
+
+
+def _complain(sentence: str, code: int = 2) -> int:
+    print(f"pcbench: {sentence}", file=sys.stderr)
+    return code
+
+
+def _console() -> Any:
+    from rich.console import Console
+
+    return Console() if sys.stdout.isatty() else Console(width=160)
+
+
+def _setup() -> None:
+    from pcbench import machine
+
+    machine.setup()
+
+
+@app.command("list")
+def list_(
+    what: Annotated[str | None, typer.Argument(help="plants, observers, scenarios or studies; default all")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """List what there is. Example: pcbench list observers"""
+    from pcbench.catalogue import CATALOGUE
+
+    if what is not None and what not in CATALOGUE:
+        raise unknown("list", "kind of thing", what, CATALOGUE)
+    chosen = {kind: CATALOGUE[kind]() for kind in ([what] if what else CATALOGUE)}
+    if as_json:
+        out = {kind: {n: dict(zip(heads[1:], cells, strict=True)) for n, cells in rows.items()} for kind, (heads, rows) in chosen.items()}
+        print(json.dumps(out, indent=2))
+        return
+    from pcbench import show
+
+    for kind, (heads, rows) in chosen.items():
+        show.listing(kind, rows, heads, _console())
+
+
+@app.command()
+def run(
+    study: Annotated[str, typer.Argument(help="a study, a scenario or a TOML file")],
+    seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
+    observers: Annotated[str | None, typer.Option(help="comma-separated names")] = None,
+    changes: Set = None,
+    out: Annotated[Path | None, typer.Option(help="folder for the tables [default: results/STUDY]")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="no progress and no table")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Run a study and leave its tables in a folder. Example: pcbench run quick --seeds 512 --out first-look"""
+    _setup()
+    from pcbench import bench, show, store
+    from pcbench import study as studies
+
+    chosen = studies.load(study, changes)
+    folder = out or Path("results") / chosen.name.replace("/", "-")
+    names = None if observers is None else [name.strip() for name in observers.split(",")]
+    with show.progress(quiet or as_json) as tell:
+        result = bench.run(chosen, seeds=seeds, observers=names, out=folder, tell=tell)
+    if as_json:
+        stats = json.loads(result.stats.to_json(orient="records"))
+        summary = {"study": chosen.name, "out": str(folder), "provenance": result.provenance, "stats": stats}
+        print(json.dumps(summary, indent=2))
+    elif not quiet:
+        console = _console()
+        show.closing(result, console)
+        took, made = result.provenance["wall_seconds"], result.provenance["compile_seconds"]
+        console.print("MAE - best: paired over the same draws; '=' is not distinguishable (Holm, 5 %).", highlight=False)
+        console.print(f"{store.complete_files(folder)} tables in {folder} after {took:.1f} s ({made:.1f} s compiling).", highlight=False)
+
+
+@app.command()
+def trace(
+    scenario: Annotated[str, typer.Argument(help="a scenario's name")],
+    observer: Annotated[str, typer.Option(help="an observer's name, or several with commas")],
+    out: Annotated[Path, typer.Option(help="Parquet file to write")],
+    seed: Annotated[int, typer.Option(help="seed index")] = 0,
+    changes: Set = None,
+) -> None:
+    """Write one run tick by tick. Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.parquet"""
+    _setup()
+    import pyarrow as pa
+
+    from pcbench import bench, store
+
+    frame = bench.trace(scenario, [name.strip() for name in observer.split(",")], seed=seed, overrides=changes)
+    store.write_table(out, pa.Table.from_pandas(frame, preserve_index=False))
+    print(f"{len(frame)} ticks, columns {', '.join(frame.columns)}: {out}")
+
+
+@app.command()
+def design(
+    scenario: Annotated[str, typer.Argument(help="a scenario's name")],
+    observer: Annotated[str, typer.Argument(help="an observer's name")],
+    changes: Set = None,
+    as_json: AsJson = False,
+) -> None:
+    """Show an observer's gains and what proves them. Example: pcbench design cart/nominal pccebo"""
+    _setup()
+    from pcbench import bench, machine, show
+
+    found = bench.design(scenario, observer, overrides=changes)
+    if as_json:
+        print(machine.as_json({"scenario": scenario, "observer": observer} | found.certificate._asdict()))
+    else:
+        console = _console()
+        console.print(f"{observer} in {scenario}", style="bold", highlight=False)
+        show.gains(found, console)
+
+
+@app.command()
+def reproduce(
+    paper: Annotated[str | None, typer.Argument(help="a paper's short name; default all")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare a paper's printed numbers with what comes out. Example: pcbench reproduce cart"""
+    _setup()
+    from pcbench import show
+    from pcbench.reproduce import PAPERS
+
+    if paper is not None and paper not in PAPERS:
+        raise unknown("reproduce", "paper", paper, PAPERS)
+    for name in [paper] if paper else PAPERS:
+        title, claims = PAPERS[name]
+        rows = claims()
+        if as_json:
+            print(json.dumps({"paper": name, "source": title, "claims": [row._asdict() for row in rows]}, indent=2))
+        else:
+            show.claims(title, rows, _console())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,169 @@
+"""What a person reads in the terminal: tables of results, gains and claims, and the progress of long work."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from pcbench.scenarios import SCENARIOS
+
+VERDICTS = {
+    "reproduced": "green",
+    "holds": "green",
+    "misprint": "yellow",
+    "does not reproduce": "yellow",
+    "does not hold": "red",
+}
+LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
+
+
+class Rate(ProgressColumn):
+    """Runs a second."""
+
+    def render(self, task: Any) -> Text:
+        """Show the task's speed in runs a second."""
+        return Text(f"{task.speed:,.0f} runs/s" if task.speed else "", style="progress.data.speed")
+
+
+@contextmanager
+def progress(quiet: bool) -> Iterator[Any]:
+    """Yield a `tell` for `bench.run` that draws a bar with rate and time left on standard error."""
+    if quiet:
+        yield lambda event, value: None
+        return
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn()]
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("designing gains", total=None)
+
+        def tell(event: str, value: float) -> None:
+            if event == "planned":
+                bar.update(task, total=value, description="compiling")
+            elif event == "compiled":
+                bar.update(task, description="simulating")
+            elif event == "runs":
+                bar.advance(task, value)
+
+        yield tell
+
+
+def closing(result: Any, console: Console) -> None:
+    """Print who was better and how surely: the first signal of every scenario, best mean absolute error first."""
+    stats, pairs = result.stats, result.pairs
+    for scenario, part in stats.groupby("scenario", sort=False):
+        signal = part.signal.iloc[0]
+        part = part[part.signal == signal]
+        mine = pairs[(pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == "mae")]
+        axes = _varying(part)
+        if part.cell.nunique() * part.observer.nunique() > LONGEST:
+            _count_wins(scenario, part, console)
+        else:
+            _scenario(scenario, part, mine, axes, console)
+
+
+def _varying(part: pd.DataFrame) -> list[str]:
+    first = list(part.columns).index("cell") + 1
+    axes = list(part.columns)[first : list(part.columns).index("signal")]
+    return [a for a in axes if part[a].astype(str).nunique() > 1]
+
+
+def _scenario(scenario: str, part: pd.DataFrame, pairs: pd.DataFrame, axes: list[str], console: Console) -> None:
+    unit, n = part.unit.iloc[0], int(part.n.max())
+    table = Table(
+        title=escape(f"{scenario}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals"),
+        title_justify="left",
+        caption_justify="left",
+    )
+    for axis in axes:
+        table.add_column(axis, justify="right")
+    table.add_column("observer")
+    for name in ("MAE", "MAE - best", "RMSE", "tail RMSE", "efficiency", "settled [s]", "diverged"):
+        table.add_column(escape(name), justify="right")
+    for _, cell in part.groupby("cell", sort=True):
+        wide = cell.set_index(["observer", "metric"])
+        order = cell[cell.metric == "mae"].sort_values("mean", kind="stable", na_position="last").observer
+        for place, observer in enumerate(order):
+            row = wide.loc[observer]
+            first = [str(cell[a].iloc[0]) if place == 0 else "" for a in axes]
+            table.add_row(
+                *first,
+                f"[bold]{observer}[/bold]" if place == 0 else observer,
+                _interval(row.loc["mae"]),
+                "" if place == 0 else _difference(pairs[pairs.cell == cell.cell.iloc[0]], observer, order.iloc[0]),
+                _interval(row.loc["pooled_rmse"]),
+                _interval(row.loc["tail_pooled_rmse"]),
+                _interval(row.loc["efficiency"]) if "efficiency" in row.index else "",
+                _settled(row.loc["settling_time"], SCENARIOS[scenario].horizon),
+                str(int(row.loc["mae"]["diverged"])),
+            )
+        table.add_section()
+    console.print(table)
+
+
+def _interval(row: Any) -> str:
+    """An estimate with half its interval; without one where the runs are all alike."""
+    half = (row["ci_high"] - row["ci_low"]) / 2
+    return f"{row['mean']:.4g}" if not half > 1e-9 * abs(row["mean"]) else f"{row['mean']:.4g} ± {half:.2g}"
+
+
+def _settled(row: Any, horizon: float) -> str:
+    """The mean settling time; 'never' where every run was outside its band at the end."""
+    return "never" if row["mean"] >= horizon else f"{row['mean']:.3g}"
+
+
+def _difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
+    """The difference to the best with its interval, and '=' where it is not distinguishable."""
+    forward = pairs[(pairs.observer_a == observer) & (pairs.observer_b == best)]
+    backward = pairs[(pairs.observer_a == best) & (pairs.observer_b == observer)]
+    row, sign = (forward.iloc[0], 1) if len(forward) else (backward.iloc[0], -1)
+    half = (row.ci_high - row.ci_low) / 2
+    alike = row.p_holm > 0.05 or row.prob_a_better == 0.5
+    text = f"{sign * row.mean_diff:+.3g}" + (f" ± {half:.2g}" if half > 1e-9 * abs(row.mean_diff) else "")
+    return "=" if alike else text
+
+
+def _count_wins(scenario: str, part: pd.DataFrame, console: Console) -> None:
+    mae = part[part.metric == "mae"].pivot(index="cell", columns="observer", values="mean")
+    table = Table(title=f"{scenario}: least MAE of {part.signal.iloc[0]} over {len(mae)} cells", title_justify="left")
+    table.add_column("observer")
+    table.add_column("cells won", justify="right")
+    table.add_column("median MAE", justify="right")
+    for observer, wins in mae.idxmin(axis=1).value_counts().reindex(mae.columns, fill_value=0).items():
+        table.add_row(str(observer), str(wins), f"{mae[observer].median():.4g}")
+    console.print(table)
+
+
+def listing(title: str, rows: dict[str, tuple[str, ...]], heads: tuple[str, ...], console: Console) -> None:
+    """Print named things with what is said of them."""
+    table = Table(title=title, title_justify="left")
+    for head in heads:
+        table.add_column(head, overflow="fold")
+    for name, cells in rows.items():
+        table.add_row(name, *map(escape, cells))
+    console.print(table)
+
+
+def gains(design: Any, console: Console) -> None:
+    """Print a certificate and the numbers worth showing."""
+    c = design.certificate
+    console.print(f"certificate: {c.inequality}\nmargin {c.margin:.6g}, solver {c.solver}, status {c.status}", markup=False)
+    for name, value in c.numbers.items():
+        body = np.array2string(np.asarray(value), precision=12, separator=", ", suppress_small=False)
+        console.print(f"{name} =\n{body}" if "\n" in body else f"{name} = {body}", markup=False)
+
+
+def claims(title: str, rows: list[Any], console: Console) -> None:
+    """Print printed against reproduced, line by line."""
+    table = Table(title=title, title_justify="left", show_lines=False)
+    for head in ("claim", "printed", "reproduced", "verdict"):
+        table.add_column(head, overflow="fold")
+    for row in rows:
+        cells = (row.claim, row.printed, row.reproduced)
+        table.add_row(*map(escape, cells), f"[{VERDICTS.get(row.verdict, 'white')}]{row.verdict}[/]")
+    console.print(table)
