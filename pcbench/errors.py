@@ -15,6 +15,7 @@ class DesignError(UserError):
 def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
     """Say that `got` is no `kind`, with the nearest valid name and all of them."""
     names = sorted(valid)
-    near = difflib.get_close_matches(got, names, n=1, cutoff=0.4)
-    hint = f"did you mean '{near[0]}'? " if near else ""
+    lower = {name.lower(): name for name in names}
+    near = difflib.get_close_matches(got.lower(), lower, n=1, cutoff=0.4)
+    hint = f"did you mean '{lower[near[0]]}'? " if near else ""
     return UserError(f"{where}: '{got}' is no {kind}; {hint}valid: {', '.join(names)}.")

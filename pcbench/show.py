@@ -39,7 +39,8 @@ def progress(quiet: bool) -> Iterator[Any]:
         yield lambda event, value: None
         return
     columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn()]
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("designing gains", total=None)
 
         def tell(event: str, value: float) -> None:

@@ -247,7 +247,7 @@ def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
     if abs(ticks - round(ticks)) > 1e-6:
         below, above = math.floor(ticks) * base.dt, math.ceil(ticks) * base.dt
         raise UserError(
-            f"{where}: got {value:g} s, expected a whole number of ticks of {base.dt:g} s in {base.name}; "
+            f"{where}: got {value:.12g} s, expected a whole number of ticks of {base.dt:g} s in {base.name}; "
             f"write {below:.12g} or {above:.12g}."
         )
     if name == "sampling_period" and round(ticks) < 1:

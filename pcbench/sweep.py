@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel
 
 from pcbench import ensemble, metrics, sampling
 from pcbench.observers import OBSERVERS
@@ -69,8 +70,16 @@ def setting(cell: Cell) -> Setting:
 
 def plan(study: Study) -> list[Planned]:
     """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
-    chosen = [(cell, observers_of(study, name)) for name in study.scenarios for cell in cells(study, name)]
-    drafts = [_draft(study, cell, observers) for cell, observers in chosen]
+    drafts = []
+    for name in study.scenarios:
+        for cell in cells(study, name):
+            options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, name)}
+            drafts.append(draft(cell, options))
+    return fit(drafts)
+
+
+def fit(drafts: list[Planned]) -> list[Planned]:
+    """Give drafts one shape: arrival slots and room on the network for the largest of them."""
     slots = max(p.problem.schedule.arrive.shape[1] for p in drafts)
     room = max(sampling.in_flight(p.problem.schedule) for p in drafts)
     ring = 1 << (room - 1).bit_length()  # few sizes, few programs
@@ -81,10 +90,11 @@ def plan(study: Study) -> list[Planned]:
     return out
 
 
-def _draft(study: Study, cell: Cell, observers: list[str]) -> Planned:
+def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
+    """Lay out one cell for the observers that `options` names; its layout does not yet fit others."""
     s, known = cell.scenario, setting(cell)
     plant, n = PLANTS[s.plant], ticks(cell)
-    designs = {o: OBSERVERS[o].design(known, options_of(study, s, o)) for o in observers}
+    designs = {o: OBSERVERS[o].design(known, given) for o, given in options.items()}
     numbers = plant.numbers._replace(**cell.parameters, drift=s.drift, drift_sign=float(cell.choices.drift_sign))
     problem = Problem(
         params=plant.prepare(numbers, s.dt, n),
@@ -100,11 +110,9 @@ def _draft(study: Study, cell: Cell, observers: list[str]) -> Planned:
         bound=np.asarray(s.bound),
         windows=np.array([[0, tail_tick(cell)], [tail_tick(cell), n - 1], [n - 1, n]]),
     )
-    layout = Layout(
-        plant.plant, tuple((o, OBSERVERS[o].observer) for o in observers), ensemble.WIDTH, 1, cell.choices.random_start
-    )
-    certificates = {o: d.certificate for o, d in designs.items()}
-    return Planned(cell, layout, problem, certificates, _bound(cell, known))
+    observers = tuple((o, OBSERVERS[o].observer) for o in options)
+    layout = Layout(plant.plant, observers, ensemble.WIDTH, 1, cell.choices.random_start)
+    return Planned(cell, layout, problem, {o: d.certificate for o, d in designs.items()}, _bound(cell, known))
 
 
 def _bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:

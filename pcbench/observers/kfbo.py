@@ -10,7 +10,7 @@ the input's response over the last d, is one state: s' = A s + B u - e^{A d} B u
 Source: Mohammed et al. 2017, section 5 (after Roberts 1986). Different from print: K = P C' R^-1 and Q = 0.002 B B' (see
 `synthesis.riccati`). It does not know that Y is held: on a constant velocity it stays behind by velocity x te/2, so perfect
 start is not claimed. All channels share one delay.
-Options: `lag-aware` uses d + te/2 in place of d (whole ticks, rounded down); `sampled-innovation` holds the innovation
+Options: `lag-aware` uses d + te/2 in place of d (te must be even in ticks); `sampled-innovation` holds the innovation
 Y_i - C z(t_i) instead of the measurement, z' = A z + B u(t - d) + K (Y_i - C z(t_i)), which can be unstable.
 """
 
@@ -21,6 +21,7 @@ import numpy as np
 from jax import Array
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from pcbench.errors import UserError
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
 from pcbench.types import Arrival, Now, Observer
@@ -108,6 +109,8 @@ def design(setting: Setting, options: Options) -> Design:
     stationary = riccati.continuous(setting.model, options.Q * B @ B.T, options.R * np.eye(len(C)), where)
     certificate = certified(stationary.certificate, where)
     K, h, m = stationary.K, setting.dt, B.shape[1]
+    if options.lag_aware and period % 2:
+        raise UserError(f"{where}: lag-aware shifts by te/2, got an odd te of {period} ticks, expected an even one.")
     lag = delay + (period // 2 if options.lag_aware else 0)
     Phi, Gamma = linear.held(A, B, h)
     Phi_z, Gammas = linear.held(A if options.sampled_innovation else A - K @ C, np.hstack([B, K]), h)

@@ -1,0 +1,18 @@
+"""Strict modes for the whole suite: float64, two CPU devices, checked shapes, and gains solved anew."""
+
+import os
+import tempfile
+from pathlib import Path
+
+os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
+os.environ["PCBENCH_CACHE"] = str(Path(tempfile.gettempdir()) / f"pcbench-tests-{os.getuid()}-{os.getppid()}")
+
+import jax  # noqa: E402
+from jaxtyping import install_import_hook  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+jax.config.update("jax_numpy_rank_promotion", "raise")
+jax.config.update("jax_compilation_cache_dir", os.environ["PCBENCH_CACHE"] + "/programs")
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+
+install_import_hook(["pcbench.integrate", "pcbench.plants", "pcbench.synthesis"], "beartype.beartype")

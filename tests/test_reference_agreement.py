@@ -1,0 +1,70 @@
+"""Every observer equals an independent NumPy reference, tick by tick, to 1e-10 of the signal's size.
+
+The reference shares no code with pcbench: loops, lists and literal sums. Cases: d = te, d = 3 te, d = 0, d not a multiple of
+te; noise on; drift on; several sampling periods; a plant with three states, two inputs and two outputs.
+"""
+
+import numpy as np
+import pytest
+from harness import CART, ODD, Case, inputs, noise, setting, starts, trace
+from reference import cart as reference_cart
+from reference import linear as reference
+
+from pcbench.observers import OBSERVERS
+from pcbench.plants import PLANTS, cart
+
+TIMES = [(100, 100), (60, 180), (150, 0), (40, 95)]
+VARIANTS = [(name, {}) for name in OBSERVERS if name != "kfbo"]
+VARIANTS += [("kfbo", {"R": 0.004}), ("kfbo", {"R": 0.3, "lag_aware": True}), ("kfbo", {"R": 0.3, "sampled_innovation": True})]
+
+
+def expected(case, observer, options, u, samples):
+    """The reference's xhat[N+1, n], with the gains of the design under test (gains have tests of their own)."""
+    model = reference.Model(case.model.A, case.model.B, case.model.C, case.h)
+    known = setting(case)
+    design = OBSERVERS[observer].design(known, OBSERVERS[observer].options(**options))
+    xhat0 = starts(case)[1]
+    if observer == "open-loop":
+        return reference.open_loop(model, u, xhat0)
+    if observer == "pccebo":
+        return reference.pccebo(model, u, samples, xhat0, design.gains.L)
+    if observer == "kfbo":
+        K = design.certificate.numbers["K"]
+        flags = {key: options.get(key, False) for key in ("lag_aware", "sampled_innovation")}
+        return reference.kfbo(model, u, samples, xhat0, K, case.te, case.d, **flags)
+    W = case.input_intensity * case.model.B @ case.model.B.T
+    return reference.dkf(model, u, samples, xhat0, known.P0, design.gains.R, W)
+
+
+def agree(case, observer, options, plant_step=None):
+    u = inputs(case)
+    model = reference.Model(case.model.A, case.model.B, case.model.C, case.h)
+    q = len(case.model.C)
+    x, samples = reference.simulate(model, u, starts(case)[0], [case.te] * q, [case.d] * q, noise(case), plant_step)
+    got = trace(case, {observer: options})
+    size = np.abs(x).max()
+    np.testing.assert_allclose(got.x, x, rtol=0, atol=1e-10 * size)
+    np.testing.assert_allclose(
+        got.estimates[observer], expected(case, observer, options, u, samples), rtol=0, atol=1e-10 * size
+    )
+
+
+@pytest.mark.parametrize(("te", "d"), TIMES)
+@pytest.mark.parametrize(("observer", "options"), VARIANTS, ids=str)
+def test_cart_with_noise_equals_the_reference(observer, options, te, d):
+    agree(Case(CART, te, d, noise_std=0.7, x0=[5.0, 10.0], seed=3), observer, options)
+
+
+@pytest.mark.parametrize(("te", "d"), [(30, 30), (26, 0), (20, 70)])
+@pytest.mark.parametrize(("observer", "options"), VARIANTS, ids=str)
+def test_three_states_two_inputs_two_outputs_equal_the_reference(observer, options, te, d):
+    case = Case(ODD, te, d, ticks=400, h=0.01, noise_std=0.2, seed=5, xhat0=[0.5, -1.0, 2.0], input_intensity=0.05)
+    agree(case, observer, options)
+
+
+@pytest.mark.parametrize(("te", "d"), [(100, 100), (50, 150)])
+@pytest.mark.parametrize(("observer", "options"), VARIANTS, ids=str)
+def test_drifting_cart_equals_the_reference(observer, options, te, d):
+    params = cart.prepare(PLANTS["cart"].numbers._replace(drift=0.8), 1e-3, 900)
+    case = Case(CART, te, d, noise_std=0.3, Phi=params.Phi, Gamma=params.Gamma, seed=1)
+    agree(case, observer, options, reference_cart.drift_step(0.8, 1.0, cart.SUBSTEPS))
