@@ -33,6 +33,7 @@ class Program(NamedTuple):
     devices: int
     width: int
     compile_seconds: float
+    compiled: Any  # the executable itself, for those who want to read it
 
 
 def program(layout: Layout, job: Job, devices: int | None = None) -> Program:
@@ -57,7 +58,7 @@ def _compiled(layout: Layout, devices: int, tree: Any, shapes: tuple[Any, ...]) 
     arguments = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=place) for s, d in shapes])
     start = perf_counter()
     call = jax.jit(mapped, in_shardings=place, out_shardings=place).lower(*arguments).compile()
-    return Program(lambda *a: call(*jax.device_put(a, place)), devices, layout.width, perf_counter() - start)
+    return Program(lambda *a: call(*jax.device_put(a, place)), devices, layout.width, perf_counter() - start, call)
 
 
 def compilations() -> int:

@@ -1,0 +1,61 @@
+"""`lanes.over(f)` is `vmap(f)` with lanes last, for whatever a one-lane function may do."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from pcbench import lanes
+
+L, RNG = 5, np.random.default_rng(0)
+M = RNG.normal(size=(3, 3))
+BIG = RNG.normal(size=(12, 12))
+FUNCTIONS = {
+    "matrix": lambda x, A: A @ x + M @ x,
+    "product of lanes": lambda x, A: A @ jnp.outer(x, x) @ A.T + A.T,
+    "large product": lambda x, A: (BIG @ jnp.tile(x, 4))[:3] * A[0],
+    "structure": lambda x, A: jnp.concatenate([x[::-1], A.reshape(-1)[2:5], jnp.ones(1)])[jnp.array([0, 3, 2])],
+    "reductions": lambda x, A: jnp.stack([jnp.sum(A), jnp.max(x), jnp.prod(x), jnp.where(jnp.all(x < 9), 1.0, 0.0)]),
+    "choice": lambda x, A: jnp.where(x > 0, jnp.sin(x), A[1]) + jnp.where(True, x, A[0]),
+    "linear algebra": lambda x, A: jnp.linalg.solve(A + 9 * jnp.eye(3), x),
+    "loop": lambda x, A: lax.fori_loop(0, 4, lambda i, y: jnp.cos(A @ y) + i, x),
+    "branch": lambda x, A: lax.cond(x[0] > 0, lambda y: A @ y, lambda y: y - 1, x),
+    "jitted": lambda x, A: jax.jit(lambda y: jnp.clip(y, -0.5, 0.5) ** 3)(x) + A[2],
+    "einsum": lambda x, A: jnp.einsum("ij,jk,k->i", A, A, x),
+    "transposed": lambda x, A: A.T @ x - jnp.trace(A),
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("shared", [False, True], ids=["both differ", "matrix shared"])
+def test_over_equals_vmap(name, shared):
+    f, x = FUNCTIONS[name], jnp.asarray(RNG.normal(size=(3, L)))
+    A = jnp.asarray(RNG.normal(size=(3, 3) if shared else (3, 3, L)))
+    got = jax.jit(lambda x, A: lanes.join(lanes.over(f)(lanes.split(x), A if shared else lanes.split(A))))(x, A)
+    want = jax.vmap(f, (-1, None if shared else -1), -1)(x, A)
+    np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
+
+
+def test_what_does_not_depend_on_a_lane_is_computed_once():
+    out = lanes.over(lambda x, y: (x * 2, y + 1))(lanes.split(jnp.ones((2, L))), jnp.zeros(3))
+    assert lanes.is_lanes(out[0])
+    assert not lanes.is_lanes(out[1])
+    assert out[1].shape == (3,)
+
+
+def test_settle_spreads_exactly_what_becomes_different():
+    def step(tree):
+        a, b, c = tree
+        v = lanes.split(jnp.ones((2, L)))
+        return lanes.over(lambda a, b, c, v: (a + v, b + a.sum(), c * 2))(a, b, c, v)
+
+    a, b, c = lanes.settle(step, (jnp.zeros(2), jnp.zeros(()), jnp.ones(4)), L)
+    assert lanes.is_lanes(a)
+    assert lanes.is_lanes(b), "it depends on a only from the second step on"
+    assert not lanes.is_lanes(c)
+
+
+def test_split_and_join_are_inverse():
+    x = jnp.arange(24.0).reshape(2, 3, 4)
+    np.testing.assert_array_equal(lanes.join(lanes.split(x)), x)

@@ -1,0 +1,84 @@
+"""The schedule says exactly which sample is taken and which arrives at every tick."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pcbench.sampling import Sample, in_flight, pad_slots, periodic, schedule
+
+channels = st.integers(1, 3)
+
+
+def arrivals(plan):
+    """(tick, channel, index, taken) of everything that arrives, in order of delivery."""
+    return [
+        (tick, j, int(plan.index[tick, slot, j]), int(plan.sent[tick, slot]))
+        for tick in range(len(plan.sense))
+        for slot in range(plan.arrive.shape[1])
+        if plan.arrive[tick, slot] >= 0
+        for j in range(plan.fresh.shape[2])
+        if plan.fresh[tick, slot, j]
+    ]
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), q=channels, ticks=st.integers(1, 120))
+def test_every_sample_arrives_once_at_its_tick_with_its_age(data, q, ticks):
+    period = data.draw(st.lists(st.integers(1, 40), min_size=q, max_size=q))
+    delay = data.draw(st.lists(st.integers(0, 90), min_size=q, max_size=q))
+    plan = periodic(period, delay, ticks)
+    want = {
+        (i * te + d, j, i, i * te)
+        for j, (te, d) in enumerate(zip(period, delay, strict=True))
+        for i in range(ticks // te + 1)
+        if i * te + d <= ticks
+    }
+    got = arrivals(plan)
+    assert len(got) == len(set(got)), "delivered twice"
+    assert set(got) == want
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), ticks=st.integers(5, 60))
+def test_late_together_and_out_of_order_samples_are_delivered_oldest_first(data, ticks):
+    taken = data.draw(st.lists(st.integers(0, ticks), unique=True, min_size=1, max_size=12))
+    late = data.draw(st.lists(st.integers(0, 20), min_size=len(taken), max_size=len(taken)))
+    samples = [Sample(0, i, t, t + d) for i, (t, d) in enumerate(zip(sorted(taken), late, strict=True))]
+    plan = schedule(samples, ticks, 1)
+    assert set(arrivals(plan)) == {(s.arrives, 0, s.index, s.taken) for s in samples if s.arrives <= ticks}
+    for tick in range(ticks + 1):
+        sent = plan.sent[tick][plan.arrive[tick] >= 0]
+        assert (np.diff(sent) > 0).all()
+
+
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), q=channels)
+def test_a_ring_of_that_many_packets_never_overwrites_one_in_flight(data, q):
+    ticks = 150
+    period = data.draw(st.lists(st.integers(1, 20), min_size=q, max_size=q))
+    delay = data.draw(st.lists(st.integers(0, 60), min_size=q, max_size=q))
+    plan = periodic(period, delay, ticks)
+    size, ring = in_flight(plan), {}
+    for tick in range(ticks + 1):
+        if plan.sense[tick] >= 0:
+            ring[plan.sense[tick] % size] = plan.sense[tick]
+        for packet in plan.arrive[tick][plan.arrive[tick] >= 0]:
+            assert ring[packet % size] == packet
+
+
+def test_one_slot_less_than_needed_would_overwrite():
+    plan = periodic([1], [10], 50)
+    assert in_flight(plan) == 11  # at a tick ten earlier packets wait beside the newest
+
+
+def test_next_event_and_since_count_from_the_definition():
+    plan = periodic([7], [10], 40)
+    events = [k for k in range(41) if k % 7 == 0 or (k >= 10 and (k - 10) % 7 == 0)]
+    assert np.flatnonzero(plan.event).tolist() == events
+    assert plan.next_event.tolist() == [next((e for e in events if e > k), 41) for k in range(41)]
+    assert [int(plan.since[k, 0]) for k in (10, 17, 24)] == [10, 7, 7]
+
+
+def test_padding_adds_only_empty_slots():
+    plan = periodic([5, 3], [4, 4], 30)
+    assert arrivals(pad_slots(plan, 4)) == arrivals(plan)
