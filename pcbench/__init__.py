@@ -24,7 +24,7 @@ _LAZY = {
     "Now": "types",
     "Arrival": "types",
 }
-__all__ = [*_LAZY, "__version__"]  # noqa: PLE0604
+__all__ = [*_LAZY, "__version__"]
 
 
 def __getattr__(name: str) -> Any:

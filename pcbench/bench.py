@@ -65,9 +65,9 @@ def run(
 ) -> Result:
     """Run a study and return its tables; with `out`, leave them in that folder as well.
 
-    `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study; the other arguments
-    replace its keys. `overrides` are texts such as "axes.noise_std=0.1". Raises UserError, one sentence, for whatever the
-    user can mend; then nothing is written.
+    `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study; the other
+    arguments replace its keys. `overrides` are texts such as "axes.noise_std=0.1". Raises UserError, one sentence, for
+    whatever the user can mend; then nothing is written.
     """
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     with machine.float64():
@@ -115,7 +115,7 @@ def _collect(
             if folder is None:
                 kept.append((scenario.name, observer, table))
             else:
-                store.write_table(store.runs_path(folder, scenario.name, observer, done.planned.cell.index), table)
+                store.write_table(store.runs_path(folder, scenario.name, observer, done.planned.cell.number), table)
             stats += [head | {"observer": observer} | row for row in _described(done, results, signals)]
         units = dict(signals)
         for row in statistics.pairs(done.results, [name for name, _ in signals]):
@@ -142,7 +142,9 @@ def _runs(folder: Path | None, kept: list[tuple[str, str, pa.Table]]) -> pd.Data
     if folder is not None:
         whole = ds.dataset(folder / "runs", format="parquet", partitioning="hive").to_table().to_pandas()
     else:
-        named = [t.append_column("scenario", [[s] * len(t)]).append_column("observer", [[o] * len(t)]) for s, o, t in kept]
+        named = [
+            t.append_column("scenario", [[s] * len(t)]).append_column("observer", [[o] * len(t)]) for s, o, t in kept
+        ]
         whole = pa.concat_tables(named).to_pandas()
     first = ["study", "scenario", "observer", "cell"]
     ordered = whole[first + [c for c in whole.columns if c not in first]]
@@ -162,7 +164,9 @@ def _one_cell(scenario: str, observers: list[str], overrides: list[str]) -> tupl
     return study, every[0]
 
 
-def trace(scenario: str, observers: str | list[str], *, seed: int = 0, overrides: list[str] | None = None) -> pd.DataFrame:
+def trace(
+    scenario: str, observers: str | list[str], *, seed: int = 0, overrides: list[str] | None = None
+) -> pd.DataFrame:
     """Return one run tick by tick, ticks 0 .. N: t [s], each state, <observer>.<state>, u1.., y1.. (held arrivals).
 
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.

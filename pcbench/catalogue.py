@@ -8,13 +8,18 @@ from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import STUDIES
 
-Listed = tuple[tuple[str, ...], dict[str, tuple[str, ...]]]
+Rows = dict[str, tuple[str, ...]]
+Listed = tuple[tuple[str, ...], Rows]
 
 
 def plants() -> Listed:
     """Return every plant with its states and units."""
-    rows = {
-        name: (p.summary, ", ".join(f"{s} [{u}]" for s, u in p.signals), ", ".join(f"{k} {v:g}" for k, v in _numbers(p)))
+    rows: Rows = {
+        name: (
+            p.summary,
+            ", ".join(f"{s} [{u}]" for s, u in p.signals),
+            ", ".join(f"{k} {v:g}" for k, v in _numbers(p)),
+        )
         for name, p in PLANTS.items()
     }
     return ("plant", "what", "states", "parameters (axes plant.*)"), rows
@@ -22,7 +27,7 @@ def plants() -> Listed:
 
 def observers() -> Listed:
     """Return every observer with its options and whether it knows the schedule."""
-    rows = {}
+    rows: Rows = {}
     for name, o in OBSERVERS.items():
         options = ", ".join(f"{f.replace('_', '-')} ({v.description})" for f, v in o.options.model_fields.items())
         rows[name] = (o.summary, "yes" if o.knows_schedule else "no", options or "none")
@@ -31,7 +36,7 @@ def observers() -> Listed:
 
 def scenarios() -> Listed:
     """Return every scenario with its plant, observers and source."""
-    rows = {n: (s.summary, s.plant, ", ".join(s.observers), s.source) for n, s in SCENARIOS.items()}
+    rows: Rows = {n: (s.summary, s.plant, ", ".join(s.observers), s.source) for n, s in SCENARIOS.items()}
     return ("scenario", "what", "plant", "observers", "source"), rows
 
 

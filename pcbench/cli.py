@@ -17,6 +17,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+STOPPED = 130  # the exit code of a program that Ctrl-C has ended
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON for a program instead of a table")]
 Set = Annotated[
     list[str] | None,
@@ -29,10 +30,12 @@ def main() -> None:
     code = 0
     try:
         code = app(standalone_mode=False) or 0
+        if code == STOPPED:  # some releases of the command-line library turn Ctrl-C into an exit code themselves
+            raise KeyboardInterrupt
     except UserError as error:
         code = _complain(str(error))
     except (KeyboardInterrupt, typer.Abort):
-        code = _complain("stopped; every file already written is complete.", 130)
+        code = _complain("stopped; every file already written is complete.", STOPPED)
     except BrokenPipeError:
         code = 141
     except Exception as error:
@@ -64,14 +67,20 @@ def list_(
     what: Annotated[str | None, typer.Argument(help="plants, observers, scenarios or studies; default all")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List what there is. Example: pcbench list observers"""
+    """List what there is.
+
+    Example: pcbench list observers
+    """
     from pcbench.catalogue import CATALOGUE
 
     if what is not None and what not in CATALOGUE:
         raise unknown("list", "kind of thing", what, CATALOGUE)
     chosen = {kind: CATALOGUE[kind]() for kind in ([what] if what else CATALOGUE)}
     if as_json:
-        out = {kind: {n: dict(zip(heads[1:], cells, strict=True)) for n, cells in rows.items()} for kind, (heads, rows) in chosen.items()}
+        out = {
+            kind: {n: dict(zip(heads[1:], cells, strict=True)) for n, cells in rows.items()}
+            for kind, (heads, rows) in chosen.items()
+        }
         print(json.dumps(out, indent=2))
         return
     from pcbench import show
@@ -90,7 +99,10 @@ def run(
     quiet: Annotated[bool, typer.Option("--quiet", help="no progress and no table")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Run a study and leave its tables in a folder. Example: pcbench run quick --seeds 512 --out first-look"""
+    """Run a study and leave its tables in a folder.
+
+    Example: pcbench run quick --seeds 512 --out first-look
+    """
     _setup()
     from pcbench import bench, show, store
     from pcbench import study as studies
@@ -108,8 +120,13 @@ def run(
         console = _console()
         show.closing(result, console)
         took, made = result.provenance["wall_seconds"], result.provenance["compile_seconds"]
-        console.print("MAE - best: paired over the same draws; '=' is not distinguishable (Holm, 5 %).", highlight=False)
-        console.print(f"{store.complete_files(folder)} tables in {folder} after {took:.1f} s ({made:.1f} s compiling).", highlight=False)
+        console.print(
+            "MAE - best: paired over the same draws; '=' is not distinguishable (Holm, 5 %).", highlight=False
+        )
+        console.print(
+            f"{store.complete_files(folder)} tables in {folder} after {took:.1f} s ({made:.1f} s compiling).",
+            highlight=False,
+        )
 
 
 @app.command()
@@ -120,7 +137,10 @@ def trace(
     seed: Annotated[int, typer.Option(help="seed index")] = 0,
     changes: Set = None,
 ) -> None:
-    """Write one run tick by tick. Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.parquet"""
+    """Write one run tick by tick.
+
+    Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.parquet
+    """
     _setup()
     import pyarrow as pa
 
@@ -138,7 +158,10 @@ def design(
     changes: Set = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show an observer's gains and what proves them. Example: pcbench design cart/nominal pccebo"""
+    """Show an observer's gains and what proves them.
+
+    Example: pcbench design cart/nominal pccebo
+    """
     _setup()
     from pcbench import bench, machine, show
 
@@ -156,7 +179,10 @@ def reproduce(
     paper: Annotated[str | None, typer.Argument(help="a paper's short name; default all")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Compare a paper's printed numbers with what comes out. Example: pcbench reproduce cart"""
+    """Compare a paper's printed numbers with what comes out.
+
+    Example: pcbench reproduce cart
+    """
     _setup()
     from pcbench import show
     from pcbench.reproduce import PAPERS

@@ -30,5 +30,7 @@ def normals(keys: list[Array], index: Array) -> Array:
 def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1) -> Array:
     """Return the standard normal noise of one run, [channels, samples]: what every observer sees, before scaling."""
     keys = run_keys(jnp.asarray(root_seed), jnp.asarray([seed]), "measurement", channels)
-    each = [jax.vmap(lambda i, j=j: normals([keys[j]], jnp.array([i]))[0, 0])(jnp.arange(samples)) for j in range(channels)]
+    each = [
+        jax.vmap(lambda i, j=j: normals([keys[j]], jnp.array([i]))[0, 0])(jnp.arange(samples)) for j in range(channels)
+    ]
     return jnp.stack(each)

@@ -4,6 +4,7 @@ A *job* is one cell's `Problem` with up to `width` seeds; short blocks are padde
 block and on any number of devices. Jobs are stacked, one per device, and each device works on its own.
 """
 
+import operator
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from time import perf_counter
@@ -102,6 +103,5 @@ def _groups(jobs: Iterable[Job], size: int) -> Iterator[list[Job]]:
 def _read(group: list[Job], out: Outcome) -> Iterator[tuple[Job, Outcome]]:
     whole = jax.tree.map(np.asarray, out)
     for i, job in enumerate(group):
-        yield job, jax.tree.map(lambda a, i=i, n=len(job.seeds): a[i, ..., :n], whole)
-
-
+        mine = (i, ..., slice(len(job.seeds)))
+        yield job, jax.tree.map(operator.itemgetter(mine), whole)

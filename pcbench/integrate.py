@@ -36,7 +36,7 @@ def transition(field: Field, t: Array, n: int, h: Array, substeps: int = 1) -> F
 
 
 def after(doublings: Float[Array, "bits n n"], age: Int[Array, ""], x: Float[Array, "n"]) -> Float[Array, "n"]:
-    """x carried over `age` ticks of a linear flow without input: e^{A age} x.
+    """X carried over `age` ticks of a linear flow without input: e^{A age} x.
 
     `age` must lie in 0 .. 2^bits - 1; no check is made here.
     """

@@ -18,13 +18,21 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
 
 ELEMENTWISE = frozenset(
-    "abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div "
-    "eq erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg nextafter not "
-    "or pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor".split()
+    """abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div
+    eq erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg nextafter not
+    or pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor""".split()  # noqa: SIM905
 )
-STRUCTURAL = frozenset("broadcast_in_dim concatenate expand_dims reshape rev slice squeeze transpose".split())
-FOLDS = {"reduce_sum": jnp.add, "reduce_max": jnp.maximum, "reduce_min": jnp.minimum, "reduce_prod": jnp.multiply,
-         "reduce_and": jnp.logical_and, "reduce_or": jnp.logical_or}  # fmt: skip
+STRUCTURAL = frozenset(
+    "broadcast_in_dim concatenate expand_dims reshape rev slice squeeze transpose".split()  # noqa: SIM905
+)
+FOLDS = {
+    "reduce_sum": jnp.add,
+    "reduce_max": jnp.maximum,
+    "reduce_min": jnp.minimum,
+    "reduce_prod": jnp.multiply,
+    "reduce_and": jnp.logical_and,
+    "reduce_or": jnp.logical_or,
+}
 CALLS = frozenset(["jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call"])
 WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
 
@@ -33,14 +41,16 @@ WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compile
 class Lanes:
     """A one-lane array of any shape whose entries are [L] arrays: `parts` is an object array of that shape."""
 
-    def __init__(self, parts: np.ndarray):
+    def __init__(self, parts: np.ndarray) -> None:
         self.parts = parts
 
-    def tree_flatten(self):
+    def tree_flatten(self) -> tuple[tuple[Any, ...], tuple[int, ...]]:
+        """Return the entries in row-major order, and the shape."""
         return tuple(self.parts.flat), self.parts.shape
 
     @classmethod
-    def tree_unflatten(cls, shape, leaves):
+    def tree_unflatten(cls, shape: tuple[int, ...], leaves: Any) -> "Lanes":
+        """Return Lanes of this shape from its entries in row-major order."""
         parts = np.empty(shape, object)
         for i, leaf in zip(np.ndindex(shape), leaves, strict=True):
             parts[i] = leaf
@@ -81,9 +91,13 @@ def settle(step: Any, tree: Any, width: int) -> Any:
     while True:
         out = jax.eval_shape(step, tree)
         wider = like(tree, out, width)
-        if jax.tree.structure(wider) == jax.tree.structure(tree):
+        if _kinds(wider) == _kinds(tree):
             return tree
         tree = wider
+
+
+def _kinds(tree: Any) -> list[bool]:
+    return [is_lanes(x) for x in jax.tree.leaves(tree, is_leaf=is_lanes)]
 
 
 def over(f: Any) -> Any:
@@ -206,8 +220,8 @@ def _dot(eqn: Any, args: list[Any]) -> Lanes:
 
 
 _RULES = (
-    {name: _elementwise for name in ELEMENTWISE}
-    | {name: _structural for name in STRUCTURAL}
-    | {name: _fold for name in FOLDS}
+    dict.fromkeys(ELEMENTWISE, _elementwise)
+    | dict.fromkeys(STRUCTURAL, _structural)
+    | dict.fromkeys(FOLDS, _fold)
     | {"dot_general": _dot}
 )

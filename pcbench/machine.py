@@ -1,9 +1,11 @@
-"""This process's machine: float64, devices, caches, and the record of what made a number."""
+"""The machine of this process: float64, devices, caches, and the record of what made a number."""
 
 import json
+import os
 import platform
 import subprocess
 import warnings
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -21,8 +23,6 @@ def setup() -> None:
     The command line does this. In a notebook call it first, before anything touches jax; a host program that needs its
     own jax configuration leaves it out, and pcbench then uses the devices it finds.
     """
-    import os
-
     jax.config.update("jax_enable_x64", True)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     if "JAX_NUM_CPU_DEVICES" not in os.environ:
@@ -30,7 +30,7 @@ def setup() -> None:
             jax.config.update("jax_num_cpu_devices", cores)
         except RuntimeError:
             warnings.warn("jax is already running: pcbench.setup() cannot change its CPU devices.", stacklevel=2)
-    if jax.config.jax_compilation_cache_dir is None:
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         jax.config.update("jax_compilation_cache_dir", str(folder() / "programs"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
@@ -76,7 +76,7 @@ def as_json(content: Any) -> str:
             return plain(value.tolist())
         if isinstance(value, complex):
             return {"real": value.real, "imag": value.imag}
-        if isinstance(value, dict):
+        if isinstance(value, Mapping):
             return {str(k): plain(v) for k, v in value.items()}
         if isinstance(value, tuple | list):
             return [plain(v) for v in value]

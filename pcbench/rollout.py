@@ -9,6 +9,7 @@ The rollout owns the packets in flight (a ring by packet number) and the input h
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +18,7 @@ from jax import Array, lax
 
 from pcbench import draws, lanes, metrics
 from pcbench.sampling import Schedule
-from pcbench.types import Arrival, Gains, Now, Observer, Plant
+from pcbench.types import Arrival, Gains, Leaf, Now, Observer, Plant
 
 
 class Layout(NamedTuple):
@@ -37,15 +38,15 @@ class Problem(NamedTuple):
     params: Any  # the plant's
     gains: dict[str, Gains]  # by observer label
     schedule: Schedule
-    inputs: Array  # [N+1, m] u held over [t_k, t_k+1)
-    dt: Array  # [s]
-    x0: Array  # [n]
-    xhat0: Array  # [n]
-    spread0: Array  # [n, n] a square root of P0: x0 = xhat0 + spread0 @ normal, where the start is random
-    noise_std: Array  # [q]
-    band: Array  # [n] settling band of |e|
-    bound: Array  # [] beyond it a run has diverged
-    windows: Array  # [W, 2] first tick and end of each window; the last is one tick, N-1
+    inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1)
+    dt: Leaf  # [s]
+    x0: Leaf  # [n]
+    xhat0: Leaf  # [n]
+    spread0: Leaf  # [n, n] a square root of P0: x0 = xhat0 + spread0 @ normal, where the start is random
+    noise_std: Leaf  # [q]
+    band: Leaf  # [n] settling band of |e|
+    bound: Leaf  # [] beyond it a run has diverged
+    windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
 
 
 class State(NamedTuple):
@@ -72,14 +73,15 @@ def present(p: Problem, k: Array, decided: bool) -> Now:
     def past_u(age: Array) -> Array:
         return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
 
-    return Now(k * p.dt, k, p.dt, past_u(0 if decided else 1), past_u)
+    return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 
 
 def advance(layout: Layout, p: Problem, k: Array, state: State) -> State:
     """Estimate and measure the error at tick k, then flow to tick k + 1."""
 
     def one_lane(x: Array, memories: Any, streams: Any, watches: Any) -> Any:
-        now, new = present(p, k, True), ({}, {}, {})
+        now = present(p, k, True)
+        new: tuple[dict[str, Any], dict[str, Any], dict[str, Any]] = ({}, {}, {})
         for label, observer in layout.observers:
             gains, memory = p.gains[label], memories[label]
             e = x - observer.estimate(gains, memory)
@@ -113,7 +115,7 @@ def hand_over(layout: Layout, p: Problem, k: Array, slot: int, packet: Any, stat
     def one_lane(packet: Any, memories: Any) -> Any:
         value, notes = packet
         now = present(p, k, False)
-        arrival = Arrival(value, row.fresh[slot], age, row.index[slot], jnp.zeros(0), row.since[slot])
+        arrival = Arrival(value, row.fresh[slot], age, row.number[slot], jnp.zeros(0), row.since[slot])
         return {
             label: observer.jump(p.gains[label], memories[label], now, arrival._replace(note=notes[label]))
             for label, observer in layout.observers
@@ -140,7 +142,7 @@ def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State
 
     state = maybe(p.schedule.sense[k] >= 0, sense, state)
     for slot in range(p.schedule.arrive.shape[1]):
-        state = maybe(p.schedule.arrive[k, slot] >= 0, lambda s, slot=slot: deliver(slot, s), state)
+        state = maybe(p.schedule.arrive[k, slot] >= 0, partial(deliver, slot), state)
     return state
 
 

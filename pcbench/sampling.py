@@ -23,7 +23,7 @@ class Schedule(NamedTuple):
     arrive: Ints  # [N+1, S] the packets that arrive
     sent: Ints  # [N+1, S] the tick at which each was taken
     fresh: Bools  # [N+1, S, q] the channels that arrive with it
-    index: Ints  # [N+1, S, q] which sample of its channel
+    number: Ints  # [N+1, S, q] which sample of its channel
     since: Ints  # [N+1, S] ticks since the last tick at which anything arrived (from 0 before the first)
     event: Bools  # [N+1] anything taken or arriving
     next_event: Ints  # [N+1] the first later tick with an event, or N + 1
@@ -33,7 +33,7 @@ class Sample(NamedTuple):
     """One channel measured once."""
 
     channel: int
-    index: int  # which sample of its channel, from 0
+    number: int  # which sample of its channel, from 0
     taken: int  # tick
     arrives: int  # tick, not before `taken`
 
@@ -55,7 +55,7 @@ def schedule(samples: list[Sample], ticks: int, channels: int) -> Schedule:
         arrive=np.full((n, slots), -1, np.int32),
         sent=np.zeros((n, slots), np.int32),
         fresh=np.zeros((n, slots, q), bool),
-        index=np.full((n, slots, q), -1, np.int32),
+        number=np.full((n, slots, q), -1, np.int32),
         since=np.zeros((n, slots), np.int32),
         event=np.zeros(n, bool),
         next_event=np.full(n, n, np.int32),
@@ -64,7 +64,7 @@ def schedule(samples: list[Sample], ticks: int, channels: int) -> Schedule:
         if s.taken <= ticks:
             out.sense[s.taken] = packet[s.taken]
             out.sampled[s.taken, s.channel] = True
-            out.sample[s.taken, s.channel] = s.index
+            out.sample[s.taken, s.channel] = s.number
     last = 0
     for tick in sorted(by_arrival):
         for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
@@ -73,7 +73,7 @@ def schedule(samples: list[Sample], ticks: int, channels: int) -> Schedule:
             out.since[tick, slot] = tick - last
             for s in group:
                 out.fresh[tick, slot, s.channel] = True
-                out.index[tick, slot, s.channel] = s.index
+                out.number[tick, slot, s.channel] = s.number
         last = tick
     out.event[:] = (out.sense >= 0) | (out.arrive >= 0).any(1)
     for tick in range(ticks - 1, -1, -1):
@@ -109,6 +109,6 @@ def pad_slots(plan: Schedule, slots: int) -> Schedule:
         arrive=wider(plan.arrive, -1),
         sent=wider(plan.sent, 0),
         fresh=wider(plan.fresh, 0),
-        index=wider(plan.index, -1),
+        number=wider(plan.number, -1),
         since=wider(plan.since, 0),
     )

@@ -153,7 +153,9 @@ def listing(title: str, rows: dict[str, tuple[str, ...]], heads: tuple[str, ...]
 def gains(design: Any, console: Console) -> None:
     """Print a certificate and the numbers worth showing."""
     c = design.certificate
-    console.print(f"certificate: {c.inequality}\nmargin {c.margin:.6g}, solver {c.solver}, status {c.status}", markup=False)
+    console.print(
+        f"certificate: {c.inequality}\nmargin {c.margin:.6g}, solver {c.solver}, status {c.status}", markup=False
+    )
     for name, value in c.numbers.items():
         body = np.array2string(np.asarray(value), precision=12, separator=", ", suppress_small=False)
         console.print(f"{name} =\n{body}" if "\n" in body else f"{name} = {body}", markup=False)

@@ -72,7 +72,9 @@ def runs_path(out: Path, scenario: str, observer: str, cell: int) -> Path:
 def read_table(path: Path) -> pa.Table:
     """Return a table that a run left; raise UserError where there is none."""
     if not path.is_file():
-        raise UserError(f"{path}: is not there; expected a file of a finished run; run the study again with that --out.")
+        raise UserError(
+            f"{path}: is not there; expected a file of a finished run; run the study again with that --out."
+        )
     return pq.read_table(path)
 
 
@@ -83,7 +85,9 @@ def complete_files(out: Path) -> int:
 
 def _cannot(path: Path, error: OSError) -> UserError:
     reason = error.strerror or str(error)
-    return UserError(f"{path}: cannot be written ({reason}); expected a folder with room that you may write to; give another with --out.")
+    return UserError(
+        f"{path}: cannot be written ({reason}); expected a folder with room that you may write to; give another with --out."
+    )
 
 
 def _sync_folder(folder: Path) -> None:

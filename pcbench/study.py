@@ -56,7 +56,7 @@ class Cell(NamedTuple):
     """One point of a study's axes in one scenario, every number resolved."""
 
     scenario: Scenario  # with the axes' values put in
-    index: int
+    number: int  # from 0, within its scenario
     values: dict[str, Any]  # by axis, seconds and SI units: what the tables say
     parameters: dict[str, float]  # the plant's, where an axis changes them
     choices: Choices
@@ -226,7 +226,9 @@ def _point(name: str, value: Any, base: Scenario, where: str) -> Any:
         return _number(value, where, least=None)
     each = value if isinstance(value, list) else [value] * channels
     if len(each) != channels:
-        raise UserError(f"{where}: got {len(each)} values, expected one or {channels} (a value for each output channel).")
+        raise UserError(
+            f"{where}: got {len(each)} values, expected one or {channels} (a value for each output channel)."
+        )
     numbers = [_number(v, where, least=0.0) for v in each]
     if name in ("sampling_period", "delay"):
         for v in numbers:
@@ -238,7 +240,9 @@ def _number(value: Any, where: str, least: float | None) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise UserError(f"{where}: got {value!r}, expected a finite number; write a number in SI units.")
     if least is not None and value < least:
-        raise UserError(f"{where}: got {value!r}, expected a number of at least {least:g}; change its sign or leave it out.")
+        raise UserError(
+            f"{where}: got {value!r}, expected a number of at least {least:g}; change its sign or leave it out."
+        )
     return float(value)
 
 

@@ -100,7 +100,7 @@ def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
         params=plant.prepare(numbers, s.dt, n),
         gains={o: d.gains for o, d in designs.items()},
         schedule=sampling.periodic(list(known.period), list(known.delay), n),
-        inputs=SIGNALS[s.input](np.arange(n + 1) * s.dt),
+        inputs=SIGNALS[s.input](s.dt * np.arange(n + 1, dtype=float)),
         dt=np.asarray(s.dt),
         x0=np.array(s.x0),
         xhat0=np.array(s.xhat0),
@@ -155,9 +155,7 @@ def execute(
         for i, ((p, _), (job, outcome)) in enumerate(zip(jobs, outcomes, strict=True)):
             for label, _ in layout.observers:
                 n, tail, dt = ticks(p.cell), tail_tick(p.cell), p.cell.scenario.dt
-                read = metrics.read(
-                    outcome.streams[label], outcome.watches[label], outcome.final[label], n, tail, dt
-                )
+                read = metrics.read(outcome.streams[label], outcome.watches[label], outcome.final[label], n, tail, dt)
                 collected.setdefault(label, []).append(read)
             tell("runs", len(job.seeds) * len(layout.observers))
             if i + 1 == len(jobs) or jobs[i + 1][0] is not p:

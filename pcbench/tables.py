@@ -59,7 +59,7 @@ WHOLE = {"cell", "seed", "n"}
 
 def keys(study: str, cell: Any) -> dict[str, Any]:
     """Return the columns that name a cell: study, scenario, cell number, axes."""
-    return {"study": study, "scenario": cell.scenario.name, "cell": cell.index, **cell.values}
+    return {"study": study, "scenario": cell.scenario.name, "cell": cell.number, **cell.values}
 
 
 def runs_table(study: str, done: Any, observer: str, signals: tuple[tuple[str, str], ...]) -> pa.Table:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 from jax import Array
 
+Leaf = Any  # an array among an observer's or a plant's numbers: NumPy's when designed, jax's when traced
 Gains = Any  # a pytree of arrays: an observer's numbers, traced, never captured in a closure
 Memory = Any  # a pytree of arrays: an observer's state between ticks
 
@@ -37,7 +38,7 @@ class Arrival(NamedTuple):
     value: Array  # [q] measured values; meaningful where fresh
     fresh: Array  # [q] bool
     age: Array  # [q] ticks since the sample was taken
-    index: Array  # [q] which sample of its channel this is (0 is the first)
+    index: Array  # type: ignore[assignment]  # [q] which sample of its channel this is (0 is the first)
     note: Array  # [r] what the observer noted when the sample was taken
     since: Array  # ticks since the last tick at which anything arrived (counted from 0 before the first)
 

@@ -7,8 +7,8 @@ from pathlib import Path
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
 os.environ["PCBENCH_CACHE"] = str(Path(tempfile.gettempdir()) / f"pcbench-tests-{os.getuid()}-{os.getppid()}")
 
-import jax  # noqa: E402
-from jaxtyping import install_import_hook  # noqa: E402
+import jax
+from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")

@@ -21,7 +21,9 @@ def same(a, b, place, observers=EVERYONE):
     """Every metric of the only run in a equals, bit for bit, the run at `place` in b."""
     for observer in observers:
         for metric, values in a[observer].items():
-            np.testing.assert_array_equal(values[..., 0], b[observer][metric][..., place], err_msg=f"{observer} {metric}")
+            np.testing.assert_array_equal(
+                values[..., 0], b[observer][metric][..., place], err_msg=f"{observer} {metric}"
+            )
 
 
 @pytest.fixture(scope="module")

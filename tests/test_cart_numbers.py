@@ -38,14 +38,18 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def stats(folder):
-    return pd.read_parquet(folder / "stats.parquet").set_index(["scenario", "observer", "signal", "metric"]).sort_index()
+    return (
+        pd.read_parquet(folder / "stats.parquet").set_index(["scenario", "observer", "signal", "metric"]).sort_index()
+    )
 
 
 @pytest.fixture(scope="module")
 def traces():
     names = ["pccebo", "kfbo"]
     quiet = ["axes.noise_std=0.0"]
-    return {name: pcbench.trace(name, names, overrides=quiet) for name in ("cart/nominal", "cart/gaussian", "cart/drift")}
+    return {
+        name: pcbench.trace(name, names, overrides=quiet) for name in ("cart/nominal", "cart/gaussian", "cart/drift")
+    }
 
 
 @pytest.mark.parametrize("place", TRAJECTORIES, ids=str)
@@ -112,11 +116,16 @@ def test_sampled_innovation_is_unstable_at_one_second():
     assert position["tail_peak"] > 1.5 * 5.08  # the error grows where the model alone keeps 5.08 m
 
 
-EXPECTED = {  # exact expectations over noise: E[MAE], sqrt E[MSE]
+EXPECTED = {  # exact expectations over noise: E[MAE], sqrt E[MSE]; the page's, and below those of `reference.moments`
     ("cart/gaussian", "pccebo"): (1.05501888, 1.57774025),
     ("cart/gaussian", "kfbo"): (3.41228, 3.62855),
     ("cart/gaussian", "dkf"): (0.619924, 1.323049),
     ("cart/white", "pccebo"): (0.56425262, 0.92679011),
+    ("cart/gaussian-fast", "pccebo"): (1.054911729, 1.577655077),
+    ("cart/gaussian-fast", "kfbo"): (3.171883272, 3.372097124),
+    ("cart/gaussian-fast", "dkf"): (0.501520405, 1.279696129),
+    ("cart/white", "kfbo"): (1.256132623, 1.659649409),
+    ("cart/white", "dkf"): (0.221039210, 0.739991825),
 }
 
 
@@ -150,7 +159,9 @@ def test_efficiency_against_the_bound():
 
 def test_pccebo_beats_kfbo_in_position_in_every_scenario_on_every_seed(folder):
     pairs = pd.read_parquet(folder / "pairs.parquet")
-    rows = pairs.query("observer_a == 'pccebo' and observer_b == 'kfbo' and signal == 'position' and metric in ('mae', 'rmse')")
+    rows = pairs.query(
+        "observer_a == 'pccebo' and observer_b == 'kfbo' and signal == 'position' and metric in ('mae', 'rmse')"
+    )
     assert len(rows) == 2 * len([s for s in SCENARIOS if s.startswith("cart/")])
     assert (rows.prob_a_better == 1).all()
 

@@ -15,7 +15,11 @@ from pcbench.plants import PLANTS, cart
 
 TIMES = [(100, 100), (60, 180), (150, 0), (40, 95)]
 VARIANTS = [(name, {}) for name in OBSERVERS if name != "kfbo"]
-VARIANTS += [("kfbo", {"R": 0.004}), ("kfbo", {"R": 0.3, "lag_aware": True}), ("kfbo", {"R": 0.3, "sampled_innovation": True})]
+VARIANTS += [
+    ("kfbo", {"R": 0.004}),
+    ("kfbo", {"R": 0.3, "lag_aware": True}),
+    ("kfbo", {"R": 0.3, "sampled_innovation": True}),
+]
 
 
 def expected(case, observer, options, u, samples):

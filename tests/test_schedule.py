@@ -12,7 +12,7 @@ channels = st.integers(1, 3)
 def arrivals(plan):
     """(tick, channel, index, taken) of everything that arrives, in order of delivery."""
     return [
-        (tick, j, int(plan.index[tick, slot, j]), int(plan.sent[tick, slot]))
+        (tick, j, int(plan.number[tick, slot, j]), int(plan.sent[tick, slot]))
         for tick in range(len(plan.sense))
         for slot in range(plan.arrive.shape[1])
         if plan.arrive[tick, slot] >= 0
@@ -45,7 +45,7 @@ def test_late_together_and_out_of_order_samples_are_delivered_oldest_first(data,
     late = data.draw(st.lists(st.integers(0, 20), min_size=len(taken), max_size=len(taken)))
     samples = [Sample(0, i, t, t + d) for i, (t, d) in enumerate(zip(sorted(taken), late, strict=True))]
     plan = schedule(samples, ticks, 1)
-    assert set(arrivals(plan)) == {(s.arrives, 0, s.index, s.taken) for s in samples if s.arrives <= ticks}
+    assert set(arrivals(plan)) == {(s.arrives, 0, s.number, s.taken) for s in samples if s.arrives <= ticks}
     for tick in range(ticks + 1):
         sent = plan.sent[tick][plan.arrive[tick] >= 0]
         assert (np.diff(sent) > 0).all()

@@ -21,7 +21,9 @@ class Entry(NamedTuple):
 
 
 OBSERVERS = {
-    "pccebo": Entry(pccebo.OBSERVER, pccebo.Options, pccebo.design, True, "current estimator, predicted to now; gain by LMI"),
+    "pccebo": Entry(
+        pccebo.OBSERVER, pccebo.Options, pccebo.design, True, "current estimator, predicted to now; gain by LMI"
+    ),
     "kfbo": Entry(kfbo.OBSERVER, kfbo.Options, kfbo.design, False, "Kalman filter of the held, late measurement"),
     "dkf": Entry(dkf.OBSERVER, dkf.Options, dkf.design, True, "delay-compensated Kalman filter, the fair baseline"),
     "open-loop": Entry(

@@ -26,7 +26,7 @@ from pcbench.observers.free_response import Motion, Resumable
 from pcbench.observers.pccebo import motion
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified, least_eigenvalue, one_clock
-from pcbench.types import Arrival, Now, Observer
+from pcbench.types import Arrival, Leaf, Now, Observer
 
 NO_NOISE = 1e-12  # variance taken where a scenario has no measurement noise
 
@@ -35,10 +35,10 @@ class Gains(NamedTuple):
     """n states, q outputs."""
 
     motion: Motion
-    noise: Array  # [bits, n, n] process noise covariance over 2^b ticks
-    C: Array  # [q, n]
-    R: Array  # [q] variance of one sample
-    P0: Array  # [n, n]
+    noise: Leaf  # [bits, n, n] process noise covariance over 2^b ticks
+    C: Leaf  # [q, n]
+    R: Leaf  # [q] variance of one sample
+    P0: Leaf  # [n, n]
 
 
 class Memory(NamedTuple):

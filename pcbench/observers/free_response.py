@@ -13,15 +13,15 @@ import jax.numpy as jnp
 from jax import Array
 
 from pcbench.integrate import after
-from pcbench.types import Arrival, Now
+from pcbench.types import Arrival, Leaf, Now
 
 
 class Motion(NamedTuple):
     """A model's motion over a tick under a held input, and over any number of ticks without one."""
 
-    Phi: Array  # [n, n]
-    Gamma: Array  # [n, m]
-    doublings: Array  # [bits, n, n] e^{A h 2^b}
+    Phi: Leaf  # [n, n]
+    Gamma: Leaf  # [n, m]
+    doublings: Leaf  # [bits, n, n] e^{A h 2^b}
 
 
 class Resumable(NamedTuple):

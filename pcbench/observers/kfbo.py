@@ -24,21 +24,21 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from pcbench.errors import UserError
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
-from pcbench.types import Arrival, Now, Observer
+from pcbench.types import Arrival, Leaf, Now, Observer
 
 
 class Gains(NamedTuple):
     """n states, m inputs, q outputs; maps over one tick."""
 
-    Phi: Array  # [n, n] of A
-    Gamma: Array  # [n, m] of A, B
-    Phi_z: Array  # [n, n] of the filter, A - K C (or A, where the innovation is sampled)
-    Gamma_z: Array  # [n, m] of the filter, B
-    Gain_z: Array  # [n, q] of the filter, K
-    E: Array  # [n, n] e^{A d}
-    C: Array  # [q, n]
-    lag: Array  # [ticks] d
-    sampled: Array  # 1 where the innovation is sampled and held, 0 where the measurement is
+    Phi: Leaf  # [n, n] of A
+    Gamma: Leaf  # [n, m] of A, B
+    Phi_z: Leaf  # [n, n] of the filter, A - K C (or A, where the innovation is sampled)
+    Gamma_z: Leaf  # [n, m] of the filter, B
+    Gain_z: Leaf  # [n, q] of the filter, K
+    E: Leaf  # [n, n] e^{A d}
+    C: Leaf  # [q, n]
+    lag: Leaf  # [ticks] d
+    sampled: Leaf  # 1 where the innovation is sampled and held, 0 where the measurement is
 
 
 class Memory(NamedTuple):
@@ -116,6 +116,14 @@ def design(setting: Setting, options: Options) -> Design:
     Phi_z, Gammas = linear.held(A if options.sampled_innovation else A - K @ C, np.hstack([B, K]), h)
     E = linear.over(linear.doublings(A, h, linear.bits_for(lag)), lag)
     gains = Gains(
-        Phi, Gamma, Phi_z, Gammas[:, :m], Gammas[:, m:], E, C, np.asarray(lag), np.asarray(float(options.sampled_innovation))
+        Phi,
+        Gamma,
+        Phi_z,
+        Gammas[:, :m],
+        Gammas[:, m:],
+        E,
+        C,
+        np.asarray(lag),
+        np.asarray(float(options.sampled_innovation)),
     )
     return Design(gains, certificate)

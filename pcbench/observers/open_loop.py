@@ -1,6 +1,6 @@
 """The model alone, never corrected: the floor that every observer must beat.
 
-    xhat(0) = xhat0,   xhat' = A xhat + B u
+xhat(0) = xhat0,   xhat' = A xhat + B u
 """
 
 from typing import NamedTuple
@@ -11,14 +11,14 @@ from pydantic import BaseModel, ConfigDict
 
 from pcbench.synthesis import linear
 from pcbench.synthesis.certificate import Certificate, Design, Setting
-from pcbench.types import Arrival, Now, Observer
+from pcbench.types import Arrival, Leaf, Now, Observer
 
 
 class Gains(NamedTuple):
     """n states, m inputs."""
 
-    Phi: Array  # [n, n] one tick
-    Gamma: Array  # [n, m]
+    Phi: Leaf  # [n, n] one tick
+    Gamma: Leaf  # [n, m]
 
 
 class Options(BaseModel):

@@ -25,15 +25,15 @@ from pcbench.observers import free_response
 from pcbench.observers.free_response import Motion, Resumable
 from pcbench.synthesis import cache, current_estimator, linear
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
-from pcbench.types import Arrival, Now, Observer
+from pcbench.types import Arrival, Leaf, Now, Observer
 
 
 class Gains(NamedTuple):
     """n states, q outputs."""
 
     motion: Motion
-    C: Array  # [q, n]
-    L: Array  # [n, q]
+    C: Leaf  # [q, n]
+    L: Leaf  # [n, q]
 
 
 class Options(BaseModel):

@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from pcbench.integrate import transition
 from pcbench.synthesis.linear import Model, held
-from pcbench.types import Now, Plant
+from pcbench.types import Leaf, Now, Plant
 
 SIGNALS = (("position", "m"), ("velocity", "m/s"))
 SUBSTEPS = 4  # of Runge-Kutta in a tick under drift
@@ -40,16 +40,14 @@ class Numbers(NamedTuple):
 class Params(NamedTuple):
     """The linear map of every tick k = 0 .. N: x(t_k+1) = Phi[k] x(t_k) + Gamma[k] u_k."""
 
-    Phi: Array  # [N+1, 2, 2]
-    Gamma: Array  # [N+1, 2, 1]
+    Phi: Leaf  # [N+1, 2, 2]
+    Gamma: Leaf  # [N+1, 2, 1]
     numbers: Numbers  # what the field reads
 
 
 def nominal(numbers: Numbers) -> Model:
     """Return the model that observers know."""
-    return Model(
-        np.array([[0.0, 1.0], [0.0, -numbers.lam]]), np.array([[0.0], [numbers.b]]), np.array([[1.0, 0.0]])
-    )
+    return Model(np.array([[0.0, 1.0], [0.0, -numbers.lam]]), np.array([[0.0], [numbers.b]]), np.array([[1.0, 0.0]]))
 
 
 def coefficients(numbers: Numbers, t: Array) -> tuple[Array, Array]:
@@ -83,10 +81,11 @@ def _drifting(numbers: Numbers, dt: Array, ticks: int) -> Params:
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the map of every tick 0 .. `ticks` of `dt` seconds."""
     if numbers.drift:
-        return _drifting(Numbers(*map(jnp.asarray, numbers)), jnp.asarray(dt), ticks)
+        return _drifting(jax.tree.map(jnp.asarray, numbers), jnp.asarray(dt), ticks)
     model = nominal(numbers)
     Phi, Gamma = held(model.A, model.B, dt)
-    return Params(*(np.broadcast_to(M, (ticks + 1, *M.shape)) for M in (Phi, Gamma)), numbers)
+    every = (ticks + 1,)
+    return Params(np.broadcast_to(Phi, every + Phi.shape), np.broadcast_to(Gamma, every + Gamma.shape), numbers)
 
 
 def step(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "2"]:

@@ -6,5 +6,8 @@ from pcbench.reproduce.claim import Claim
 from pcbench.reproduce.mobile_cart import claims as cart
 
 PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
-    "cart": ("Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017): PCCEBO against KFBO on a mobile cart", cart),
+    "cart": (
+        "Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017): PCCEBO against KFBO on a mobile cart",
+        cart,
+    ),
 }

@@ -1,5 +1,7 @@
 """What a scenario is: plant, input, schedule, noise, drift and horizon, in seconds and SI units."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 
@@ -25,4 +27,4 @@ class Scenario(NamedTuple):
     horizon: float = 10.0  # s
     tail: float = 3.0  # s, where the tail starts
     drift_intensity: float = 0.0  # process noise through the input a designer assumes where the plant drifts, 1/s
-    options: dict[str, dict[str, Any]] = {}  # by observer
+    options: Mapping[str, dict[str, Any]] = MappingProxyType({})  # by observer

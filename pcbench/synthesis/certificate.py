@@ -1,10 +1,12 @@
 """What proves a gain: an inequality re-checked in float64 by eigenvalues, with its margin."""
 
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench.errors import DesignError
+from pcbench.errors import DesignError, UserError
 from pcbench.synthesis.linear import Model
 
 
@@ -15,7 +17,7 @@ class Certificate(NamedTuple):
     margin: float  # > 0: certified
     solver: str
     status: str
-    numbers: dict[str, Any] = {}  # matrices and rates worth showing, by name
+    numbers: Mapping[str, Any] = MappingProxyType({})  # matrices and rates worth showing, by name
 
 
 class Design(NamedTuple):
@@ -57,8 +59,6 @@ def least_eigenvalue(M: np.ndarray) -> float:
 
 def one_clock(setting: Setting, observer: str) -> tuple[int, int]:
     """Return the period and delay (ticks) that all channels share, or say that this observer needs it."""
-    from pcbench.errors import UserError
-
     if len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
         raise UserError(
             f"observer {observer} in {setting.scenario}: got channels with periods {setting.period} and delays "

@@ -6,8 +6,10 @@
 
     [P, M'; M, P] >= t I,   P <= I,   M = P Phi - Y C Phi.
 
-Where the optimum is P = I it is known in closed form, L = argmin ||(I - L C) Phi||, and the closed form replaces the
-solver's last digits (so that no digit of a table comes from a solver); elsewhere the solver's L stands.
+With P = I, t = 1 - ||(I - L C) Phi||, and L = argmin ||(I - L C) Phi|| is known in closed form. Where that attains the
+optimum which the solver found, it is the gain, so no digit of a table comes from a solver. (The spectral norm leaves ties,
+of the size of the fast mode's e^{-lam te}; the closed form is the one of least Frobenius norm.) Elsewhere the solver's L
+stands.
 Source: Mohammed et al. 2017, Theorem 1; the objective is ours.
 """
 
@@ -19,7 +21,7 @@ from pcbench.errors import DesignError
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 from pcbench.synthesis.linear import Matrix
 
-SAME = 1e-5  # a solver's P is I, and its L the closed form's, to this: then they are
+SAME = 1e-5  # the closed form attains a solver's optimum t when it comes this close
 
 
 class Solution(NamedTuple):
@@ -35,7 +37,7 @@ class Solution(NamedTuple):
 def closed_form(Phi: Matrix, C: Matrix) -> Matrix:
     """Return argmin over L of ||(I - L C) Phi||: L = Phi c (c'c)^-1, c = (C Phi)'."""
     c = (C @ Phi).T
-    return np.linalg.solve(c.T @ c, c.T @ Phi.T).T
+    return np.asarray(np.linalg.solve(c.T @ c, c.T @ Phi.T).T, float)
 
 
 def solve(Phi: Matrix, C: Matrix, solver: str = "CLARABEL") -> Solution:
@@ -53,15 +55,14 @@ def solve(Phi: Matrix, C: Matrix, solver: str = "CLARABEL") -> Solution:
         raise DesignError(f"pccebo: LMI (23) was not solved: {solver} said '{error}'; try another period.") from error
     if P.value is None or Y.value is None:
         raise DesignError(f"pccebo: LMI (23) has no solution: {solver} said '{problem.status}'; try another period.")
-    return Solution(P.value, np.linalg.solve(P.value, Y.value), float(t.value), str(problem.status), solver)
+    return Solution(P.value, np.linalg.solve(P.value, Y.value), float(np.asarray(t.value)), str(problem.status), solver)
 
 
 def sharpen(found: Solution, Phi: Matrix, C: Matrix) -> Solution:
-    """Return the closed form in place of a solver's answer that agrees with it; any other as it came."""
-    L = closed_form(Phi, C)
-    if np.abs(found.P - np.eye(len(Phi))).max() < SAME and np.abs(found.L - L).max() < SAME:
-        return found._replace(P=np.eye(len(Phi)), L=L)
-    return found
+    """Return the closed form where it attains the solver's optimum; the solver's answer, as it came, elsewhere."""
+    L, I = closed_form(Phi, C), np.eye(len(Phi))
+    t = 1 - float(np.linalg.norm((I - L @ C) @ Phi, 2))
+    return found._replace(P=I, L=L, t=t) if t > found.t - SAME else found
 
 
 def certify(found: Solution, Phi: Matrix, C: Matrix) -> Certificate:

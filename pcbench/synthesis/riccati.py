@@ -68,7 +68,9 @@ def recursion(E: Matrix, Q: Matrix, C: Matrix, R: Matrix, P0: Matrix, samples: i
     return Recursion(np.stack(prior), np.stack(posterior))
 
 
-def posterior_variance(doubled: Matrix, C: Matrix, R: Matrix, P0: Matrix, period: int, delay: int, ticks: int) -> Matrix:
+def posterior_variance(
+    doubled: Matrix, C: Matrix, R: Matrix, P0: Matrix, period: int, delay: int, ticks: int
+) -> Matrix:
     """Return the variance [N, n] that no causal estimator can beat at ticks 0 .. N-1, without process noise.
 
     With x(0) ~ N(xhat0, P0) this is the Bayesian (posterior Cramer-Rao) bound: at tick k it uses every sample taken at or

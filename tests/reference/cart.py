@@ -24,9 +24,7 @@ P0 = np.diag([25.0, 100.0])
 INTENSITY = 0.002  # of the process noise on the input
 EXACT_R = 1e-12  # what dkf takes where measurements are exact
 
-MODEL = linear.Model(
-    np.array([[0.0, 1.0], [0.0, -LAM]]), np.array([[0.0], [GAIN]]), np.array([[1.0, 0.0]]), TICK
-)
+MODEL = linear.Model(np.array([[0.0, 1.0], [0.0, -LAM]]), np.array([[0.0], [GAIN]]), np.array([[1.0, 0.0]]), TICK)
 
 
 class Scenario(NamedTuple):

@@ -60,9 +60,7 @@ def runge_kutta() -> None:
     x, _ = linear.simulate(cart.MODEL, u, cart.X0, [200], [200])
     y, _ = linear.simulate(cart.MODEL, u, cart.X0, [200], [200], plant_step=step)
     off = np.abs(x - y)[:, 1]
-    claim(
-        "RK4 differs by 6e-7 in velocity: largest, rms, mean |dv|", off.max(), cart.rmse(off), cart.mae(off)
-    )
+    claim("RK4 differs by 6e-7 in velocity: largest, rms, mean |dv|", off.max(), cart.rmse(off), cart.mae(off))
     rest = np.zeros((201, 1))
     one, _ = linear.simulate(cart.MODEL, rest, np.array([0.0, 1.0]), [200], [200])
     two, _ = linear.simulate(cart.MODEL, rest, np.array([0.0, 1.0]), [200], [200], plant_step=step)
@@ -160,9 +158,7 @@ def seeds(count: int = 2048) -> None:
         claim(f"{scenario}: of {count} seeds pccebo is better in MAE, RMSE", *wins)
     for scenario in ("cart/nominal", "cart/drift", "cart/slow"):
         runs = [np.subtract(*cart.run(scenario, name)) for name in ("pccebo", "kfbo")]
-        claim(
-            f"{scenario}: MAE, RMSE of pccebo, kfbo", *[f(e)[0] for e in runs for f in (cart.mae, cart.rmse)]
-        )
+        claim(f"{scenario}: MAE, RMSE of pccebo, kfbo", *[f(e)[0] for e in runs for f in (cart.mae, cart.rmse)])
 
 
 def steady_state(ticks: int = 50_000) -> None:
@@ -174,9 +170,7 @@ def steady_state(ticks: int = 50_000) -> None:
     total = np.concatenate([[0.0], np.cumsum(square)])
     rms = np.sqrt((total[period:] - total[:-period]) / period)  # over the ticks k .. k + period - 1
     below = np.nonzero(rms >= 1.0)[0].max() + 1
-    claim(
-        "kfbo's rms over a period is below 1 for windows from, to [s]", below * 1e-3, (below + period) * 1e-3
-    )
+    claim("kfbo's rms over a period is below 1 for windows from, to [s]", below * 1e-3, (below + period) * 1e-3)
     claim("kfbo's rms over windows from 37, 40, 46 s on (page 0.33)", *rms[[37_000, 40_000, 46_000]])
     claim(
         "    of which bias, spread in the last",

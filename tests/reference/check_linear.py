@@ -123,9 +123,7 @@ def monte_carlo(seeds: int = 4000) -> None:
     got, se = np.mean(draws, axis=0), np.std(draws, axis=0) / np.sqrt(seeds)
     mae = np.mean(moments.expected_mae(response.base, var))
     mse = np.mean(moments.root_expected_mse(response.base, var) ** 2)
-    print(
-        f"moments against {seeds} draws: E[MAE] {mae:.4f}, E[MSE] {mse:.4f}; off by", (got - [mae, mse]) / se
-    )
+    print(f"moments against {seeds} draws: E[MAE] {mae:.4f}, E[MSE] {mse:.4f}; off by", (got - [mae, mse]) / se)
 
 
 if __name__ == "__main__":

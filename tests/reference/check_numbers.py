@@ -159,9 +159,7 @@ def check_drift() -> None:
         off = np.abs(x - exact).max(axis=0)
         print(f"{name}: largest difference from the accurate x: {off[0]:.2e} m, {off[1]:.2e} m/s")
         for k in (1000, 10000):
-            line(
-                f"  x1 at t = {k * cart.TICK:g}", TRAJECTORIES["cart/drift"][k * cart.TICK][0], x[k, 0], 1e-7
-            )
+            line(f"  x1 at t = {k * cart.TICK:g}", TRAJECTORIES["cart/drift"][k * cart.TICK][0], x[k, 0], 1e-7)
         for observer in ("pccebo", "kfbo"):
             e = x - cart.observe(case, observer, u, samples)
             page = HORIZON["cart/drift", observer]

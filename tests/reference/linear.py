@@ -169,9 +169,7 @@ def kfbo(
     if lag_aware and sampled_innovation:
         raise ValueError("lag_aware makes up for the hold of Y, sampled_innovation holds no Y: choose one")
     if lag_aware and te % 2:
-        raise ValueError(
-            f"lag_aware shifts by te/2, which must be whole ticks: got te = {te}, use an even te"
-        )
+        raise ValueError(f"lag_aware shifts by te/2, which must be whole ticks: got te = {te}, use an even te")
     A, B, C, h = model
     lag = d + te // 2 if lag_aware else d
     Ad, Bd = discretise(A, B, h)

@@ -110,9 +110,7 @@ def posterior_covariance(
     return np.stack(out)
 
 
-def riccati(
-    Ad: Array, Qd: Array, C: Array, R: Array, P: Array, known: list[linear.Sample], until: int
-) -> Array:
+def riccati(Ad: Array, Qd: Array, C: Array, R: Array, P: Array, known: list[linear.Sample], until: int) -> Array:
     """Return the covariance [n, n] at tick `until` given the known samples, from P at tick 0."""
     taken: dict[int, list[int]] = {}
     for sample in known:

@@ -1,0 +1,212 @@
+"""The command line as a user meets it: real processes, exit codes, one sentence for every mistake."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pandas as pd
+import pytest
+
+PCBENCH = [sys.executable, "-m", "pcbench.cli"]
+
+
+def call(*words, cwd=None, **kwargs):
+    return subprocess.run([*PCBENCH, *map(str, words)], capture_output=True, text=True, cwd=cwd, timeout=300, **kwargs)
+
+
+def refused(done):
+    """Exit code 2, nothing on standard output, one sentence."""
+    assert done.returncode == 2, done.stderr
+    assert done.stdout == ""
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("pcbench: ")
+    assert lines[0].endswith(".")
+    return lines[0]
+
+
+BAD = {
+    "study": (["run", "quik"], "'quik' is no study", "'quick'"),
+    "observer": (["run", "quick", "--observers", "pcebo"], "'pcebo' is no observer", "'pccebo'"),
+    "axis": (["run", "quick", "--set", "axes.noise=1"], "'noise' is no axis", "'noise_std'"),
+    "option": (["run", "quick", "--set", "options.kfbo.lagaware=true"], "'lagaware'", "'lag-aware'"),
+    "option value": (["run", "quick", "--set", "options.kfbo.R=-1"], "options.kfbo: R: got -1", "greater than 0"),
+    "whole ticks": (["run", "quick", "--set", "axes.delay=0.2005"], "got 0.2005 s", "0.2 or 0.201"),
+    "no period": (["run", "quick", "--set", "axes.sampling_period=0"], "got 0 s", "at least one tick"),
+    "negative": (["run", "quick", "--set", "axes.noise_std=-0.1"], "got -0.1", "at least 0"),
+    "nan": (["run", "quick", "--set", "axes.noise_std=nan"], "got nan", "finite"),
+    "text": (["run", "quick", "--set", "axes.drift=lots"], "got 'lots'", "finite number"),
+    "empty axis": (["run", "quick", "--set", "axes.delay=[]"], "empty list", "at least one value"),
+    "zero seeds": (["run", "quick", "--seeds", "0"], "seeds: got 0", "greater than 0"),
+    "seeds in words": (["run", "quick", "--seeds", "many"], "--seeds", "valid integer"),
+    "too late": (["run", "quick", "--set", "axes.delay=11"], "got 11 s", "at most the horizon"),
+    "no file": (["run", "nowhere.toml"], "nowhere.toml", "cannot be read"),
+    "no equals sign": (["run", "quick", "--set", "axes.delay"], "--set axes.delay", "KEY=VALUE"),
+    "command": (["rum", "quick"], "rum", "--help"),
+    "flag": (["run", "quick", "--sedes", "3"], "--sedes", "--help"),
+    "trace scenario": (["trace", "cart/nominl", "--observer", "kfbo", "--out", "x"], "'cart/nominl'", "'cart/nominal'"),
+    "trace seed": (
+        ["trace", "cart/nominal", "--observer", "kfbo", "--seed", "-1", "--out", "x"],
+        "got -1",
+        "0 or more",
+    ),
+    "design observer": (["design", "cart/nominal", "kbo"], "'kbo' is no observer", "'kfbo'"),
+    "paper": (["reproduce", "card"], "'card' is no paper", "'cart'"),
+    "list": (["list", "observer"], "'observer'", "'observers'"),
+    "cells": (["design", "cart/nominal", "kfbo", "--set", "axes.delay=[0.1,0.2]"], "got 2 cells", "one value"),
+    "unequal channels": (["run", "quick", "--set", "axes.delay=[[0.1,0.2]]"], "got 2 values", "one or 1"),
+    "both variants": (
+        ["run", "quick", "--set", "options.kfbo.lag-aware=true", "--set", "options.kfbo.sampled-innovation=true"],
+        "one of lag-aware",
+        "not both",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_mistake_is_one_sentence_and_writes_nothing(name, tmp_path):
+    words, got, expected = BAD[name]
+    sentence = refused(call(*words, cwd=tmp_path))
+    assert got in sentence
+    assert expected in sentence
+    assert list(tmp_path.iterdir()) == []
+
+
+TOML = {
+    "not toml": ("name = 'x", "not valid TOML"),
+    "unknown key": ("name = 'x'\nscenarios = ['cart/nominal']\nseed = 3", "did you mean 'seeds'"),
+    "wrong type": ("name = 'x'\nscenarios = 'cart/nominal'", "scenarios: got 'cart/nominal', expected a valid list"),
+    "missing": ("scenarios = ['cart/nominal']", "name: expected"),
+    "unknown scenario": ("name = 'x'\nscenarios = ['cart/nominale']", "did you mean 'cart/nominal'"),
+    "scenario twice": ("name = 'x'\nscenarios = ['cart/slow', 'cart/slow']", "twice"),
+    "value twice": ("name = 'x'\nscenarios = ['cart/slow']\n[axes]\ndelay = [0.1, 0.1]", "twice"),
+    "unknown observer options": ("name = 'x'\nscenarios = ['cart/slow']\n[options.kfb]\nR = 1", "did you mean 'kfbo'"),
+    "unknown input": (
+        "name = 'x'\nscenarios = ['cart/slow']\n[options.scenario]\ninput = 'saw'",
+        "did you mean 'sawtooth'",
+    ),
+    "a scalar axis": (
+        "name = 'x'\nscenarios = ['cart/slow']\n[axes]\ndelay = 0.1",
+        "axes.delay: got 0.1, expected a valid list",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TOML)
+def test_a_mistake_in_a_file_names_the_file(name, tmp_path):
+    text, expected = TOML[name]
+    path = tmp_path / "study.toml"
+    path.write_text(text)
+    sentence = refused(call("run", path, "--out", tmp_path / "out"))
+    assert expected in sentence
+    assert str(path) in sentence
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unwritable_folder_is_one_sentence(tmp_path):
+    (tmp_path / "file").write_text("")
+    sentence = refused(call("run", "quick", "--seeds", "1", "--out", tmp_path / "file" / "below"))
+    assert "cannot be written" in sentence
+
+
+def test_a_toml_study_with_axes_and_options_runs(tmp_path):
+    path = tmp_path / "noise-map.toml"
+    path.write_text(
+        'name = "noise-map"\nscenarios = ["cart/gaussian"]\nobservers = ["pccebo", "kfbo"]\nseeds = 4\n'
+        "[axes]\nnoise_std = [0.1, 1.0]\nplant.lam = [110.0, 122.0]\n[options.kfbo]\nR = 0.3\nlag-aware = true\n"
+    )
+    done = call("run", path, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["study"] == "noise-map"
+    runs = pd.read_parquet(tmp_path / "out" / "runs")
+    assert len(runs) == 4 * 2 * 4 * 2
+    assert set(runs["plant.lam"]) == {110.0, 122.0}
+
+
+def test_run_shows_a_table_and_says_where_the_files_are(tmp_path):
+    done = call("run", "quick", "--seeds", "8", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for word in ("pccebo", "kfbo", "dkf", "open-loop", "position [m]", "±", "results/quick", "efficiency"):
+        assert word in done.stdout
+    assert sorted(p.name for p in (tmp_path / "results" / "quick").iterdir()) == [
+        "pairs.parquet", "provenance.json", "runs", "stats.parquet", "study.toml",
+    ]  # fmt: skip
+
+
+def test_quiet_says_nothing(tmp_path):
+    done = call("run", "cart/nominal", "--seeds", "2", "--observers", "pccebo", "--quiet", "--out", tmp_path / "q")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_trace_writes_every_tick(tmp_path):
+    done = call("trace", "cart/white", "--observer", "kfbo", "--seed", "3", "--out", tmp_path / "t.parquet")
+    assert done.returncode == 0, done.stderr
+    frame = pd.read_parquet(tmp_path / "t.parquet")
+    assert list(frame.columns) == ["t", "position", "velocity", "kfbo.position", "kfbo.velocity", "u1", "y1"]
+    assert len(frame) == 10001
+    assert frame["t"].iloc[-1] == pytest.approx(10.0)
+    assert frame["y1"][:200].isna().all(), "nothing has arrived before tick d"
+    assert frame["y1"][200:].notna().all()
+    assert frame["y1"][200:400].nunique() == 1, "an arrived sample is held"
+    assert abs(frame["y1"][400] - frame["position"][200]) < 5 * 0.6, "it is the noisy position of its own time"
+
+
+def test_the_trace_is_the_run_of_the_tables(tmp_path):
+    call("trace", "cart/white", "--observer", "kfbo", "--seed", "3", "--out", tmp_path / "t.parquet")
+    call("run", "cart/white", "--seeds", "4", "--quiet", "--out", tmp_path / "r")
+    frame = pd.read_parquet(tmp_path / "t.parquet")
+    mae = (frame["position"] - frame["kfbo.position"]).abs()[:-1].mean()
+    runs = pd.read_parquet(tmp_path / "r" / "runs")
+    row = runs[(runs.observer == "kfbo") & (runs.seed == 3) & (runs.signal == "position")].iloc[0]
+    assert row.mae == pytest.approx(mae, rel=1e-12)
+
+
+def test_design_shows_gain_and_certificate():
+    done = call("design", "cart/nominal", "pccebo", "--json")
+    found = json.loads(done.stdout)
+    assert found["margin"] > 0.99
+    assert found["status"] == "optimal"
+    assert found["numbers"]["L"][0] == [1.0]
+    assert "margin" in call("design", "cart/slow", "kfbo").stdout
+
+
+def test_list_names_everything():
+    found = json.loads(call("list", "--json").stdout)
+    assert set(found) == {"plants", "observers", "scenarios", "studies"}
+    assert len(found["scenarios"]) >= 6
+    assert "kfbo" in call("list", "observers").stdout
+
+
+def test_reproduce_prints_every_claim_with_a_verdict():
+    done = call("reproduce", "cart", "--json")
+    assert done.returncode == 0, done.stderr
+    claims = json.loads(done.stdout)["claims"]
+    verdicts = {c["claim"]: c["verdict"] for c in claims}
+    assert [v for c, v in verdicts.items() if c.startswith(("KFBO", "PCCEBO"))] == ["reproduced"] * 14 + ["holds"] * 2
+    ordering = [v for c, v in verdicts.items() if "better in position" in c]
+    assert ordering == ["holds"] * 10, "five experiments, MAE and RMSE"
+    marked = [c for c, v in verdicts.items() if v in ("misprint", "does not reproduce", "does not hold")]
+    assert len(marked) == 4, marked
+
+
+def test_ctrl_c_leaves_complete_files_only(tmp_path):
+    out = tmp_path / "out"
+    words = [*PCBENCH, "run", "cart", "--seeds", "60000", "--out", str(out)]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    for _ in range(1200):
+        if list(out.rglob("*.parquet")) or process.poll() is not None:
+            break
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, stderr = process.communicate(timeout=120)
+    assert process.returncode == 130, stderr
+    assert "stopped" in stderr
+    assert "Traceback" not in stderr
+    found = list(out.rglob("*.parquet"))
+    assert found
+    for path in found:
+        assert len(pd.read_parquet(path)) == 2 * 60000
+    assert not (out / "stats.parquet").exists()
+    assert not [p for p in out.rglob("*") if "partial" in p.name]

@@ -1,0 +1,72 @@
+"""The shape of the house: imports go down only, and what must not import jax does not."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pcbench
+
+ROOT = Path(pcbench.__file__).parent
+LAYERS = [  # top to bottom; a module may import its own layer and those below
+    {"cli"},
+    {"show", "catalogue", "reproduce"},
+    {"bench"},
+    {"sweep"},
+    {"study", "machine", "store", "tables", "statistics"},
+    {"ensemble"},
+    {"rollout"},
+    {"lanes", "metrics", "sampling", "draws", "signals"},
+    {"plants", "observers"},
+    {"integrate"},
+    {"synthesis"},
+    {"scenarios"},
+    {"types", "errors"},
+]
+NO_JAX = ["synthesis.linear", "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "statistics",
+          "tables", "store", "scenarios", "sampling", "signals", "errors"]  # fmt: skip
+
+
+def layer(module):
+    head = module.split(".")[0]
+    return next(i for i, names in enumerate(LAYERS) if head in names)
+
+
+def imports(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "pcbench":
+            inner = node.module.removeprefix("pcbench").lstrip(".")
+            yield from ([inner] if inner else [alias.name for alias in node.names])
+
+
+@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
+def test_imports_go_down_only(path):
+    module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    if module == "__init__":
+        return
+    for other in imports(path):
+        assert layer(other) >= layer(module), f"{module} imports {other}, which stands above it"
+
+
+@pytest.mark.parametrize("module", NO_JAX)
+def test_no_jax_here(module):
+    code = f"import sys, pcbench.{module}; sys.exit('jax' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_help_imports_nothing_heavy():
+    heavy = "{'jax', 'cvxpy', 'pandas', 'scipy', 'pyarrow', 'matplotlib', 'numpy'}"
+    code = (
+        "import sys; sys.argv = ['pcbench', '--help']\nimport pcbench.cli\n"
+        f"try: pcbench.cli.main()\nexcept SystemExit: pass\nfound = {heavy} & set(sys.modules)\n"
+        "sys.exit(str(found) if found else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_cvxpy_is_imported_by_synthesis_only():
+    users = [p.relative_to(ROOT).parts[0] for p in ROOT.rglob("*.py") if "import cvxpy" in p.read_text()]
+    assert set(users) == {"synthesis"}

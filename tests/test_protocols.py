@@ -1,0 +1,96 @@
+"""Every plant and observer keeps the protocol: argument names, shapes, purity; a new one is tested by being listed."""
+
+import inspect
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from harness import CART, ODD, Case, problem
+
+from pcbench import rollout
+from pcbench.integrate import rk4
+from pcbench.observers import OBSERVERS
+from pcbench.plants import PLANTS
+from pcbench.scenarios import SCENARIOS
+from pcbench.types import Arrival
+
+SIGNATURES = {
+    "init": ["gains", "xhat0"],
+    "note": ["gains", "memory", "now"],
+    "jump": ["gains", "memory", "now", "arrival"],
+    "flow": ["gains", "memory", "now"],
+    "estimate": ["gains", "memory"],
+}
+
+
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_observer_functions_have_the_protocols_arguments(name):
+    for function, names in SIGNATURES.items():
+        assert list(inspect.signature(getattr(OBSERVERS[name].observer, function)).parameters) == names
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_plant_functions_have_the_protocols_arguments(name):
+    for function in ("step", "output", "field"):
+        f = getattr(PLANTS[name].plant, function)
+        assert f is None or list(inspect.signature(f).parameters) == ["params", "now", "x"]
+
+
+@pytest.mark.parametrize("model", [CART, ODD], ids=["cart", "odd"])
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_memory_keeps_its_shape_and_gains_are_arrays(name, model):
+    q, n = model.C.shape
+    _, p = problem(Case(model, 10, 20, ticks=50), {name: {}})
+    observer, gains = OBSERVERS[name].observer, p.gains[name]
+    assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(gains))
+    p, gains = jax.tree.map(jnp.asarray, (p, gains))
+    memory = observer.init(gains, jnp.zeros(n))
+    now = rollout.present(p, jnp.asarray(30), True)
+    note = observer.note(gains, memory, now)
+    assert note.ndim == 1
+    arrival = Arrival(jnp.ones(q), jnp.ones(q, bool), jnp.full(q, 20), jnp.ones(q, int), note, jnp.asarray(10))
+    shapes = jax.tree.map(lambda a: (jnp.shape(a), jnp.result_type(a)), memory)
+    for after in (observer.jump(gains, memory, now, arrival), observer.flow(gains, memory, now)):
+        assert jax.tree.map(lambda a: (jnp.shape(a), jnp.result_type(a)), after) == shapes
+    assert observer.estimate(gains, memory).shape == (n,)
+
+
+@pytest.mark.parametrize("name", OBSERVERS)
+def test_a_channel_that_is_not_fresh_changes_nothing(name):
+    """Whatever value stands in a channel that did not arrive, the estimate is the same."""
+    p = jax.tree.map(jnp.asarray, problem(Case(ODD, 10, 20, ticks=50), {name: {}})[1])
+    observer, gains = OBSERVERS[name].observer, p.gains[name]
+    memory, now = observer.init(gains, jnp.arange(3.0)), rollout.present(p, jnp.asarray(30), False)
+    note = observer.note(gains, memory, now)
+
+    def jumped(other):
+        arrival = Arrival(
+            jnp.array([2.0, other]), jnp.array([True, False]), jnp.full(2, 20), jnp.ones(2, int), note, jnp.asarray(10)
+        )
+        return observer.flow(gains, observer.jump(gains, memory, now, arrival), now)
+
+    for a, b in zip(jax.tree.leaves(jumped(0.0)), jax.tree.leaves(jumped(77.0)), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_scenarios_name_what_exists(name):
+    s = SCENARIOS[name]
+    states = len(PLANTS[s.plant].signals)
+    assert set(s.observers) <= set(OBSERVERS)
+    assert {len(s.x0), len(s.xhat0), len(s.prior_std), len(s.settle_band)} == {states}
+    for seconds in (*s.sampling_period, *s.delay, s.horizon, s.tail):
+        assert abs(seconds / s.dt - round(seconds / s.dt)) < 1e-9
+
+
+@pytest.mark.parametrize("drift", [0.0, 1.0])
+def test_the_carts_field_is_its_step_in_the_limit(drift):
+    """Plant.field and Plant.step describe one plant: a tick is the integral of the field (RK4 to 1e-6)."""
+    entry = PLANTS["cart"]
+    params = jax.tree.map(jnp.asarray, entry.prepare(entry.numbers._replace(drift=drift), 1e-3, 20))
+    p = jax.tree.map(jnp.asarray, problem(Case(CART, 10, 10, ticks=20), {"open-loop": {}})[1])
+    now, x = rollout.present(p, jnp.asarray(7), True), jnp.array([1.0, 20.0])
+    stepped = entry.plant.step(params, now, x)
+    flowed = rk4(lambda t, x: entry.plant.field(params, now._replace(t=t), x), now.t, x, now.dt)
+    np.testing.assert_allclose(stepped, flowed, rtol=1e-6)

@@ -1,0 +1,134 @@
+"""Gains: the LMI's optimum, Riccati equations, and certificates that refuse what is wrong."""
+
+import json
+
+import numpy as np
+import pytest
+from harness import CART, ODD, Case, setting
+from reference import cart as reference_cart
+from scipy.linalg import expm, solve_discrete_are
+
+from pcbench.errors import DesignError
+from pcbench.observers import OBSERVERS
+from pcbench.synthesis import cache, current_estimator, linear, riccati
+from pcbench.synthesis.certificate import Certificate, certified
+
+PERIODS = [0.05, 0.2, 0.6, 1.0]
+
+
+def phi(model, te):
+    return expm(model.A * te)
+
+
+@pytest.mark.parametrize("te", PERIODS)
+@pytest.mark.parametrize("solver", ["CLARABEL", "SCS"])
+def test_two_solvers_find_the_closed_forms_optimum(te, solver):
+    """t = 1 - ||(I - L C) Phi||; L itself has ties of size e^{-122 te} in that norm, so it is compared to that only."""
+    Phi = phi(CART, te)
+    found = current_estimator.solve(Phi, CART.C, solver)
+    L = current_estimator.closed_form(Phi, CART.C)
+    loose = 1e-6 if solver == "CLARABEL" else 1e-3
+    assert found.t == pytest.approx(1 - np.linalg.norm((np.eye(2) - L @ CART.C) @ Phi, 2), abs=loose)
+    np.testing.assert_allclose(found.L, L, atol=loose + 2 * 122 * np.exp(-122 * te))
+    sharp = current_estimator.sharpen(found, Phi, CART.C)
+    np.testing.assert_array_equal(sharp.L, L if solver == "CLARABEL" else sharp.L)
+
+
+def test_where_the_closed_form_is_not_optimal_the_solvers_gain_stands():
+    """A growing plant: no L makes the norm less than 1, so P = I proves nothing, yet the LMI finds and certifies a gain."""
+    Phi, C = np.array([[1.2, 5.0], [0.0, 0.9]]), np.array([[1.0, 0.0]])
+    assert np.linalg.norm((np.eye(2) - current_estimator.closed_form(Phi, C) @ C) @ Phi, 2) < 1  # one output sees it
+    slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
+    C = np.array([[1.0, 0.0, 0.0]])
+    L = current_estimator.closed_form(slow, C)
+    assert np.linalg.norm((np.eye(3) - L @ C) @ slow, 2) > 1
+    found = current_estimator.solve(slow, C)
+    sharp = current_estimator.sharpen(found, slow, C)
+    np.testing.assert_array_equal(sharp.L, found.L)
+    assert current_estimator.certify(sharp, slow, C).margin > 0
+
+
+def test_the_closed_form_is_the_least_norm():
+    """Brute force around it, on a plant with two outputs, in the Frobenius norm (the spectral one has ties)."""
+    Phi = phi(ODD, 0.3)
+    L = current_estimator.closed_form(Phi, ODD.C)
+
+    def size(L):
+        return np.linalg.norm((np.eye(3) - L @ ODD.C) @ Phi)
+
+    rng = np.random.default_rng(0)
+    assert all(size(L + 1e-3 * rng.normal(size=L.shape)) > size(L) for _ in range(200))
+
+
+@pytest.mark.parametrize("te", PERIODS)
+def test_the_gain_is_deadbeat_and_equals_the_reference(te):
+    design = OBSERVERS["pccebo"].design(setting(Case(CART, round(te * 1000), 0)), OBSERVERS["pccebo"].options())
+    closed = (np.eye(2) - design.gains.L @ CART.C) @ phi(CART, te)
+    assert np.abs(np.linalg.eigvals(closed)).max() <= np.exp(-122 * te) * (1 + 1e-6) + 1e-15
+    np.testing.assert_allclose(design.gains.L, reference_cart.pccebo_gain(round(te * 1000)), atol=1e-12)
+
+
+def test_a_gain_outside_the_lmi_is_refused_with_margin_and_status():
+    Phi = phi(CART, 0.2)
+    wrong = current_estimator.Solution(np.eye(2), np.array([[2.5], [0.0]]), 0.0, "optimal", "CLARABEL")
+    certificate = current_estimator.certify(wrong, Phi, CART.C)
+    assert certificate.margin < 0
+    with pytest.raises(DesignError, match=r"margin -.*CLARABEL said 'optimal'"):
+        certified(certificate, "pccebo in test")
+
+
+def test_a_gain_that_is_not_finite_is_refused():
+    with pytest.raises(DesignError, match="nan"):
+        certified(Certificate("x > 0", float("nan"), "s", "solved"), "somewhere")
+
+
+def test_a_damaged_cache_cannot_enter_a_table(tmp_path, monkeypatch):
+    """A remembered gain is certified anew: a foreign one is refused, an unreadable one solved again."""
+    monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
+    design, options, case = OBSERVERS["pccebo"].design, OBSERVERS["pccebo"].options(), setting(Case(CART, 200, 200))
+    good = design(case, options).gains.L
+    (entry,) = tmp_path.rglob("*.json")
+    text = entry.read_text()
+    entry.write_text("{ half")
+    np.testing.assert_array_equal(design(case, options).gains.L, good)
+    foreign = json.loads(text) | {"L": [[7.0], [0.0]], "t": 2.0}
+    entry.write_text(json.dumps(foreign))
+    with pytest.raises(DesignError, match="not certified"):
+        design(case, options)
+    assert cache.folder() == tmp_path
+
+
+def test_riccati_solution_solves_the_equation_and_its_closed_form():
+    for R in (0.004, 0.3, 1.0):
+        found = riccati.continuous(CART, 0.002 * CART.B @ CART.B.T, R * np.eye(1), "test")
+        K, P = reference_cart.kfbo_gain(R)
+        np.testing.assert_allclose(found.K, K, rtol=1e-10)
+        np.testing.assert_allclose(found.P, P, rtol=1e-10)
+        assert found.certificate.margin > 0
+
+
+def test_an_undetectable_plant_has_no_kfbo():
+    blind = linear.Model(np.diag([1.0, -1.0]), np.ones((2, 1)), np.array([[0.0, 1.0]]))
+    with pytest.raises(DesignError, match=r"Riccati|not certified"):
+        OBSERVERS["kfbo"].design(setting(Case(blind, 10, 10)), OBSERVERS["kfbo"].options())
+
+
+def test_recursion_converges_to_the_discrete_riccati_equation():
+    E, Q, R = expm(ODD.A * 0.1), np.diag([0.1, 0.2, 0.05]), np.diag([0.3, 0.1])
+    run = riccati.recursion(E, Q, ODD.C, R, np.eye(3), 400)
+    np.testing.assert_allclose(run.prior[-1], solve_discrete_are(E.T, ODD.C.T, Q, R), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 3, 200, 600, 1000])
+def test_doublings_reach_any_age(ticks):
+    doubled = linear.doublings(CART.A, 1e-3, 10)
+    np.testing.assert_allclose(
+        linear.over(doubled, ticks), reference_cart.transition(ticks * 1e-3), rtol=1e-13, atol=1e-16
+    )
+
+
+@pytest.mark.parametrize("bit", range(10))
+def test_process_noise_over_long_intervals_keeps_its_digits(bit):
+    """Van Loan's exponential over 0.6 s overflows silently; doubling one tick does not."""
+    Q = linear.noise_doublings(CART.A, 0.002 * CART.B @ CART.B.T, 1e-3, 10)[bit]
+    np.testing.assert_allclose(Q, reference_cart.process_covariance(2**bit * 1e-3), rtol=1e-11)
