@@ -70,14 +70,14 @@ def _two_periods() -> list[Claim]:
 def _ordering() -> list[Claim]:
     names = list(SECTIONS.values())
     result = bench.run(Study(name="ordering", scenarios=names, observers=["pccebo", "kfbo"], seeds=SEEDS))
-    stats, pairs = (
-        t[t.signal == "position"].set_index(["scenario", "metric"]).sort_index() for t in (result.stats, result.pairs)
-    )
+    stats, pairs = (t[t.signal == "position"].set_index(["scenario", "metric"]) for t in (result.stats, result.pairs))
     out = []
     for section, scenario in SECTIONS.items():
         for metric in ("mae", "rmse"):
-            row, (a, b) = pairs.loc[(scenario, metric)].iloc[0], stats.loc[(scenario, metric), "mean"]
-            text = f"{a:.4g} < {b:.4g} m in {row.prob_a_better:.0%} of {int(row.n)} seeds"
+            row = pairs.loc[[(scenario, metric)]].iloc[0]
+            mean = stats.loc[[(scenario, metric)]].set_index("observer")["mean"]
+            seeds = f"{row.prob_a_better:.0%} of {int(row.n)} seeds"
+            text = f"{mean['pccebo']:.4g} < {mean['kfbo']:.4g} m in {seeds}"
             claim = f"{section}: PCCEBO better in position {metric.upper()}, 10 s"
             out.append(statement(claim, "smaller", text, row.mean_diff < 0 and row.prob_a_better == 1.0))
     return out
