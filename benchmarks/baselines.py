@@ -1,9 +1,9 @@
 """The same experiment without pcbench, as three people would write it: a loop per run, NumPy over runs, numba per run.
 
 Plant, pccebo and kfbo of the mobile cart advance tick by tick; of e = x - xhat the sums of |e| and e^2 and the peak are
-kept, [3, 4, L]: pccebo's two states, then kfbo's. Every run simulates its own plant from its own start, and takes its own
-noise. Equations and the order of events are pcbench's (`observers.pccebo`, `observers.kfbo`), for one channel whose delay
-is its sampling period (d = te), so the estimate that pccebo takes up on an arrival is also xbar of the next sample.
+kept, [3, 4, L]: pccebo's two states, then kfbo's. Every run simulates its own plant, from its own start and with its own
+noise. Equations and order of events are pcbench's (`observers.pccebo`, `observers.kfbo`), for one channel whose delay is
+its sampling period (d = te), so the estimate that pccebo takes up on an arrival is also xbar of the next sample.
 
 What depends on the input alone is the same in all runs: `prepare` lays it out once, outside every timing, for the two
 fast baselines. That favours them slightly; pcbench computes it once a call.
@@ -99,7 +99,7 @@ def over_runs(c: Case, x0: Array, noise: Array) -> Array:
     """Simulate all runs at once from x0[2, L] with noise[M, L]; [3, 4, L].
 
     One product a tick gives the errors and everything at the next tick: v = [x, xhat, z, Y, 1] (8), and out of it
-    [e of pccebo, e of kfbo, x, xhat, z] (10). At 1024 lanes that took 12 us; ten products written out row by row, 25.
+    [e of pccebo, e of kfbo, x, xhat, z] (10). At 1024 lanes a tick took 21 us so, and 36 us written out row by row.
     """
     lanes, joint = x0.shape[1], [_joint(c, s) for s in (0, 1)]
     last = np.concatenate([np.zeros((len(c.u), 2)), -c.offset, c.moved, c.moved, c.moved_z], 1)  # times the row of ones
@@ -143,45 +143,48 @@ def _joint(c: Case, s: int) -> Array:
     )
 
 
+def runs_alone(c: Case, x0: Array, noise: Array) -> Array:
+    """Simulate every run alone in compiled scalars, runs shared out over numba's threads; as `over_runs`."""
+    numbers = (c.period, c.noise_std, c.xhat0, c.Phi, c.E, c.L, c.Phi_z, c.Gain_z, c.E_z, c.integral)
+    table = np.concatenate([c.moved, c.moved_z, c.offset], 1)  # what a tick reads lies together
+    return _scalar_runs(*numbers, table, x0, noise).reshape(-1, 3, 4).transpose(1, 2, 0)
+
+
+# The numbers go one by one: handed over as the tuple they are, they took numba twice as long to compile.
+@numba.njit(parallel=True)
+def _scalar_runs(period, noise_std, xhat0, Phi, E, L, Phi_z, Gain_z, E_z, integral, table, x0, noise):
+    out = np.empty((x0.shape[1], 12))
+    for lane in numba.prange(x0.shape[1]):
+        _scalar_run(period, noise_std, xhat0, Phi, E, L, Phi_z, Gain_z, E_z, integral, table, x0, noise, lane, out)
+    return out
+
+
 @numba.njit
-def _scalar_run(c: Case, x0: float, x1: float, noise: Array) -> Any:
-    """One run in scalars, sampling period by sampling period."""
-    p0, p1, z0, z1 = c.xhat0[0], c.xhat0[1], c.xhat0[0], c.xhat0[1]
+def _scalar_run(period, noise_std, xhat0, Phi, E, L, Phi_z, Gain_z, E_z, integral, table, start, noise, lane, out):
+    x0, x1, p0, p1, z0, z1 = start[0, lane], start[1, lane], xhat0[0], xhat0[1], xhat0[0], xhat0[1]
     b0, b1, y, Y = p0, p1, 0.0, 0.0
-    (f00, f01), (f10, f11) = (c.Phi[0, 0], c.Phi[0, 1]), (c.Phi[1, 0], c.Phi[1, 1])
+    f00, f01, f10, f11 = Phi[0, 0], Phi[0, 1], Phi[1, 0], Phi[1, 1]
     s0 = s1 = s2 = s3 = q0 = q1 = q2 = q3 = m0 = m1 = m2 = m3 = 0.0
-    for first in range(0, len(c.u), c.period):
-        m, s = first // c.period, min(first, 1)
-        if m > 0:
+    for first in range(0, len(table), period):
+        i, s = first // period, min(first, 1)
+        if i > 0:
             Y, innovation = y, y - b0
-            l0, l1 = b0 + c.L[0] * innovation, b1 + c.L[1] * innovation
-            b0 = p0 = c.E[0, 0] * l0 + c.E[0, 1] * l1 + c.integral[m - 1, 0]
-            b1 = p1 = c.E[1, 0] * l0 + c.E[1, 1] * l1 + c.integral[m - 1, 1]
-        y = x0 + c.noise_std * noise[m]
-        h00, h01, h10, h11 = c.Phi_z[s, 0, 0], c.Phi_z[s, 0, 1], c.Phi_z[s, 1, 0], c.Phi_z[s, 1, 1]
-        r00, r01, r10, r11 = c.E_z[s, 0, 0], c.E_z[s, 0, 1], c.E_z[s, 1, 0], c.E_z[s, 1, 1]
-        held0, held1 = c.Gain_z[0] * Y, c.Gain_z[1] * Y
-        for k in range(first, min(first + c.period, len(c.u))):
+            l0, l1 = b0 + L[0] * innovation, b1 + L[1] * innovation
+            b0 = p0 = E[0, 0] * l0 + E[0, 1] * l1 + integral[i - 1, 0]
+            b1 = p1 = E[1, 0] * l0 + E[1, 1] * l1 + integral[i - 1, 1]
+        y = x0 + noise_std * noise[i, lane]
+        h00, h01, h10, h11 = Phi_z[s, 0, 0], Phi_z[s, 0, 1], Phi_z[s, 1, 0], Phi_z[s, 1, 1]
+        r00, r01, r10, r11 = E_z[s, 0, 0], E_z[s, 0, 1], E_z[s, 1, 0], E_z[s, 1, 1]
+        c0, c1 = Gain_z[0] * Y, Gain_z[1] * Y
+        for k in range(first, min(first + period, len(table))):
+            u0, u1, w0, w1, o0, o1 = table[k, 0], table[k, 1], table[k, 2], table[k, 3], table[k, 4], table[k, 5]
             e0, e1 = x0 - p0, x1 - p1
-            e2 = x0 - (r00 * z0 + r01 * z1 + c.offset[k, 0])
-            e3 = x1 - (r10 * z0 + r11 * z1 + c.offset[k, 1])
+            e2, e3 = x0 - (r00 * z0 + r01 * z1 + o0), x1 - (r10 * z0 + r11 * z1 + o1)
             s0, s1, s2, s3 = s0 + abs(e0), s1 + abs(e1), s2 + abs(e2), s3 + abs(e3)
             q0, q1, q2, q3 = q0 + e0 * e0, q1 + e1 * e1, q2 + e2 * e2, q3 + e3 * e3
             m0, m1, m2, m3 = max(m0, abs(e0)), max(m1, abs(e1)), max(m2, abs(e2)), max(m3, abs(e3))
-            u0, u1 = c.moved[k, 0], c.moved[k, 1]
             x0, x1 = f00 * x0 + f01 * x1 + u0, f10 * x0 + f11 * x1 + u1
             p0, p1 = f00 * p0 + f01 * p1 + u0, f10 * p0 + f11 * p1 + u1
-            z0, z1 = (
-                h00 * z0 + h01 * z1 + c.moved_z[k, 0] + held0,
-                h10 * z0 + h11 * z1 + c.moved_z[k, 1] + held1,
-            )
-    return s0, s1, s2, s3, q0, q1, q2, q3, m0, m1, m2, m3
-
-
-@numba.njit(parallel=True)
-def scalar_runs(c: Case, x0: Array, noise: Array) -> Array:
-    """Simulate every run alone, runs shared out over numba's threads; x0[2, L], noise[L, M] -> [L, 12]."""
-    out = np.empty((x0.shape[1], 12))
-    for lane in numba.prange(x0.shape[1]):
-        out[lane] = _scalar_run(c, x0[0, lane], x0[1, lane], noise[lane])
-    return out
+            z0, z1 = h00 * z0 + h01 * z1 + w0 + c0, h10 * z0 + h11 * z1 + w1 + c1
+    for i, value in enumerate((s0, s1, s2, s3, q0, q1, q2, q3, m0, m1, m2, m3)):
+        out[lane, i] = value

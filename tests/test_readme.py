@@ -1,0 +1,91 @@
+"""The README claims only what runs: its Python, its study, its observer and its two commands are executed as they stand."""
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from harness import CART, Case, trace
+
+import pcbench
+from pcbench import show, study
+from pcbench.observers import OBSERVERS
+from pcbench.scenarios import SCENARIOS
+
+ROOT = Path(__file__).parent.parent
+README = (ROOT / "README.md").read_text()
+
+
+def blocks(language):
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.S | re.M)
+
+
+def test_there_are_two_shell_commands_and_ci_runs_exactly_those():
+    commands = blocks("sh")
+    assert len(commands) == 2
+    assert all(len(c.strip().splitlines()) == 1 for c in commands)
+    assert commands[0].strip().endswith("pcbench run quick")
+    assert commands[1].strip().endswith("pytest")
+    assert "readme_command" in (ROOT / ".ci" / "run").read_text()
+
+
+def test_the_study_runs_as_written(tmp_path):
+    (text,) = blocks("toml")
+    path = tmp_path / "noise-map.toml"
+    path.write_text(text)
+    found = study.load(str(path))
+    assert len(study.cells(found, "cart/gaussian")) == 16
+    assert tomllib.loads(text)["name"] == "noise-map"
+
+
+@pytest.mark.parametrize("first_line", ["import pcbench", "from typing import Any, NamedTuple"])
+def test_python_examples_run(first_line, capsys):
+    (example,) = [b for b in blocks("python") if b.startswith(first_line)]
+    try:
+        exec(compile(example.replace("pcbench.setup()", ""), "README.md", "exec"), {})
+        shown = capsys.readouterr().out
+        assert "position" in shown or "pccebo" in shown
+    finally:
+        OBSERVERS.pop("nudge", None)
+
+
+def test_the_observer_example_is_short_and_knows_its_schedule():
+    """At most 30 lines of code, and perfect start holds: it is an observer, not a decoration."""
+    (example,) = [b for b in blocks("python") if "OBSERVERS[" in b]
+    assert len([line for line in example.splitlines() if line.strip()]) <= 30
+    space = {}
+    try:
+        exec(compile(example.rsplit("print(", 1)[0], "README.md", "exec"), space)
+        start = [5.0, 10.0]
+        got = trace(Case(CART, 40, 80, ticks=400, x0=start, xhat0=start), {"nudge": {}})
+        assert np.abs(got.x - got.estimates["nudge"]).max() < 1e-12
+    finally:
+        OBSERVERS.pop("nudge", None)
+
+
+def test_the_table_shown_is_the_one_that_comes_out():
+    result = pcbench.run("quick", observers=list(OBSERVERS))
+    stats = result.stats.query("scenario == 'cart/white' and signal == 'position'").set_index(["observer", "metric"])
+    (shown,) = [b for b in blocks("text") if b.startswith("cart/white")]
+    for line in shown.splitlines()[2:]:
+        observer = line.split()[0]
+        for metric in ("mae", "pooled_rmse", "tail_pooled_rmse", "efficiency"):
+            assert f" {show._interval(stats.loc[(observer, metric)])} " in line, (observer, metric)
+
+
+def test_every_observer_and_command_is_named():
+    for name in OBSERVERS:
+        assert f"`{name}`" in README
+    for command in ("list", "run", "trace", "design", "reproduce"):
+        assert f"pcbench {command}" in README
+    assert set(re.findall(r"cart/[\w-]+", README)) <= set(SCENARIOS)
+
+
+def test_the_top_level_is_as_promised():
+    allowed = {"pyproject.toml", "pcbench", "benchmarks", "notebooks", "tests", "README.md", "LICENSE", "CHANGELOG.md",
+               "CITATION.cff"}  # fmt: skip
+    tracked = subprocess.run(["git", "-C", str(ROOT), "ls-files"], capture_output=True, text=True, check=False).stdout
+    top = {line.split("/")[0] for line in tracked.splitlines()}
+    assert {name for name in top if not name.startswith(".")} <= allowed
