@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from datetime import UTC, datetime
 from functools import cached_property, partial
+from math import inf, isfinite
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -87,6 +88,7 @@ def run(
             "started": began.isoformat(timespec="seconds"),
             "wall_seconds": round(perf_counter() - start, 3),
             "compile_seconds": round(compile_seconds, 3),
+            "certificates": _certificates(planned),
         }
     if folder is not None:
         store.write_table(folder / "stats.parquet", stats)
@@ -127,6 +129,18 @@ def _collect(
         kept,
         sum(compiled),
     )
+
+
+def _certificates(planned: list[sweep.Planned]) -> dict[str, dict[str, Any]]:
+    """The weakest certificate of each observer over the cells of each scenario."""
+    out: dict[str, dict[str, Any]] = {}
+    for p in planned:
+        mine = out.setdefault(p.cell.scenario.name, {})
+        for observer, c in p.certificates.items():
+            if c.margin < mine.get(observer, {}).get("margin", inf) or observer not in mine:
+                margin = c.margin if isfinite(c.margin) else None  # nothing to prove
+                mine[observer] = {"inequality": c.inequality, "margin": margin, "solver": c.solver, "status": c.status}
+    return out
 
 
 def _described(done: sweep.Done, results: dict[str, Any], signals: tuple[tuple[str, str], ...]) -> list[dict[str, Any]]:

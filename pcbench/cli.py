@@ -96,6 +96,7 @@ def run(
     observers: Annotated[str | None, typer.Option(help="comma-separated names")] = None,
     changes: Set = None,
     out: Annotated[Path | None, typer.Option(help="folder for the tables [default: results/STUDY]")] = None,
+    metric: Annotated[str, typer.Option(help="metric that ranks the closing table")] = "mae",
     quiet: Annotated[bool, typer.Option("--quiet", help="no progress and no table")] = False,
     as_json: AsJson = False,
 ) -> None:
@@ -104,9 +105,10 @@ def run(
     Example: pcbench run quick --seeds 512 --out first-look
     """
     _setup()
-    from pcbench import bench, show, store
+    from pcbench import bench, show, statistics, store
     from pcbench import study as studies
 
+    statistics.compared(metric, "--metric")
     chosen = studies.load(study, changes)
     folder = out or Path("results") / chosen.name.replace("/", "-")
     names = None if observers is None else [name.strip() for name in observers.split(",")]
@@ -118,10 +120,10 @@ def run(
         print(json.dumps(summary, indent=2))
     elif not quiet:
         console = _console()
-        show.closing(result, console)
+        show.closing(result, console, metric)
         took, made = result.provenance["wall_seconds"], result.provenance["compile_seconds"]
         console.print(
-            "MAE - best: paired over the same draws; '=' is not distinguishable (Holm, 5 %).", highlight=False
+            "... - best: paired over the same draws; '=' is not distinguishable (Holm, 5 %).", highlight=False
         )
         console.print(
             f"{store.complete_files(folder)} tables in {folder} after {took:.1f} s ({made:.1f} s compiling).",

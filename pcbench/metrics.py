@@ -51,9 +51,6 @@ def look(watch: Watch, tick: Array, e: Array, band: Array, bound: Array) -> Watc
     return Watch(jnp.where(size > band, now + 1, watch.unsettled), first_bad)
 
 
-METRICS = ("mae", "rmse", "mse", "peak", "final", "settling_time", "tail_mae", "tail_rmse", "tail_mse", "tail_peak")
-
-
 def read(streams: Stream, watch: Watch, final: Array, ticks: int, tail: int, dt: float) -> dict[str, NDArray]:
     """Return every metric, [n, L] each, from windows [W, n, L], all but the first in the tail, the watch, and the last e.
 

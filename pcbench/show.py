@@ -54,18 +54,18 @@ def progress(quiet: bool) -> Iterator[Any]:
         yield tell
 
 
-def closing(result: Any, console: Console) -> None:
-    """Print who was better and how surely: the first signal of every scenario, best mean absolute error first."""
+def closing(result: Any, console: Console, metric: str = "mae") -> None:
+    """Print who was better and how surely: the first signal of every scenario, the least mean `metric` first."""
     stats, pairs = result.stats, result.pairs
     for scenario, part in stats.groupby("scenario", sort=False):
         signal = part.signal.iloc[0]
         part = part[part.signal == signal]
-        mine = pairs[(pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == "mae")]
+        mine = pairs[(pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == metric)]
         axes = _varying(part)
         if part.cell.nunique() * part.observer.nunique() > LONGEST:
-            _count_wins(scenario, part, console)
+            _count_wins(scenario, part[part.metric == metric], metric, console)
         else:
-            _scenario(scenario, part, mine, axes, console)
+            _scenario(scenario, part, mine, axes, metric, console)
 
 
 def _varying(part: pd.DataFrame) -> list[str]:
@@ -74,7 +74,9 @@ def _varying(part: pd.DataFrame) -> list[str]:
     return [a for a in axes if part[a].astype(str).nunique() > 1]
 
 
-def _scenario(scenario: str, part: pd.DataFrame, pairs: pd.DataFrame, axes: list[str], console: Console) -> None:
+def _scenario(
+    scenario: str, part: pd.DataFrame, pairs: pd.DataFrame, axes: list[str], metric: str, console: Console
+) -> None:
     unit, n = part.unit.iloc[0], int(part.n.max())
     table = Table(
         title=escape(f"{scenario}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals"),
@@ -84,18 +86,19 @@ def _scenario(scenario: str, part: pd.DataFrame, pairs: pd.DataFrame, axes: list
     for axis in axes:
         table.add_column(axis, justify="right")
     table.add_column("observer")
-    for name in ("MAE", "MAE - best", "RMSE", "tail RMSE", "efficiency", "settled [s]", "diverged"):
+    title = "MAE" if metric == "mae" else metric
+    for name in (title, f"{title} - best", "RMSE", "tail RMSE", "efficiency", "settled [s]", "diverged"):
         table.add_column(escape(name), justify="right")
     for _, cell in part.groupby("cell", sort=True):
         wide = cell.set_index(["observer", "metric"])
-        order = cell[cell.metric == "mae"].sort_values("mean", kind="stable", na_position="last").observer
+        order = cell[cell.metric == metric].sort_values("mean", kind="stable", na_position="last").observer
         for place, observer in enumerate(order):
             row = wide.loc[observer]
             first = [str(cell[a].iloc[0]) if place == 0 else "" for a in axes]
             table.add_row(
                 *first,
                 f"[bold]{observer}[/bold]" if place == 0 else observer,
-                _interval(row.loc["mae"]),
+                _interval(row.loc[metric]),
                 "" if place == 0 else _difference(pairs[pairs.cell == cell.cell.iloc[0]], observer, order.iloc[0]),
                 _interval(row.loc["pooled_rmse"]),
                 _interval(row.loc["tail_pooled_rmse"]),
@@ -129,14 +132,15 @@ def _difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
     return "=" if alike else text
 
 
-def _count_wins(scenario: str, part: pd.DataFrame, console: Console) -> None:
-    mae = part[part.metric == "mae"].pivot(index="cell", columns="observer", values="mean")
-    table = Table(title=f"{scenario}: least MAE of {part.signal.iloc[0]} over {len(mae)} cells", title_justify="left")
+def _count_wins(scenario: str, part: pd.DataFrame, metric: str, console: Console) -> None:
+    wide = part.pivot(index="cell", columns="observer", values="mean")
+    title = f"{scenario}: least {metric} of {part.signal.iloc[0]} over {len(wide)} cells"
+    table = Table(title=title, title_justify="left")
     table.add_column("observer")
     table.add_column("cells won", justify="right")
-    table.add_column("median MAE", justify="right")
-    for observer, wins in mae.idxmin(axis=1).value_counts().reindex(mae.columns, fill_value=0).items():
-        table.add_row(str(observer), str(wins), f"{mae[observer].median():.4g}")
+    table.add_column(f"median {metric}", justify="right")
+    for observer, wins in wide.idxmin(axis=1).value_counts().reindex(wide.columns, fill_value=0).items():
+        table.add_row(str(observer), str(wins), f"{wide[observer].median():.4g}")
     console.print(table)
 
 

@@ -19,7 +19,6 @@ from pcbench.errors import unknown
 RUN_METRICS = ("mae", "rmse", "mse", "peak", "final", "settling_time", "tail_mae", "tail_rmse", "tail_mse", "tail_peak")
 COMPARED = tuple(m for m in RUN_METRICS if m != "final")  # a signed error is neither better nor worse
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
-METRICS = (*RUN_METRICS, *POOLED, "efficiency")
 QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie: rounding, not merit
 SEEN = 1e-9  # a bound below this part of the prior is zero for every purpose: no efficiency against it
@@ -137,8 +136,8 @@ def adjusted(rows: list[Row]) -> list[Row]:
     return rows
 
 
-def known_metric(where: str, metric: str) -> str:
-    """Return the metric's name; raise UserError with the nearest valid one where there is none."""
-    if metric not in METRICS:
-        raise unknown(where, "metric", metric, METRICS)
+def compared(metric: str, where: str) -> str:
+    """Return the name of a metric that runs are compared by; raise UserError with the nearest where there is none."""
+    if metric not in COMPARED:
+        raise unknown(where, "metric of a run", metric, COMPARED)
     return metric

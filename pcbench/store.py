@@ -69,15 +69,6 @@ def runs_path(out: Path, scenario: str, observer: str, cell: int) -> Path:
     return folder / f"cell-{cell:05d}.parquet"
 
 
-def read_table(path: Path) -> pa.Table:
-    """Return a table that a run left; raise UserError where there is none."""
-    if not path.is_file():
-        raise UserError(
-            f"{path}: is not there; expected a file of a finished run; run the study again with that --out."
-        )
-    return pq.read_table(path)
-
-
 def complete_files(out: Path) -> int:
     """Return how many finished tables a folder holds."""
     return sum(1 for _ in out.rglob("*.parquet"))

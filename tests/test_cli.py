@@ -39,6 +39,7 @@ BAD = {
     "nan": (["run", "quick", "--set", "axes.noise_std=nan"], "got nan", "finite"),
     "text": (["run", "quick", "--set", "axes.drift=lots"], "got 'lots'", "finite number"),
     "empty axis": (["run", "quick", "--set", "axes.delay=[]"], "empty list", "at least one value"),
+    "metric": (["run", "quick", "--metric", "rmsd"], "'rmsd' is no metric", "'rmse'"),
     "zero seeds": (["run", "quick", "--seeds", "0"], "seeds: got 0", "greater than 0"),
     "seeds in words": (["run", "quick", "--seeds", "many"], "--seeds", "valid integer"),
     "too late": (["run", "quick", "--set", "axes.delay=11"], "got 11 s", "at most the horizon"),

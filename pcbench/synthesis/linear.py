@@ -4,6 +4,7 @@ Doublings: entry b belongs to 2^b ticks. Noise over 2^b ticks follows by Q_2b = 
 never by one matrix exponential over a long interval, which overflows silently (Van Loan's at 0.6 s on the cart).
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +37,15 @@ def bits_for(ticks: int) -> int:
 
 
 def doublings(A: Matrix, h: float, bits: int) -> Matrix:
-    """Return e^{A h 2^b} for b = 0 .. bits - 1, as [bits, n, n]."""
-    return np.stack([expm(A * (h * 2**b)) for b in range(bits)])
+    """Return e^{A h 2^b} for b = 0 .. bits - 1, as [bits, n, n]; remembered, as every cell of a study asks for the same."""
+    return _doublings(np.ascontiguousarray(A, float).tobytes(), len(A), h, bits)
+
+
+@lru_cache(maxsize=256)
+def _doublings(A: bytes, n: int, h: float, bits: int) -> Matrix:
+    out = np.stack([expm(np.frombuffer(A).reshape(n, n) * (h * 2**b)) for b in range(bits)])
+    out.flags.writeable = False
+    return out
 
 
 def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:

@@ -78,15 +78,12 @@ def posterior_variance(
     """
     E = over(doubled, period)
     after = recursion(E, np.zeros_like(P0), C, R, P0, ticks // period + 1).posterior
+    tick = np.arange(ticks)
+    newest = (tick - delay) // period  # the last sample known at each tick; negative: none
+    gap = np.where(newest < 0, tick, tick - newest * period)
     powers = [np.eye(len(P0))]
-    for _ in range(min(period + delay, ticks)):
+    for _ in range(gap.max()):
         powers.append(doubled[0] @ powers[-1])
-    out = np.empty((ticks, len(P0)))
-    for k in range(ticks):
-        m = (k - delay) // period
-        if m < 0:
-            F, P = over(doubled, k), P0
-        else:
-            F, P = powers[k - m * period], after[m]
-        out[k] = np.einsum("ij,jk,ik->i", F, P, F)
-    return out
+    F = np.stack(powers)[gap]
+    P = np.where((newest < 0)[:, None, None], P0, after[newest])
+    return np.einsum("kij,kij->ki", F @ P, F)
