@@ -14,7 +14,7 @@ def results(seeds, observers=EVERYONE, scenarios=("cart/gaussian-fast",), device
     raw = {"name": "bits", "scenarios": list(scenarios), "observers": observers, "axes": axes or {}}
     chosen = study.parse(raw | {"options": {"scenario": {"random_start": random_start}}}, "bits")
     done = list(sweep.execute(chosen, sweep.plan(chosen), seeds=np.asarray(seeds), devices=devices))
-    return {d.planned.cell.scenario.name + str(d.planned.cell.index): d.results for d in done}
+    return {d.planned.cell.scenario.name + str(d.planned.cell.number): d.results for d in done}
 
 
 def same(a, b, place, observers=EVERYONE):

@@ -1,0 +1,67 @@
+"""Choices that the paper leaves open: the rising sawtooth, the lost sign in the drift, a random start."""
+
+import numpy as np
+import pytest
+from reference import cart
+
+import pcbench
+from pcbench.plants import PLANTS
+from pcbench.plants import cart as plant
+
+
+@pytest.mark.parametrize("observer", ["pccebo", "kfbo"])
+def test_the_rising_sawtooth_equals_the_reference(observer):
+    got = pcbench.trace("cart/nominal", observer, overrides=["options.scenario.input=rising"])
+    x, xhat = cart.run("cart/nominal", observer, u=cart.sawtooth(rising=True))
+    np.testing.assert_allclose(got["position"], x[:, 0], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(got[f"{observer}.position"], xhat[:, 0], rtol=0, atol=1e-10)
+    assert got["u1"][0] == -10
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_the_drifts_sign_equals_the_reference(sign):
+    got = pcbench.trace("cart/drift", "dkf", overrides=[f"options.scenario.drift_sign={sign}"])
+    x, xhat = cart.run("cart/drift", "dkf", sign=float(sign), substeps=plant.SUBSTEPS)
+    np.testing.assert_allclose(got["position"], x[:, 0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(got["dkf.position"], xhat[:, 0], rtol=0, atol=1e-9)
+
+
+def test_four_runge_kutta_steps_a_tick_are_enough_for_the_drift():
+    """Against twenty: below 3e-9 m and 3e-7 m/s at every tick, where one step is 4e-7 m off."""
+    u = cart.sawtooth()
+    fine = cart.run("cart/drift", "open-loop", substeps=20, u=u)[0]
+    four = pcbench.trace("cart/drift", "open-loop")[["position", "velocity"]].to_numpy()
+    np.testing.assert_array_less(np.abs(four - fine).max(0), [3e-9, 3e-7])
+
+
+def test_no_drift_is_the_limit_of_a_small_drift():
+    """The exact exponential at 0 and the Runge-Kutta map near 0 are one plant."""
+    numbers = PLANTS["cart"].numbers
+    exact, near = plant.prepare(numbers, 1e-3, 5), plant.prepare(numbers._replace(drift=1e-12), 1e-3, 5)
+    np.testing.assert_allclose(near.Phi, exact.Phi, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(near.Gamma, exact.Gamma, rtol=0, atol=1e-8)
+
+
+def test_a_random_start_is_drawn_from_the_prior():
+    """The model alone keeps x(0) - xhat(0): position error at the end is p0 + v0 / 122, of variance 25 + (10/122)^2."""
+    options = {"scenario": {"random_start": True}}
+    runs = pcbench.run("cart/nominal", observers=["open-loop"], seeds=4096, options=options).runs
+    final = runs[runs.signal == "position"].final
+    sigma, n = np.sqrt(25 + (10 / 122) ** 2), len(final)
+    assert abs(final.mean()) < 4 * sigma / np.sqrt(n)
+    assert abs(final.std() / sigma - 1) < 4 / np.sqrt(2 * n)
+
+
+def test_the_same_start_for_every_observer():
+    options = {"scenario": {"random_start": True}}
+    runs = pcbench.run("cart/nominal", observers=["open-loop", "pccebo"], seeds=16, options=options).runs
+    peak = runs[runs.signal == "velocity"].pivot(index="seed", columns="observer", values="peak")
+    np.testing.assert_array_equal(peak["open-loop"], peak["pccebo"])
+    assert peak["pccebo"].nunique() == 16
+
+
+def test_a_changed_plant_is_not_told_to_the_observers():
+    got = pcbench.trace("cart/nominal", "open-loop", overrides=["axes.plant.lam=110.0"])
+    x, _ = cart.run("cart/nominal", "open-loop")
+    np.testing.assert_allclose(got["open-loop.velocity"], cart.run("cart/nominal", "open-loop")[1][:, 1], atol=1e-10)
+    assert np.abs(got["velocity"] - x[:, 1]).max() > 1
