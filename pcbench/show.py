@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
@@ -21,6 +22,7 @@ VERDICTS = {
     "does not reproduce": "yellow",
     "does not hold": "red",
 }
+ROUNDING = 1e-11
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
 
 
@@ -77,42 +79,44 @@ def _varying(part: pd.DataFrame) -> list[str]:
 def _scenario(
     scenario: str, part: pd.DataFrame, pairs: pd.DataFrame, axes: list[str], metric: str, console: Console
 ) -> None:
-    unit, n = part.unit.iloc[0], int(part.n.max())
-    table = Table(
-        title=escape(f"{scenario}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals"),
-        title_justify="left",
-        caption_justify="left",
-    )
+    unit, n, title = part.unit.iloc[0], int(part.n.max()), "MAE" if metric == "mae" else metric
+    heads = [title, f"{title} - best", "RMSE", "tail RMSE"]
+    bounded, lost = (part.metric == "efficiency").any(), part.diverged.any()
+    heads += [*(["efficiency"] if bounded else []), "settled [s]", *(["diverged"] if lost else [])]
+    table = _table(f"{scenario}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals")
     for axis in axes:
         table.add_column(axis, justify="right")
-    table.add_column("observer")
-    title = "MAE" if metric == "mae" else metric
-    for name in (title, f"{title} - best", "RMSE", "tail RMSE", "efficiency", "settled [s]", "diverged"):
-        table.add_column(escape(name), justify="right")
-    for _, cell in part.groupby("cell", sort=True):
+    table.add_column("observer", no_wrap=True)
+    for head in heads:
+        table.add_column(escape(head), justify="right")
+    for number, cell in part.groupby("cell", sort=True):
         wide = cell.set_index(["observer", "metric"])
-        order = cell[cell.metric == metric].sort_values("mean", kind="stable", na_position="last").observer
-        for place, observer in enumerate(order):
-            row = wide.loc[observer]
-            first = [str(cell[a].iloc[0]) if place == 0 else "" for a in axes]
-            table.add_row(
-                *first,
-                f"[bold]{observer}[/bold]" if place == 0 else observer,
-                _interval(row.loc[metric]),
-                "" if place == 0 else _difference(pairs[pairs.cell == cell.cell.iloc[0]], observer, order.iloc[0]),
-                _interval(row.loc["pooled_rmse"]),
-                _interval(row.loc["tail_pooled_rmse"]),
-                _interval(row.loc["efficiency"]) if "efficiency" in row.index else "",
-                _settled(row.loc["settling_time"], SCENARIOS[scenario].horizon),
-                str(int(row.loc["mae"]["diverged"])),
-            )
+        order = list(cell[cell.metric == metric].sort_values("mean", kind="stable", na_position="last").observer)
+        for observer in order:
+            row, best = wide.loc[observer], observer == order[0]
+            shown = [_interval(row.loc[metric])]
+            shown += ["" if best else _difference(pairs[pairs.cell == number], observer, order[0])]
+            shown += [_interval(row.loc["pooled_rmse"]), _interval(row.loc["tail_pooled_rmse"])]
+            if bounded:
+                shown += [_interval(row.loc["efficiency"]) if "efficiency" in row.index else ""]
+            shown += [_settled(row.loc["settling_time"], SCENARIOS[scenario].horizon)]
+            if lost:
+                shown += [str(int(row.loc["mae"]["diverged"]))]
+            place = [str(cell[a].iloc[0]) if best else "" for a in axes]
+            table.add_row(*place, f"[bold]{observer}[/bold]" if best else observer, *shown)
         table.add_section()
     console.print(table)
 
 
+def _table(title: str) -> Table:
+    return Table(title=escape(title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+
+
 def _interval(row: Any) -> str:
-    """An estimate with half its interval; without one where the runs are all alike."""
+    """An estimate with half its interval; without one where the runs are all alike; rounding of zero as 0."""
     half = (row["ci_high"] - row["ci_low"]) / 2
+    if abs(row["mean"]) < ROUNDING:
+        return "0"
     return f"{row['mean']:.4g}" if not half > 1e-9 * abs(row["mean"]) else f"{row['mean']:.4g} ± {half:.2g}"
 
 
@@ -135,7 +139,7 @@ def _difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
 def _count_wins(scenario: str, part: pd.DataFrame, metric: str, console: Console) -> None:
     wide = part.pivot(index="cell", columns="observer", values="mean")
     title = f"{scenario}: least {metric} of {part.signal.iloc[0]} over {len(wide)} cells"
-    table = Table(title=title, title_justify="left")
+    table = _table(title)
     table.add_column("observer")
     table.add_column("cells won", justify="right")
     table.add_column(f"median {metric}", justify="right")
@@ -146,7 +150,7 @@ def _count_wins(scenario: str, part: pd.DataFrame, metric: str, console: Console
 
 def listing(title: str, rows: dict[str, tuple[str, ...]], heads: tuple[str, ...], console: Console) -> None:
     """Print named things with what is said of them."""
-    table = Table(title=title, title_justify="left")
+    table = _table(title)
     for head in heads:
         table.add_column(head, overflow="fold")
     for name, cells in rows.items():
@@ -167,7 +171,7 @@ def gains(design: Any, console: Console) -> None:
 
 def claims(title: str, rows: list[Any], console: Console) -> None:
     """Print printed against reproduced, line by line."""
-    table = Table(title=title, title_justify="left", show_lines=False)
+    table = _table(title)
     for head in ("claim", "printed", "reproduced", "verdict"):
         table.add_column(head, overflow="fold")
     for row in rows:

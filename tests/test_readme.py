@@ -69,7 +69,7 @@ def test_the_table_shown_is_the_one_that_comes_out():
     result = pcbench.run("quick", observers=list(OBSERVERS))
     stats = result.stats.query("scenario == 'cart/white' and signal == 'position'").set_index(["observer", "metric"])
     (shown,) = [b for b in blocks("text") if b.startswith("cart/white")]
-    for line in shown.splitlines()[2:]:
+    for line in shown.splitlines()[3:]:
         observer = line.split()[0]
         for metric in ("mae", "pooled_rmse", "tail_pooled_rmse", "efficiency"):
             assert f" {show._interval(stats.loc[(observer, metric)])} " in line, (observer, metric)
