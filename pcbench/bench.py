@@ -14,7 +14,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
 
-from pcbench import machine, rollout, statistics, store, sweep, tables
+from pcbench import machine, recording, statistics, store, sweep, tables
 from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
@@ -191,7 +191,7 @@ def trace(
     with machine.float64():
         study, _ = _one_cell(scenario, names, overrides or [])
         (p,) = sweep.plan(study)
-        record = jax.jit(rollout.trace, static_argnums=0)
+        record = jax.jit(recording.record, static_argnums=0)
         out = record(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
     states = [name for name, _ in PLANTS[p.cell.scenario.plant].signals]

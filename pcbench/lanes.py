@@ -73,6 +73,14 @@ def join(x: Lanes) -> jax.Array:
     return jnp.stack(parts).reshape(*x.parts.shape, *jnp.shape(parts[0]))
 
 
+def whole(x: Any, width: int) -> jax.Array:
+    """The array [..., L] of what may or may not be Lanes; of entries [W, L], as a scan leaves them, [W, *shape, L]."""
+    if not is_lanes(x):
+        return jnp.broadcast_to(x[..., None], (*x.shape, width))
+    parts = list(x.parts.flat)
+    return jnp.stack(parts, -2) if x.parts.ndim else parts[0]
+
+
 def spread(x: jax.Array, width: int) -> Lanes:
     """Lanes that all hold the same array."""
     x = jnp.asarray(x)

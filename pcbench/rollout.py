@@ -218,42 +218,5 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
         return state._replace(streams=empty), (state.streams, last)
 
     state, (streams, last) = lax.scan(window, state, p.windows)
-    whole = jax.tree.map(lambda a: _whole(a, layout.width), (streams, state.watches, last), is_leaf=lanes.is_lanes)
+    whole = jax.tree.map(lambda a: lanes.whole(a, layout.width), (streams, state.watches, last), is_leaf=lanes.is_lanes)
     return Outcome(whole[0], whole[1], jax.tree.map(lambda e: e[-1], whole[2]))
-
-
-def _whole(x: Any, width: int) -> Array:
-    """An array [..., L] of a Lanes whose entries may have windows in front: [W, n, L] from n entries [W, L]."""
-    if lanes.is_lanes(x):
-        parts = list(x.parts.flat)
-        return jnp.stack(parts, -2) if x.parts.ndim else parts[0]
-    return jnp.broadcast_to(x[..., None], (*x.shape, width))
-
-
-class Trace(NamedTuple):
-    """Every tick 0 .. N of one run."""
-
-    x: Array  # [N+1, n]
-    estimates: dict[str, Array]  # [N+1, n], after the jump of each tick
-    samples: Array  # [N+1, q] what was measured at this tick, NaN where nothing was
-
-
-def trace(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Trace:
-    """Record one run tick by tick, tick N included."""
-    layout = layout._replace(width=1)
-    seeds = seed[None]
-    q = p.noise_std.shape[0]
-    keys = draws.run_keys(root_seed, seeds, "measurement", q)
-    state = begin(layout, p, root_seed, seeds)
-
-    def tick(state: State, k: Array) -> tuple[State, Trace]:
-        state = lax.cond(p.schedule.event[k], lambda s: happen(layout, p, keys, k, s), lambda s: s, state)
-        place = p.schedule.sense[k] % layout.ring
-        value = jnp.stack([_whole(v, 1)[place] if v.ndim == 1 else v[place, 0] for v in state.flight[0].parts])
-        y = jnp.where(p.schedule.sampled[k], value, jnp.nan)
-        shown = {label: _whole(xhat, 1)[:, 0] for label, xhat in estimates(layout, p, state).items()}
-        row = Trace(_whole(state.x, 1)[:, 0], shown, y)
-        return lanes.like(advance(layout, p, k, state), state, 1), row
-
-    _, out = lax.scan(tick, state, jnp.arange(p.schedule.event.shape[0]))
-    return out

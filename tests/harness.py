@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from pcbench import draws, rollout, sampling
+from pcbench import draws, recording, rollout, sampling
 from pcbench.observers import OBSERVERS
 from pcbench.synthesis import linear
 from pcbench.synthesis.certificate import Setting
@@ -103,10 +103,10 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[rollout.L
 
 @cache
 def recorder() -> Any:
-    return jax.jit(rollout.trace, static_argnums=0)
+    return jax.jit(recording.record, static_argnums=0)
 
 
-def trace(case: Case, observers: dict[str, dict[str, Any]]) -> rollout.Trace:
+def trace(case: Case, observers: dict[str, dict[str, Any]]) -> recording.Recording:
     """Run one seed; arrays [N+1, ...]."""
     layout, p = problem(case, observers)
     return jax.tree.map(np.asarray, recorder()(layout, p, np.asarray(0), np.asarray(case.seed)))

@@ -1,0 +1,41 @@
+"""One run, tick by tick, with everything in sight: the rollout's own steps, recorded at every tick 0 .. N.
+
+Slower than `rollout.simulate`, which keeps sums only; the same functions in the same order.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array, lax
+
+from pcbench import draws, lanes
+from pcbench.rollout import Layout, Problem, State, advance, begin, estimates, happen
+
+
+class Recording(NamedTuple):
+    """Every tick 0 .. N of one run."""
+
+    x: Array  # [N+1, n]
+    estimates: dict[str, Array]  # [N+1, n], after the jump of each tick
+    samples: Array  # [N+1, q] what was measured at this tick, NaN where nothing was
+
+
+def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recording:
+    """Record one run tick by tick, tick N included."""
+    layout = layout._replace(width=1)
+    seeds = seed[None]
+    q = p.noise_std.shape[0]
+    keys = draws.run_keys(root_seed, seeds, "measurement", q)
+    state = begin(layout, p, root_seed, seeds)
+
+    def tick(state: State, k: Array) -> tuple[State, Recording]:
+        state = lax.cond(p.schedule.event[k], lambda s: happen(layout, p, keys, k, s), lambda s: s, state)
+        place = p.schedule.sense[k] % layout.ring
+        value = jnp.stack([lanes.whole(v, 1)[place] if v.ndim == 1 else v[place, 0] for v in state.flight[0].parts])
+        y = jnp.where(p.schedule.sampled[k], value, jnp.nan)
+        shown = {label: lanes.whole(xhat, 1)[:, 0] for label, xhat in estimates(layout, p, state).items()}
+        row = Recording(lanes.whole(state.x, 1)[:, 0], shown, y)
+        return lanes.like(advance(layout, p, k, state), state, 1), row
+
+    _, out = lax.scan(tick, state, jnp.arange(p.schedule.event.shape[0]))
+    return out
