@@ -1,24 +1,25 @@
-"""Check the reference itself on plants other than the cart: `python -m tests.reference.check_linear`.
+"""The reference itself is right: perfect start, the closed error recursion, Gaussian conditioning, and random draws.
 
-Each function prints a largest difference which must be of the order of rounding.
+Plants here are random, with three states, two inputs and two outputs.
 """
 
 import numpy as np
-
-from . import linear, moments
-
-Array = np.ndarray
+import pytest
+from reference import linear, moments
 
 
-def plant(seed: int, n: int = 3, m: int = 2, q: int = 2) -> tuple[linear.Model, np.random.Generator]:
+def plant(seed, n=3, m=2, q=2):
     """Return a random plant, neither symmetric nor square, with a tick of 0.05 s."""
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, n)) - 0.5 * np.eye(n)
     return linear.Model(A, rng.standard_normal((n, m)), rng.standard_normal((q, n)), 0.05), rng
 
 
-def perfect_start(te: int, d: int) -> None:
-    """Show the largest error from the true initial state without noise (kfbo's is not 0: it holds Y)."""
+TIMES = [(7, 7), (7, 0), (4, 10), (9, 3), (1, 0)]
+
+
+@pytest.mark.parametrize(("te", "d"), TIMES)
+def test_perfect_start_is_zero_but_for_kfbo_on_held_data(te, d):
     model, rng = plant(1)
     u = rng.standard_normal((121, 2))
     x0 = rng.standard_normal(3)
@@ -32,12 +33,14 @@ def perfect_start(te: int, d: int) -> None:
         "kfbo": linear.kfbo(model, u, samples, x0, K, te, d),
     }
     scale = np.abs(x).max()
-    for name, xhat in xhats.items():
-        print(f"perfect start, te {te}, d {d}, {name}: {np.abs(x - xhat).max() / scale:.1e}")
+    worst = {name: np.abs(x - xhat).max() / scale for name, xhat in xhats.items()}
+    assert worst.pop("kfbo") > 1e-3, "it holds Y"
+    assert max(worst.values()) < 1e-13
 
 
-def error_recursion(te: int, d: int) -> None:
-    """Compare pccebo with e(t) = e^{A(t - t_m)} e_m, e_m = (I - L C) Phi e_{m-1} (17), (22)."""
+@pytest.mark.parametrize(("te", "d"), TIMES)
+def test_pccebo_error_follows_its_recursion(te, d):
+    """e(t) = e^{A(t - t_m)} e_m, e_m = (I - L C) Phi e_{m-1} (17), (22)."""
     model, rng = plant(2)
     u, x0, xhat0 = rng.standard_normal((121, 2)), rng.standard_normal(3), rng.standard_normal(3)
     x, samples = linear.simulate(model, u, x0, [te, te], [d, d])
@@ -53,11 +56,12 @@ def error_recursion(te: int, d: int) -> None:
         expected[k] = Phi[k - last] @ e_m
         if (k + 1 - d) % te == 0:
             e_m = (np.eye(3) - L @ model.C) @ Phi[te] @ e_m
-    print(f"pccebo's error, te {te}, d {d}: {np.abs(e - expected).max() / np.abs(e).max():.1e}")
+    np.testing.assert_allclose(e, expected, rtol=0, atol=1e-13 * np.abs(e).max())
 
 
-def batch_conditioning(te: list[int], d: list[int], intensity: float) -> None:
-    """Compare dkf and posterior_covariance with Gaussian conditioning on all the measurements at once."""
+@pytest.mark.parametrize("intensity", [0.0, 0.5])
+@pytest.mark.parametrize(("te", "d"), [([6, 6], [6, 6]), ([4, 4], [9, 9]), ([4, 8], [5, 5])])
+def test_dkf_is_gaussian_conditioning_on_all_measurements_at_once(te, d, intensity):
     model, rng = plant(3)
     model = model._replace(A=model.A - np.eye(3))  # unstable priors would cost the batch its digits
     N, n = 80, 3
@@ -73,7 +77,7 @@ def batch_conditioning(te: list[int], d: list[int], intensity: float) -> None:
         prior.append(Ad @ prior[-1] @ Ad.T + Qd)
     mean = linear.open_loop(model, u, xhat0)
 
-    def joint(a: int, b: int) -> Array:
+    def joint(a, b):
         """Return cov(x(t_a), x(t_b)) before any measurement."""
         return Phi[a - b] @ prior[b] if a >= b else prior[a] @ Phi[b - a].T
 
@@ -98,17 +102,18 @@ def batch_conditioning(te: list[int], d: list[int], intensity: float) -> None:
             best = mean[k] + cross @ np.linalg.solve(S, gap)
             cov = prior[k] - cross @ np.linalg.solve(S, cross.T)
         worst = np.maximum(worst, [np.abs(xhat[k] - best).max(), np.abs(P[k] - cov).max()])
-    print(f"dkf against batch conditioning, te {te}, d {d}, q {intensity}: {worst[0]:.1e}, {worst[1]:.1e}")
+    assert worst.max() < 1e-11
 
 
-def monte_carlo(seeds: int = 4000) -> None:
-    """Compare the moments of kfbo, lag-aware, with random draws; the last figure is in standard errors."""
+@pytest.mark.slow
+def test_moments_agree_with_random_draws():
+    """Those of kfbo, lag-aware, within four standard errors."""
     model, rng = plant(4)
     model = model._replace(A=model.A - 2 * np.eye(3))
     N, te, d = 60, 8, 11
     u, K = rng.standard_normal((N + 1, 2)), rng.standard_normal((3, 2)) * 0.3
 
-    def error_of(u: Array, x0: Array, xhat0: Array, noise: list[Array]) -> Array:
+    def error_of(u, x0, xhat0, noise):
         x, samples = linear.simulate(model, u, x0, [te, te], [d, d], noise)
         return x - linear.kfbo(model, u, samples, xhat0, K, te, d, lag_aware=True)
 
@@ -116,6 +121,7 @@ def monte_carlo(seeds: int = 4000) -> None:
     response = moments.error_map(error_of, u, np.ones(3), np.zeros(3), counts)
     var = np.diagonal(moments.covariance(response, 0.5, np.eye(3)), axis1=1, axis2=2)
     draws = []
+    seeds = 4000
     for _ in range(seeds):
         noise = [0.5 * rng.standard_normal(count) for count in counts]
         e = error_of(u, np.ones(3) + rng.standard_normal(3), np.zeros(3), noise)
@@ -123,15 +129,4 @@ def monte_carlo(seeds: int = 4000) -> None:
     got, se = np.mean(draws, axis=0), np.std(draws, axis=0) / np.sqrt(seeds)
     mae = np.mean(moments.expected_mae(response.base, var))
     mse = np.mean(moments.root_expected_mse(response.base, var) ** 2)
-    print(f"moments against {seeds} draws: E[MAE] {mae:.4f}, E[MSE] {mse:.4f}; off by", (got - [mae, mse]) / se)
-
-
-if __name__ == "__main__":
-    for period, late in ((7, 7), (7, 0), (4, 10), (9, 3), (1, 0)):
-        perfect_start(period, late)
-        error_recursion(period, late)
-    for q in (0.0, 0.5):
-        batch_conditioning([6, 6], [6, 6], q)
-        batch_conditioning([4, 4], [9, 9], q)
-        batch_conditioning([4, 8], [5, 5], q)
-    monte_carlo()
+    assert (np.abs(got - [mae, mse]) < 4 * se).all()
