@@ -6,20 +6,19 @@ One lane-tick is one run of cart/white advanced by one tick: plant, pccebo and k
 of both observers, in float64. Before anything is timed, the metrics of every row are compared with pcbench's for the same
 draws, with the fixed and with a random start; a difference above 1e-9 ends the program with exit code 1.
 
-Timing: rows take turns, so that the machine's drift meets all alike; best and median of the turns. A row on one core has
-every thread of the process held to that core, another one each turn, where the system can; a row on all has none held.
-A turn of pcbench is what a user gets: jobs stacked, sent, simulated and read. Noise is drawn inside the time.
+Timing: rows take turns (see `turns`); best and median of the turns. 'busy' is CPU time over wall time. A baseline on one
+core is held to it. pcbench on one device computes on one thread, but the runtime's other worker waits by spinning (busy 2),
+and held to the same core it would take half of it: so that row is not held. `taskset -c 0 python benchmarks/throughput.py`
+gives the whole process one core, and one device, where the rate per device is to be the same.
+A turn of pcbench is what a user gets: jobs stacked, sent, simulated and read. All draw their noise inside the time.
 Not claimed: that the baselines could not be faster; only that they are what a person would write.
 """
 
 import argparse
 import json
-import os
-from collections.abc import Callable
-from contextlib import suppress
-from pathlib import Path
-from time import perf_counter, sleep
-from typing import Any, NamedTuple
+import sys
+from time import perf_counter
+from typing import Any
 
 import jax
 import numba
@@ -27,6 +26,7 @@ import numpy as np
 from baselines import Array, Case, one_run, over_runs, prepare, runs_alone
 from rich.console import Console
 from rich.table import Table
+from turns import Row, Timed, take
 
 from pcbench import bench, draws, ensemble, machine, study, sweep
 from pcbench.rollout import Layout, Outcome, Problem
@@ -40,47 +40,13 @@ KINDS = {  # watch, random start
     "pcbench, full product": (True, False),
     "pcbench, full product, random start": (True, True),
 }
-CAPTION = """\
-Every row: plant, pccebo and kfbo one tick on; MAE, RMSE and peak of both states streamed; float64; same numbers to 1e-9.
-NumPy and numba simulate the plant in every lane. With the fixed start and no process noise the plant is the same in all
-lanes, and pcbench computes it once: like for like are its random-start rows, where the plant differs from lane to lane.
-(b) and (c) have what depends on the input alone prepared beforehand; the full product adds settling time and divergence.
-Ratios are of the best."""
-
-
-class Row(NamedTuple):
-    """One way to do it."""
-
-    what: str
-    cores: int
-    lanes: int  # side by side
-    runs: int  # in a turn
-    work: Callable[[], Any]  # one turn
-    compile_seconds: float | None
-
-
-def hold(cores: list[int]) -> None:
-    """Hold every thread of this process to these cores, where the system can; threads made later inherit it."""
-    threads = Path("/proc/self/task")
-    if hasattr(os, "sched_setaffinity"):
-        for thread in [int(p.name) for p in threads.iterdir()] if threads.exists() else [0]:
-            with suppress(ProcessLookupError):  # a thread that has just ended
-                os.sched_setaffinity(thread, cores)
-
-
-def take_turns(rows: list[Row], turns: int, ticks: int) -> list[Array]:
-    """Return each row's lane-ticks a second in every turn."""
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [0]
-    rates = np.zeros((len(rows), turns))
-    for turn in range(turns):
-        for i, row in enumerate(rows):
-            hold(cores if row.cores > 1 else [cores[turn % len(cores)]])
-            sleep(0.02)  # threads that still spin after the row before go to sleep
-            start = perf_counter()
-            row.work()
-            rates[i, turn] = row.runs * ticks / (perf_counter() - start)
-    hold(cores)
-    return list(rates)
+CAPTION = (
+    "Every row: plant, pccebo and kfbo one tick on; MAE, RMSE and peak of both states streamed; float64; same numbers to "
+    "1e-9. NumPy and numba simulate the plant in every lane. With the fixed start and no process noise the plant is the "
+    "same in all lanes, and pcbench computes it once: like for like are its random-start rows, where the plant differs "
+    "from lane to lane. (b) and (c) have what depends on the input alone prepared beforehand; the full product adds "
+    "settling time and divergence. Ratios are of the best; busy is CPU time over wall time."
+)
 
 
 def sums_of(outcome: Outcome) -> Array:
@@ -97,18 +63,20 @@ def agree(what: str, got: Array, expected: Array, ticks: int) -> None:
         raise SystemExit(f"throughput: {what}: got metrics {worst:.1e} off pcbench's, expected {TOLERANCE:g} at most.")
 
 
-def pcbench_rows(layout: Layout, problem: Problem, kinds: list[str], ticks: int) -> tuple[list[Row], dict[bool, Array]]:
-    """Return pcbench's rows, and its sums for seeds 0 .. L-1 by random start."""
+def pcbench_rows(
+    layout: Layout, problem: Problem, kinds: list[str], counts: list[int], ticks: int
+) -> tuple[list[Row], dict[bool, Array]]:
+    """Return pcbench's rows by kind and number of devices, and its sums for seeds 0 .. L-1 by random start."""
     rows, sums, width = [], {}, layout.width
     for kind in kinds:
         watch, random = KINDS[kind]
-        for devices in dict.fromkeys((1, len(jax.devices()))):
+        for devices in counts:
             jobs = [ensemble.Job(problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
             made = ensemble.program(layout._replace(watch=watch, random_start=random), jobs[0], devices)
             got = sums_of(next(ensemble.run(made, jobs[:1]))[1])
             agree(kind, got, sums.setdefault(random, got), ticks)
             work = lambda made=made, jobs=jobs: [None for _ in ensemble.run(made, jobs)]  # noqa: E731
-            rows.append(Row(kind, devices, width * devices, width * len(jobs), work, made.compile_seconds))
+            rows.append(Row(kind, devices, width * devices, width * len(jobs), work, made.compile_seconds, False))
     return rows, sums
 
 
@@ -152,45 +120,48 @@ def baseline_rows(case: Case, problem: Problem, width: int) -> list[Row]:
     ]
 
 
-def report(rows: list[Row], rates: list[Array], ticks: int) -> list[dict[str, Any]]:
+def report(rows: list[Row], timed: Timed, ticks: int) -> list[dict[str, Any]]:
     """Return the table's rows as data; rates in millions of lane-ticks a second."""
-    best = [float(r.max()) / 1e6 for r in rates]
+    rates = np.array([row.runs * ticks / 1e6 for row in rows])[:, None] / timed.wall
+    best, median, busy = rates.max(1), np.median(rates, 1), np.median(timed.cpu / timed.wall, 1)
     return [
         {
             "what": row.what,
             "cores": row.cores,
+            "busy": float(busy[i]),
             "lanes": row.lanes,
             "ticks": ticks,
-            "best": best[i],
-            "median": float(np.median(rates[i])) / 1e6,
-            "ratio_a": best[i] / best[0],
-            "ratio_b": best[i] / best[1],
+            "best": float(best[i]),
+            "median": float(median[i]),
+            "ratio_a": float(best[i] / best[0]),
+            "ratio_b": float(best[i] / best[1]),
             "compile_seconds": row.compile_seconds,
         }
         for i, row in enumerate(rows)
     ]
 
 
+COLUMNS = {  # key: head and format
+    "what": ("what", "{}"),
+    "cores": ("cores", "{}"),
+    "busy": ("busy", "{:.2f}"),
+    "lanes": ("lanes", "{:,}"),
+    "ticks": ("ticks", "{:,}"),
+    "best": ("best [M/s]", "{:,.3g}"),
+    "median": ("median [M/s]", "{:,.3g}"),
+    "ratio_a": ("to (a)", "{:,.0f}"),
+    "ratio_b": ("to (b)", "{:,.3g}"),
+    "compile_seconds": ("compile [s]", "{:.1f}"),
+}
+
+
 def show(found: list[dict[str, Any]], console: Console) -> None:
     """Print the one table."""
-    table = Table(title=f"{SCENARIO}: lane-ticks a second", caption=CAPTION, caption_justify="left")
-    table.add_column("what")
-    for head in (
-        "cores",
-        "lanes",
-        "ticks",
-        "best [M/s]",
-        "median [M/s]",
-        "ratio to (a)",
-        "ratio to (b)",
-        "compile [s]",
-    ):
-        table.add_column(head, justify="right")
+    table = Table(title=f"{SCENARIO}: millions of lane-ticks a second", caption=CAPTION, caption_justify="left")
+    for key, (head, _) in COLUMNS.items():
+        table.add_column(head, justify="left" if key == "what" else "right", no_wrap=True)
     for row in found:
-        made = row["compile_seconds"]
-        numbers = [f"{row[key]:,}" for key in ("cores", "lanes", "ticks")]
-        speeds = [f"{row['best']:.4g}", f"{row['median']:.4g}", f"{row['ratio_a']:,.0f}", f"{row['ratio_b']:.3g}"]
-        table.add_row(row["what"], *numbers, *speeds, "" if made is None else f"{made:.1f}")
+        table.add_row(*("" if row[key] is None else shape.format(row[key]) for key, (_, shape) in COLUMNS.items()))
     console.print(table)
 
 
@@ -207,15 +178,17 @@ def main() -> None:
     ticks = 2000 if options.quick else sweep.ticks(planned.cell)
     problem = planned.problem._replace(windows=np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]]))
     case = prepare(problem, ticks)
-    rows, sums = pcbench_rows(planned.layout, problem, list(KINDS)[: 1 if options.quick else None], ticks)
+    every = list(dict.fromkeys((1, len(jax.devices()))))
+    kinds, counts = (list(KINDS)[:1], [1]) if options.quick else (list(KINDS), every)
+    rows, sums = pcbench_rows(planned.layout, problem, kinds, counts, ticks)
     others = baseline_rows(case, problem, planned.layout.width)
     check_baselines(case, problem, sums)
     rows = others + rows
-    found = report(rows, take_turns(rows, 1 if options.quick else 5, ticks), ticks)
+    found = report(rows, take(rows, 1 if options.quick else 5), ticks)
     if options.json:
         print(json.dumps({"scenario": SCENARIO, "unit": "million lane-ticks a second", "rows": found}, indent=2))
     else:
-        show(found, Console(width=150))
+        show(found, Console() if sys.stdout.isatty() else Console(width=150))
 
 
 if __name__ == "__main__":
