@@ -1,9 +1,10 @@
 """The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
 
 from collections.abc import Callable
+from copy import deepcopy
 from datetime import UTC, datetime
 from functools import cached_property, partial
-from math import inf, isfinite
+from math import isfinite
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -19,8 +20,8 @@ from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import Study, cells, digest, load, options_of, parse, to_toml
-from pcbench.synthesis.certificate import Design
+from pcbench.study import Study, cells, digest, load, options_of, override, parse, to_toml
+from pcbench.synthesis.certificate import Certificate, Design
 
 Tell = Callable[[str, float], None]
 
@@ -45,8 +46,10 @@ class Result:
 def study_of(study: str | Path | dict[str, Any] | Study, changes: dict[str, Any], overrides: list[str]) -> Study:
     """Return a checked study from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
     if isinstance(study, str | Path):
-        study = load(str(study), overrides)
-    raw = study.model_dump(exclude_none=True) if isinstance(study, Study) else dict(study)
+        study, overrides = load(str(study), overrides), []
+    raw = deepcopy(study.model_dump(exclude_none=True) if isinstance(study, Study) else dict(study))
+    for change in overrides:
+        override(raw, change)
     raw |= {key: value for key, value in changes.items() if value is not None}
     return parse(raw, str(raw.get("name", "study")))
 
@@ -55,7 +58,7 @@ def run(
     study: str | Path | dict[str, Any] | Study,
     *,
     seeds: int | None = None,
-    observers: list[str] | None = None,
+    observers: str | list[str] | None = None,
     axes: dict[str, list[Any]] | None = None,
     options: dict[str, dict[str, Any]] | None = None,
     root_seed: int | None = None,
@@ -70,6 +73,7 @@ def run(
     arguments replace its keys. `overrides` are texts such as "axes.noise_std=0.1". Raises UserError, one sentence, for
     whatever the user can mend; then nothing is written.
     """
+    observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     with machine.float64():
         chosen = study_of(study, changes, overrides or [])
@@ -120,8 +124,8 @@ def _collect(
                 store.write_table(store.runs_path(folder, scenario.name, observer, done.planned.cell.number), table)
             stats += [head | {"observer": observer} | row for row in _described(done, results, signals)]
         units = dict(signals)
-        for row in statistics.pairs(done.results, [name for name, _ in signals]):
-            pairs.append(head | {"unit": units[row["signal"]]} | row)
+        for row in statistics.pairs(done.results, [name for name, _ in signals], scenario.prior_std):
+            pairs.append(head | {"unit": tables.unit_of(row["metric"], units[row["signal"]])} | row)
     axes = tables.axes_of(stats[0])
     return (
         tables.rows_table(stats, tables.stats_order(axes)),
@@ -132,15 +136,24 @@ def _collect(
 
 
 def _certificates(planned: list[sweep.Planned]) -> dict[str, dict[str, Any]]:
-    """The weakest certificate of each observer over the cells of each scenario."""
-    out: dict[str, dict[str, Any]] = {}
+    """The weakest certificate of each observer over the cells of each scenario; margin None: nothing to prove."""
+    weakest: dict[str, dict[str, Certificate]] = {}
     for p in planned:
-        mine = out.setdefault(p.cell.scenario.name, {})
+        mine = weakest.setdefault(p.cell.scenario.name, {})
         for observer, c in p.certificates.items():
-            if c.margin < mine.get(observer, {}).get("margin", inf) or observer not in mine:
-                margin = c.margin if isfinite(c.margin) else None  # nothing to prove
-                mine[observer] = {"inequality": c.inequality, "margin": margin, "solver": c.solver, "status": c.status}
-    return out
+            mine[observer] = min(mine.get(observer, c), c, key=lambda c: c.margin)
+    return {
+        scenario: {
+            observer: {
+                "inequality": c.inequality,
+                "margin": c.margin if isfinite(c.margin) else None,
+                "solver": c.solver,
+                "status": c.status,
+            }
+            for observer, c in mine.items()
+        }
+        for scenario, mine in weakest.items()
+    }
 
 
 def _described(done: sweep.Done, results: dict[str, Any], signals: tuple[tuple[str, str], ...]) -> list[dict[str, Any]]:
@@ -148,7 +161,8 @@ def _described(done: sweep.Done, results: dict[str, Any], signals: tuple[tuple[s
     for i, (signal, unit) in enumerate(signals):
         prior, bound = done.planned.cell.scenario.prior_std[i], done.planned.bound
         known = None if bound is None or bound[i] < statistics.SEEN * prior else float(bound[i])
-        rows += [{"signal": signal, "unit": unit} | row for row in statistics.describe(results, i, known)]
+        for row in statistics.describe(results, i, known):
+            rows.append({"signal": signal, "unit": tables.unit_of(row["metric"], unit)} | row)
     return rows
 
 
@@ -186,8 +200,8 @@ def trace(
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
-    if seed < 0:
-        raise UserError(f"--seed: got {seed}, expected 0 or more; write a seed index.")
+    if not 0 <= seed < 2**32:
+        raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
     with machine.float64():
         study, _ = _one_cell(scenario, names, overrides or [])
         (p,) = sweep.plan(study)

@@ -36,8 +36,13 @@ def observers() -> Listed:
 
 def scenarios() -> Listed:
     """Return every scenario with its plant, observers and source."""
-    rows: Rows = {n: (s.summary, s.plant, ", ".join(s.observers), s.source) for n, s in SCENARIOS.items()}
-    return ("scenario", "what", "plant", "observers", "source"), rows
+    rows: Rows = {}
+    for name, s in SCENARIOS.items():
+        units = [unit for _, unit in PLANTS[s.plant].signals]
+        band = ", ".join(f"{b:g} {unit}" for b, unit in zip(s.settle_band, units, strict=True))
+        times = f"{s.horizon:g} s, tail from {s.tail:g} s; settled within {band}; diverged beyond {s.bound:g}"
+        rows[name] = (s.summary, times, ", ".join(s.observers), s.source)
+    return ("scenario", "what", "horizon and bands", "observers", "source"), rows
 
 
 def studies() -> Listed:

@@ -1,6 +1,7 @@
 """The command line: parse, call, print. Whatever the user can mend is one sentence and exit code 2."""
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -28,8 +29,9 @@ Set = Annotated[
 def main() -> None:
     """Run the command line and exit: 0 done, 2 a mistake that the user can mend, 130 stopped."""
     code = 0
+    signal.signal(signal.SIGINT, _interrupt)
     try:
-        code = app(standalone_mode=False) or 0
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False) or 0
         if code == STOPPED:  # some releases of the command-line library turn Ctrl-C into an exit code themselves
             raise KeyboardInterrupt
     except UserError as error:
@@ -43,6 +45,20 @@ def main() -> None:
             raise
         code = _complain(error.format_message().rstrip(".") + "; see pcbench --help.")
     sys.exit(code)
+
+
+_INTERRUPTED: list[int] = []
+
+
+def _interrupt(number: int, frame: Any) -> None:
+    """Stop at Ctrl-C; where a library swallows the exception, `_stop_if_asked` raises it again."""
+    _INTERRUPTED.append(number)
+    raise KeyboardInterrupt
+
+
+def _stop_if_asked() -> None:
+    if _INTERRUPTED:
+        raise KeyboardInterrupt
 
 
 def _complain(sentence: str, code: int = 2) -> int:
@@ -112,7 +128,12 @@ def run(
     chosen = studies.load(study, changes)
     folder = out or Path("results") / chosen.name.replace("/", "-")
     names = None if observers is None else [name.strip() for name in observers.split(",")]
-    with show.progress(quiet or as_json) as tell:
+    with show.progress(quiet or as_json) as draw:
+
+        def tell(event: str, value: float) -> None:
+            _stop_if_asked()
+            draw(event, value)
+
         result = bench.run(chosen, seeds=seeds, observers=names, out=folder, tell=tell)
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
@@ -144,12 +165,12 @@ def trace(
     Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.parquet
     """
     _setup()
-    import pyarrow as pa
-
-    from pcbench import bench, store
+    from pcbench import bench, store, tables
+    from pcbench.plants import PLANTS
+    from pcbench.scenarios import SCENARIOS
 
     frame = bench.trace(scenario, [name.strip() for name in observer.split(",")], seed=seed, overrides=changes)
-    store.write_table(out, pa.Table.from_pandas(frame, preserve_index=False))
+    store.write_table(out, tables.trace_table(frame, PLANTS[SCENARIOS[scenario].plant].signals))
     print(f"{len(frame)} ticks, columns {', '.join(frame.columns)}: {out}")
 
 

@@ -179,7 +179,7 @@ def _elementwise(eqn: Any, args: list[Any]) -> Lanes:
     return Lanes(out)
 
 
-def _structural(eqn: Any, args: list[Any]) -> Lanes:
+def _structural(eqn: Any, args: list[Any]) -> Any:
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     entries = [e for a, s in zip(args, shapes, strict=True) for e in _parts(a, s).flat]
     offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
@@ -188,6 +188,8 @@ def _structural(eqn: Any, args: list[Any]) -> Lanes:
             jnp.asarray(o + np.arange(int(np.prod(s))).reshape(s)) for o, s in zip(offsets, shapes, strict=False)
         ]
         places = np.asarray(eqn.primitive.bind(*numbers, **eqn.params))
+    if not places.size:  # nothing is left that could differ
+        return jnp.zeros(places.shape, eqn.outvars[0].aval.dtype)
     width = next(jnp.shape(e) for e in entries if jnp.ndim(e))
     return Lanes.tree_unflatten(places.shape, [jnp.broadcast_to(entries[p], width) for p in places.flat])
 

@@ -79,7 +79,7 @@ def _varying(part: pd.DataFrame) -> list[str]:
 def _scenario(
     scenario: str, part: pd.DataFrame, pairs: pd.DataFrame, axes: list[str], metric: str, console: Console
 ) -> None:
-    unit, n, title = part.unit.iloc[0], int(part.n.max()), "MAE" if metric == "mae" else metric
+    unit, n, title = part.unit.iloc[0], int((part.n + part.diverged).max()), "MAE" if metric == "mae" else metric
     heads = [title, f"{title} - best", "RMSE", "tail RMSE"]
     bounded, lost = (part.metric == "efficiency").any(), part.diverged.any()
     heads += [*(["efficiency"] if bounded else []), "settled [s]", *(["diverged"] if lost else [])]
@@ -117,12 +117,14 @@ def _interval(row: Any) -> str:
     half = (row["ci_high"] - row["ci_low"]) / 2
     if abs(row["mean"]) < ROUNDING:
         return "0"
+    if not np.isfinite(half):  # one run, or an interval open to one side
+        return "-" if np.isnan(row["mean"]) else f"{row['mean']:.4g} ± ?"
     return f"{row['mean']:.4g}" if not half > 1e-9 * abs(row["mean"]) else f"{row['mean']:.4g} ± {half:.2g}"
 
 
 def _settled(row: Any, horizon: float) -> str:
-    """The mean settling time; 'never' where every run was outside its band at the end."""
-    return "never" if row["mean"] >= horizon else f"{row['mean']:.3g}"
+    """The median settling time; 'never' where most runs were outside their band at the end."""
+    return "-" if np.isnan(row["p50"]) else "never" if row["p50"] >= horizon else f"{row['p50']:.3g}"
 
 
 def _difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
@@ -131,6 +133,8 @@ def _difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
     backward = pairs[(pairs.observer_a == best) & (pairs.observer_b == observer)]
     row, sign = (forward.iloc[0], 1) if len(forward) else (backward.iloc[0], -1)
     half = (row.ci_high - row.ci_low) / 2
+    if np.isnan(row.mean_diff):
+        return "-"
     alike = row.p_holm > 0.05 or row.prob_a_better == 0.5
     text = f"{sign * row.mean_diff:+.3g}" + (f" ± {half:.2g}" if half > 1e-9 * abs(row.mean_diff) else "")
     return "=" if alike else text

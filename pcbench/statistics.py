@@ -21,6 +21,7 @@ COMPARED = tuple(m for m in RUN_METRICS if m != "final")  # a signed error is ne
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
 QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie: rounding, not merit
+ZERO = 1e-11  # errors below this part of the prior are zero up to rounding
 SEEN = 1e-9  # a bound below this part of the prior is zero for every purpose: no efficiency against it
 
 Values = NDArray[np.float64]
@@ -82,17 +83,17 @@ def describe(results: dict[str, NDArray[Any]], signal: int, bound: float | None)
         yield {"metric": "efficiency"} | common | efficiency(results["tail_mse"][signal][good], bound) | blank
 
 
-def compare(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bool_]) -> Row:
+def compare(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bool_], floor: float = 0.0) -> Row:
     """Compare a metric (smaller is better) of two observers on the same draws [seeds].
 
     The difference a - b is over runs in which neither diverged. `prob_a_better` is over all runs: a diverged run loses
-    against one that did not, and a tie counts half.
+    against one that did not, and a tie counts half. Values that differ by no more than `floor` are a tie: rounding of zero.
     """
     both = ~bad_a & ~bad_b
     d = mean(a[both] - b[both])
-    tie = np.abs(a - b) <= SAME * np.maximum(np.abs(a), np.abs(b))
+    tie = np.abs(a - b) <= SAME * np.maximum(np.abs(a), np.abs(b)) + floor
     wins = np.where(both, np.where(tie, 0.5, a < b), 0.5 + 0.5 * (bad_b & ~bad_a) - 0.5 * (bad_a & ~bad_b))
-    varies = d["n"] > 1 and d["se"] > 0
+    varies = d["n"] > 1 and d["se"] > 0 and not tie[both].all()
     p = 2 * float(stdtr(d["n"] - 1, -abs(d["mean"] / d["se"]))) if varies else np.nan
     return {
         "n": d["n"],
@@ -100,7 +101,7 @@ def compare(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bo
         "se": d["se"],
         "ci_low": d["ci_low"],
         "ci_high": d["ci_high"],
-        "prob_a_better": float(wins.mean()) if len(wins) else np.nan,
+        "prob_a_better": float(wins.mean()) if both.any() or (bad_a != bad_b).any() else np.nan,
         "p_value": p,
     }
 
@@ -115,13 +116,14 @@ def holm(p_values: Values) -> Values:
     return out
 
 
-def pairs(results: dict[str, dict[str, NDArray[Any]]], signals: list[str]) -> Iterable[Row]:
-    """Yield a row for every pair of observers, signal and metric of one cell."""
+def pairs(results: dict[str, dict[str, NDArray[Any]]], signals: list[str], sizes: tuple[float, ...]) -> Iterable[Row]:
+    """Yield a row for every pair of observers, signal and metric of one cell; `sizes` are the signals' typical sizes."""
     for a, b in itertools.combinations(results, 2):
         ra, rb = results[a], results[b]
         for i, signal in enumerate(signals):
             for metric in COMPARED:
-                row = compare(ra[metric][i], rb[metric][i], ra["diverged"], rb["diverged"])
+                floor = ZERO * sizes[i] ** (2 if metric in POOLED.values() else 1)
+                row = compare(ra[metric][i], rb[metric][i], ra["diverged"], rb["diverged"], floor)
                 yield {"observer_a": a, "observer_b": b, "signal": signal, "metric": metric} | row
 
 

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 from pcbench.errors import UserError
 
 PARTIAL = ".partial"
+CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
 
 
 def claim(out: Path, study: str) -> None:
@@ -25,12 +26,12 @@ def claim(out: Path, study: str) -> None:
     mine = out / "study.toml"
     try:
         if mine.is_file():
-            if mine.read_text(encoding="utf-8") != study:
+            if mine.read_text(encoding="utf-8") != study and any(out.rglob("*.parquet")):
                 raise UserError(f"{out}: holds the results of another study; give a new folder with --out.")
         elif out.exists() and (not out.is_dir() or any(p for p in out.iterdir() if not p.name.endswith(PARTIAL))):
             raise UserError(f"{out}: holds other files, expected a new or empty folder; give another one with --out.")
-        for left in out.rglob(f"*{PARTIAL}"):
-            left.unlink()
+        for left in [*out.rglob(f"*{PARTIAL}"), *(out / name for name in CLOSING)]:
+            left.unlink(missing_ok=True)
     except OSError as error:
         raise _cannot(out, error) from None
     write(mine, lambda path: path.write_text(study, encoding="utf-8"))

@@ -20,6 +20,8 @@ from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.signals import SIGNALS
 
+SMALLEST = 1e-12
+LARGEST = 1e12  # no number of a scenario is larger, in SI units
 AXES = ("sampling_period", "delay", "noise_std", "drift")
 Values = list[Any]
 
@@ -40,7 +42,7 @@ class Study(BaseModel):
     name: str = Field(min_length=1, pattern=r"^[\w./+-]+$")
     scenarios: list[str] = Field(min_length=1)
     observers: list[str] | None = None
-    seeds: int = Field(256, gt=0, strict=True)
+    seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
     root_seed: int = Field(0, ge=0, lt=2**32, strict=True)
     axes: dict[str, Values] = {}
     options: dict[str, dict[str, Any]] = {}
@@ -73,8 +75,8 @@ def load(what: str, overrides: list[str] | None = None) -> Study:
         raw = _read(Path(what))
     else:
         raise unknown("study", "study, scenario or TOML file", what, [*STUDIES, *SCENARIOS])
-    for override in overrides or []:
-        _override(raw, override)
+    for text in overrides or []:
+        override(raw, text)
     return parse(raw, where)
 
 
@@ -148,8 +150,15 @@ def resolved(study: Study) -> dict[str, Any]:
         options[scenario] = {
             o: options_of(study, base, o).model_dump(exclude_none=True) for o in observers_of(study, scenario)
         }
+    scenarios = {s: json.loads(json.dumps(SCENARIOS[s]._asdict(), default=dict)) for s in study.scenarios}
     out = study.model_dump(exclude_none=True)
-    return out | {"resolved": {"options": options, "observers": {s: observers_of(study, s) for s in study.scenarios}}}
+    return out | {
+        "resolved": {
+            "options": options,
+            "scenarios": scenarios,
+            "observers": {s: observers_of(study, s) for s in study.scenarios},
+        }
+    }
 
 
 def to_toml(study: Study) -> str:
@@ -170,14 +179,15 @@ def _read(path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path}: is not valid TOML: {error}; mend that line.") from None
     raw.pop("resolved", None)
-    return raw
+    return {"name": path.stem} | raw
 
 
-def _override(raw: dict[str, Any], override: str) -> None:
-    key, equals, text = override.partition("=")
+def override(raw: dict[str, Any], change: str) -> None:
+    """Put one `KEY=VALUE` into a raw study; VALUE is TOML, or a plain word."""
+    key, equals, text = change.partition("=")
     path = [part.strip() for part in key.split(".", 1 if key.strip().startswith("axes.") else -1)]
     if not equals or not all(path):
-        raise UserError(f"--set {override}: expected KEY=VALUE, such as axes.noise_std=0.1 or options.kfbo.R=0.3.")
+        raise UserError(f"--set {change}: expected KEY=VALUE, such as axes.noise_std=0.1 or options.kfbo.R=0.3.")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -187,7 +197,7 @@ def _override(raw: dict[str, Any], override: str) -> None:
     for part in path[:-1]:
         raw = raw.setdefault(part, {})
         if not isinstance(raw, dict):
-            raise UserError(f"--set {override}: {part} holds a value, not a table; expected KEY=VALUE below a table.")
+            raise UserError(f"--set {change}: {part} holds a value, not a table; expected KEY=VALUE below a table.")
     raw[path[-1]] = value
 
 
@@ -195,6 +205,9 @@ def _options(name: str, given: dict[str, Any], where: str) -> BaseModel:
     if name != "scenario" and name not in OBSERVERS:
         raise unknown(where, "observer with options (or 'scenario')", name, [*OBSERVERS, "scenario"])
     model = Choices if name == "scenario" else OBSERVERS[name].options
+    for key in _dashes(given):
+        if key not in model.model_fields:
+            raise unknown(where, "key here", key, [field.replace("_", "-") for field in model.model_fields])
     try:
         options = model.model_validate(_dashes(given))
     except ValidationError as error:
@@ -239,6 +252,10 @@ def _point(name: str, value: Any, base: Scenario, where: str) -> Any:
 def _number(value: Any, where: str, least: float | None) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise UserError(f"{where}: got {value!r}, expected a finite number; write a number in SI units.")
+    if abs(value) > LARGEST:
+        raise UserError(f"{where}: got {value!r}, expected a number of at most {LARGEST:g} in size; write SI units.")
+    if 0 < abs(value) < SMALLEST:
+        raise UserError(f"{where}: got {value!r}, expected 0 or a number of at least {SMALLEST:g} in size; write 0.")
     if least is not None and value < least:
         raise UserError(
             f"{where}: got {value!r}, expected a number of at least {least:g}; change its sign or leave it out."
@@ -249,10 +266,11 @@ def _number(value: Any, where: str, least: float | None) -> float:
 def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
     ticks = value / base.dt
     if abs(ticks - round(ticks)) > 1e-6:
-        below, above = math.floor(ticks) * base.dt, math.ceil(ticks) * base.dt
+        below, above = max(math.floor(ticks), int(name == "sampling_period")) * base.dt, math.ceil(ticks) * base.dt
+        near = f"{above:.12g}" if below == above else f"{below:.12g} or {above:.12g}"
         raise UserError(
             f"{where}: got {value:.12g} s, expected a whole number of ticks of {base.dt:g} s in {base.name}; "
-            f"write {below:.12g} or {above:.12g}."
+            f"write {near}."
         )
     if name == "sampling_period" and round(ticks) < 1:
         raise UserError(f"{where}: got {value:g} s, expected at least one tick, {base.dt:g} s in {base.name}.")

@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from pcbench import ensemble, metrics, sampling
+from pcbench import conformance, ensemble, metrics, sampling
+from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.rollout import Layout, Problem
 from pcbench.signals import SIGNALS
 from pcbench.study import Cell, Study, cells, observers_of, options_of
 from pcbench.synthesis import linear, riccati
-from pcbench.synthesis.certificate import Certificate, Setting
+from pcbench.synthesis.certificate import Certificate, Design, Setting
 
 
 class Planned(NamedTuple):
@@ -80,6 +81,12 @@ def plan(study: Study) -> list[Planned]:
 
 def fit(drafts: list[Planned]) -> list[Planned]:
     """Give drafts one shape: arrival slots and room on the network for the largest of them."""
+    seen: set[Any] = set()
+    for p in drafts:
+        for label, observer in p.layout.observers:
+            if (key := (label, p.layout.plant)) not in seen:
+                seen.add(key)
+                conformance.check(label, observer, p.problem)
     slots = max(p.problem.schedule.arrive.shape[1] for p in drafts)
     room = max(sampling.in_flight(p.problem.schedule) for p in drafts)
     ring = 1 << (room - 1).bit_length()  # few sizes, few programs
@@ -94,7 +101,7 @@ def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
     """Lay out one cell for the observers that `options` names; its layout does not yet fit others."""
     s, known = cell.scenario, setting(cell)
     plant, n = PLANTS[s.plant], ticks(cell)
-    designs = {o: OBSERVERS[o].design(known, given) for o, given in options.items()}
+    designs = {o: _design(o, known, given) for o, given in options.items()}
     numbers = plant.numbers._replace(**cell.parameters, drift=s.drift, drift_sign=float(cell.choices.drift_sign))
     problem = Problem(
         params=plant.prepare(numbers, s.dt, n),
@@ -115,9 +122,18 @@ def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
     return Planned(cell, layout, problem, {o: d.certificate for o, d in designs.items()}, _bound(cell, known))
 
 
+def _design(observer: str, known: Setting, options: BaseModel) -> Design:
+    found = OBSERVERS[observer].design(known, options)
+    if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
+        raise UserError(
+            f"observer {observer}: design returned {type(found).__name__}, expected Design(gains, Certificate)."
+        )
+    return found
+
+
 def _bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, measurement noise and no other noise."""
-    exact = not cell.scenario.drift and not cell.parameters and all(known.noise_std)
+    exact = not cell.scenario.drift and not cell.parameters and all(known.noise_std)  # no bound without noise
     if not exact or len(set(known.period)) > 1 or len(set(known.delay)) > 1:
         return None
     doubled = linear.doublings(known.model.A, known.dt, linear.bits_for(known.ticks))

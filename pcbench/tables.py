@@ -27,7 +27,7 @@ MEANING = {
     "drift": "scale of the scenario's parameter drift: 0 nominal, 1 as printed",
     "seed": "seed index: with the study's root seed it addresses every random number of the run",
     "signal": "state whose error e = x - xhat is measured",
-    "unit": "unit of the signal",
+    "unit": "unit of the signal; beside a metric, of that metric",
     "mae": "mean |e| over ticks 0 .. N-1",
     "rmse": "square root of the mean of e^2 over ticks 0 .. N-1",
     "mse": "mean of e^2 over ticks 0 .. N-1 [unit squared]",
@@ -55,6 +55,15 @@ MEANING = {
 } | {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
 TEXT = {"study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
 WHOLE = {"cell", "seed", "n"}
+
+
+def unit_of(metric: str, unit: str) -> str:
+    """Return the unit of a metric of a signal that is measured in `unit`."""
+    if metric == "settling_time":
+        return "s"
+    if metric == "efficiency":
+        return "1"
+    return f"({unit})^2" if metric.endswith("mse") and not metric.endswith("rmse") else unit
 
 
 def keys(study: str, cell: Any) -> dict[str, Any]:
@@ -89,6 +98,8 @@ def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:
     """Return a table with types, units and meanings fixed by column name; NaN is null."""
     arrays, fields = [], []
     for name, values in columns.items():
+        if any(isinstance(v, list) for v in values):  # channels that differ in one cell: a list in every one
+            values = [v if isinstance(v, list) else [v] for v in values]
         kind = _type(name, values, bools)
         arrays.append(pa.array(values, kind, from_pandas=True))
         unit = AXIS_UNITS.get(name, "s" if name in ("settling_time", "first_bad_time") else "")
@@ -105,6 +116,19 @@ def _type(name: str, values: Any, bools: tuple[str, ...]) -> pa.DataType:
     if name in WHOLE or name == "diverged":
         return pa.int64()
     return pa.list_(pa.float64()) if any(isinstance(v, list) for v in values[:1]) else pa.float64()
+
+
+def trace_table(frame: pd.DataFrame, signals: tuple[tuple[str, str], ...]) -> pa.Table:
+    """Return a trace as a table whose columns say their unit; ticks 0 .. N, estimates after the jump of each tick."""
+    units = {"t": "s"} | dict(signals)
+    fields = []
+    for name in frame.columns:
+        unit = units.get(name.rpartition(".")[2], "unit of the input" if name[0] == "u" else "unit of the output")
+        meaning = "time" if name == "t" else "estimate" if "." in name else "true state" if name in units else ""
+        meaning = meaning or ("input held over the tick" if name[0] == "u" else "newest arrived measurement, held")
+        fields.append(pa.field(name, pa.float64(), metadata={"unit": unit, "meaning": meaning}))
+    schema = pa.schema(fields, metadata={"pcbench.schema": SCHEMA})
+    return pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
 
 
 def axes_of(row: dict[str, Any]) -> list[str]:

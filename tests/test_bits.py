@@ -1,10 +1,12 @@
 """A run has the same bits alone, in a block, in another block, on one device or two, and with other observers present."""
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import pcbench
 from pcbench import ensemble, study, sweep
-from pcbench.draws import measurement_noise
+from pcbench.draws import measurement_noise, normals, run_keys
 
 EVERYONE = ["pccebo", "kfbo", "dkf", "open-loop"]
 SEVEN = np.array([7])
@@ -64,6 +66,20 @@ def test_other_seeds_and_root_seeds_draw_other_noise():
     np.testing.assert_array_equal(long[:, :5], a)
     np.testing.assert_array_equal(several[:1], a)
     assert len(np.unique(several)) == 15
+
+
+def test_a_run_uses_the_studys_root_seed():
+    raw = {"name": "roots", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 1}
+    zero, one = (pcbench.run(raw | {"root_seed": root}).runs.mae[0] for root in (0, 1))
+    assert zero != one
+    trace = pcbench.trace("cart/white", "pccebo", overrides=["root_seed=1"])
+    assert (trace["position"] - trace["pccebo.position"]).abs()[:-1].mean() == pytest.approx(one, rel=1e-12)
+
+
+def test_streams_are_not_each_other():
+    seeds = jnp.arange(4096)
+    a, b = (normals(run_keys(jnp.asarray(0), seeds, s, 1), jnp.zeros(1, int))[0] for s in ("initial", "measurement"))
+    assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(4096)
 
 
 def test_draws_are_standard_normal():

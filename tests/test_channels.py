@@ -22,12 +22,15 @@ def remember(gains, memory, now, arrival):
         "index": keep(1.0 * arrival.index, memory["index"]),
         "note": keep(jnp.full(SHAPE, arrival.note[0]), memory["note"]),
         "count": memory["count"] + arrival.fresh,
+        "since": keep(jnp.full(SHAPE, 1.0 * arrival.since), memory["since"]),
+        "u": keep(jnp.stack([now.u[0], now.past_u(1)[0]]), memory["u"]),
     }
 
 
 SPY = Observer(
     init=lambda gains, xhat0: (
-        {k: jnp.zeros(SHAPE) for k in ("value", "age", "index", "note", "count")} | {"tick": jnp.zeros(())}
+        {k: jnp.zeros(SHAPE) for k in ("value", "age", "index", "note", "count", "since", "u")}
+        | {"tick": jnp.zeros(())}
     ),
     note=lambda gains, memory, now: memory["tick"][None] + 0.5,  # something that differs at every tick
     jump=remember,
@@ -57,6 +60,7 @@ def test_each_channel_gets_its_own_samples(period, delay):
     step = jax.jit(lambda s, k: rollout.happen(layout, p, keys, k, s))
     flow = jax.jit(lambda s, k: rollout.advance(layout, p, k, s))
     x, counts = [], np.zeros(2)
+    arrivals = [int(a) for a in np.flatnonzero((plan.arrive >= 0).any(1))]
     for k in range(ticks + 1):
         x.append(np.asarray(state.x))
         state = step(state, jnp.asarray(k))
@@ -70,5 +74,9 @@ def test_each_channel_gets_its_own_samples(period, delay):
                 assert got["index"][j] == i
                 assert got["age"][j] == delay[j]
                 assert got["note"][j] == taken + 0.5
+                if k == taken + delay[j]:
+                    before = [a for a in arrivals if a < k]
+                    assert got["since"][j] == k - (before[-1] if before else 0)
+                    assert got["u"][j] == (p.inputs[k - 1, 0] if k else 0.0), "u_k is not yet decided at a jump"
         np.testing.assert_array_equal(got["count"], counts)
         state = flow(state, jnp.asarray(k))

@@ -16,7 +16,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"bench"},
     {"sweep"},
     {"study", "machine", "store", "tables", "statistics"},
-    {"ensemble", "recording"},
+    {"ensemble", "recording", "conformance"},
     {"rollout"},
     {"lanes", "metrics", "sampling", "draws", "signals"},
     {"plants", "observers"},

@@ -80,6 +80,7 @@ def test_scenarios_name_what_exists(name):
     states = len(PLANTS[s.plant].signals)
     assert set(s.observers) <= set(OBSERVERS)
     assert {len(s.x0), len(s.xhat0), len(s.prior_std), len(s.settle_band)} == {states}
+    assert 0 <= s.tail < s.horizon
     for seconds in (*s.sampling_period, *s.delay, s.horizon, s.tail):
         assert abs(seconds / s.dt - round(seconds / s.dt)) < 1e-9
 

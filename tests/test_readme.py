@@ -14,6 +14,7 @@ from pcbench import show, study
 from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
 
+MAE = "scenario == 'cart/white' and signal == 'position' and metric == 'mae'"
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()
 
@@ -36,6 +37,7 @@ def test_the_study_runs_as_written(tmp_path):
     path = tmp_path / "noise-map.toml"
     path.write_text(text)
     found = study.load(str(path))
+    assert len(pcbench.run(str(path), seeds=2).stats.cell.unique()) == 16
     assert len(study.cells(found, "cart/gaussian")) == 16
     assert tomllib.loads(text)["name"] == "noise-map"
 
@@ -73,6 +75,9 @@ def test_the_table_shown_is_the_one_that_comes_out():
         observer = line.split()[0]
         for metric in ("mae", "pooled_rmse", "tail_pooled_rmse", "efficiency"):
             assert f" {show._interval(stats.loc[(observer, metric)])} " in line, (observer, metric)
+        best = show._difference(result.pairs.query(MAE), observer, "dkf") if observer != "dkf" else ""
+        assert best in line
+        assert observer == "dkf" or best.startswith("+")
 
 
 def test_every_observer_and_command_is_named():

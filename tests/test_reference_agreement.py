@@ -36,6 +36,8 @@ def expected(case, observer, options, u, samples):
         K = design.certificate.numbers["K"]
         flags = {key: options.get(key, False) for key in ("lag_aware", "sampled_innovation")}
         return reference.kfbo(model, u, samples, xhat0, K, case.te, case.d, **flags)
+    if observer != "dkf":
+        raise NotImplementedError(f"{observer} has no reference in tests/reference")
     W = case.input_intensity * case.model.B @ case.model.B.T
     return reference.dkf(model, u, samples, xhat0, known.P0, design.gains.R, W)
 

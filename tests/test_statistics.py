@@ -104,6 +104,26 @@ def test_holm_leaves_missing_tests_out():
     np.testing.assert_allclose(got, [0.02, np.nan, 0.03])
 
 
+def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells():
+    names = [(s, g, m) for s in "ab" for g in "xy" for m in ("mae", "rmse")]
+    rows = [
+        {"scenario": s, "signal": g, "metric": m, "cell": cell, "p_value": 0.001 * (1 + i + 8 * cell)}
+        for cell in range(2)
+        for i, (s, g, m) in enumerate(names)
+    ]
+    for i, row in enumerate(statistics.adjusted(rows)):
+        small, large = 0.001 * (1 + i % 8), 0.001 * (9 + i % 8)
+        assert row["p_holm"] == pytest.approx(2 * small if row["cell"] == 0 else max(2 * small, large))
+
+
+def test_rounding_of_zero_is_no_difference():
+    """Errors of 1e-13 m and 1e-15 m on a signal of metres are both zero: a tie, and no test."""
+    tiny = RNG.normal(size=60) * 1e-15
+    got = statistics.compare(np.abs(tiny), np.abs(tiny) + 4e-13, GOOD, GOOD, floor=5e-11)
+    assert got["prob_a_better"] == 0.5
+    assert np.isnan(got["p_value"])
+
+
 @pytest.mark.slow
 def test_intervals_cover():
     """2000 experiments of 40 runs of a skewed metric: 95 % intervals cover 93 to 97 % of the time."""

@@ -1,6 +1,7 @@
 """Gains: the LMI's optimum, Riccati equations, and certificates that refuse what is wrong."""
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -83,7 +84,7 @@ def test_a_gain_that_is_not_finite_is_refused():
 
 
 def test_a_damaged_cache_cannot_enter_a_table(tmp_path, monkeypatch):
-    """A remembered gain is certified anew: a foreign one is refused, an unreadable one solved again."""
+    """What is remembered is judged anew: a foreign answer is not the optimum, an unreadable one is solved again."""
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
     design, options, case = OBSERVERS["pccebo"].design, OBSERVERS["pccebo"].options(), setting(Case(CART, 200, 200))
     good = design(case, options).gains.L
@@ -91,11 +92,23 @@ def test_a_damaged_cache_cannot_enter_a_table(tmp_path, monkeypatch):
     text = entry.read_text()
     entry.write_text("{ half")
     np.testing.assert_array_equal(design(case, options).gains.L, good)
-    foreign = json.loads(text) | {"L": [[7.0], [0.0]], "t": 2.0}
-    entry.write_text(json.dumps(foreign))
-    with pytest.raises(DesignError, match="not certified"):
-        design(case, options)
+    for foreign in ({"L": [[7.0], [0.0]], "t": 2.0}, {"L": [[0.5], [0.0]], "t": 2.0}, {"L": [[0.5]]}, {"t": None}):
+        entry.write_text(json.dumps(json.loads(text) | foreign))
+        np.testing.assert_array_equal(design(case, options).gains.L, good)
     assert cache.folder() == tmp_path
+
+
+def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
+    slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
+    C = np.array([[1.0, 0.0, 0.0]])
+    kept = [
+        cache.remembered(current_estimator.Solution, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C)).L
+        for Phi in (slow, 0.9 * slow, slow)
+    ]
+    assert not np.allclose(kept[0], kept[1])
+    np.testing.assert_array_equal(kept[0], kept[2])
+    assert len(list(tmp_path.rglob("*.json"))) == 2
 
 
 def test_riccati_solution_solves_the_equation_and_its_closed_form():

@@ -89,6 +89,28 @@ def test_efficiency_stands_only_where_there_is_a_bound(done):
     assert set(rows.signal) == {"position"}, "velocity's bound is zero for every purpose"
 
 
+def test_there_is_no_bound_where_the_model_is_wrong():
+    result = pcbench.run(
+        "cart/white", seeds=4, observers=["dkf"], axes={"plant.lam": [110.0, 122.0], "drift": [0.0, 1.0]}
+    )
+    assert set(result.stats.metric) >= {"mae"}
+    assert "efficiency" not in set(result.stats.metric), "the observers' model is not the plant's in these cells"
+
+
+def test_velocity_compares_nothing():
+    pairs = pcbench.run("cart/white", seeds=16).pairs
+    rows = pairs[(pairs.signal == "velocity") & (pairs.metric == "mae")]
+    assert (rows.prob_a_better == 0.5).all()
+    assert rows.p_value.isna().all()
+
+
+def test_every_metric_has_its_own_unit(done):
+    units = done.stats[done.stats.signal == "position"].groupby("metric").unit.first()
+    assert units[["mae", "settling_time", "mse", "tail_mse", "pooled_rmse", "efficiency"]].tolist() == [
+        "m", "s", "(m)^2", "(m)^2", "m", "1",
+    ]  # fmt: skip
+
+
 def test_the_study_on_disk_can_be_run_again(done):
     again = study.load(str(done.out / "study.toml"))
     assert study.digest(again) == study.digest(done.study)

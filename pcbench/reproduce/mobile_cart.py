@@ -77,7 +77,7 @@ def _ordering() -> list[Claim]:
             row = pairs.loc[[(scenario, metric)]].iloc[0]
             mean = stats.loc[[(scenario, metric)]].set_index("observer")["mean"]
             seeds = f"{row.prob_a_better:.0%} of {int(row.n)} seeds"
-            text = f"{mean['pccebo']:.4g} < {mean['kfbo']:.4g} m in {seeds}"
+            text = f"pccebo {mean['pccebo']:.4g}, kfbo {mean['kfbo']:.4g} m; smaller in {seeds}"
             claim = f"{section}: PCCEBO better in position {metric.upper()}, 10 s"
             out.append(statement(claim, "smaller", text, row.mean_diff < 0 and row.prob_a_better == 1.0))
     return out

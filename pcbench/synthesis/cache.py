@@ -25,7 +25,7 @@ def folder() -> Path:
 def remembered(kind: Any, name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], Any]) -> Any:
     """Return `kind` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and remember it."""
     bits = b"".join(np.ascontiguousarray(a, float).tobytes() + str(np.shape(a)).encode() for a in problem)
-    key = hashlib.sha256(bits + f"{name} {version('cvxpy')}".encode()).hexdigest()[:32]
+    key = hashlib.sha256(bits + f"{name} {version('cvxpy')} {version('clarabel')}".encode()).hexdigest()[:32]
     path = folder() / "gains" / f"{name}-{key}.json"
     try:
         stored = json.loads(path.read_text())

@@ -62,7 +62,16 @@ def sharpen(found: Solution, Phi: Matrix, C: Matrix) -> Solution:
     """Return the closed form where it attains the solver's optimum; the solver's answer, as it came, elsewhere."""
     L, I = closed_form(Phi, C), np.eye(len(Phi))
     t = 1 - float(np.linalg.norm((I - L @ C) @ Phi, 2))
-    return found._replace(P=I, L=L, t=t) if t > found.t - SAME else found
+    return found._replace(P=I, L=L, t=t) if t > attained(found, Phi, C) - SAME else found
+
+
+def attained(found: Solution, Phi: Matrix, C: Matrix) -> float:
+    """Return the t that an answer attains, whatever it says of itself; minus infinity where its shapes are wrong."""
+    P, L = np.asarray(found.P, float), np.asarray(found.L, float)
+    if P.shape != Phi.shape or L.shape != C.T.shape or least_eigenvalue(np.eye(len(P)) - P) < -SAME:
+        return -np.inf
+    M = P @ (np.eye(len(P)) - L @ C) @ Phi
+    return least_eigenvalue(np.block([[P, M.T], [M, P]]))
 
 
 def certify(found: Solution, Phi: Matrix, C: Matrix) -> Certificate:

@@ -1,0 +1,62 @@
+"""A user's observer that breaks the protocol is named, with the function and the shape, before anything runs."""
+
+import jax.numpy as jnp
+import pytest
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.observers import OBSERVERS, Entry, open_loop
+
+BROKEN = {
+    "estimate of one state": (
+        {"estimate": lambda gains, memory: memory[:1]},
+        r"estimate returned shape \(1,\), expected \(2,\)",
+    ),
+    "scalar note": ({"note": lambda gains, memory, now: now.t}, r"note returned shape \(\), expected a vector"),
+    "flow without return": ({"flow": lambda gains, memory, now: None}, "flow returned None, expected the memory"),
+    "growing memory": (
+        {"jump": lambda gains, memory, now, arrival: jnp.tile(memory, 2)},
+        r"jump returned float64\[4\], expected",
+    ),
+    "python if": (
+        {"jump": lambda gains, memory, now, arrival: memory if arrival.fresh[0] else -memory},
+        "jump cannot be traced .*jnp.where in place of if",
+    ),
+    "missing argument": ({"init": lambda gains: gains.Phi[0]}, "init cannot be traced"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_observer_is_named(name):
+    changes, expected = BROKEN[name]
+    OBSERVERS["mine"] = Entry(
+        open_loop.OBSERVER._replace(**changes), open_loop.Options, open_loop.design, True, "broken"
+    )
+    try:
+        with pytest.raises(UserError, match=f"observer mine: {expected}"):
+            pcbench.run("cart/nominal", observers=["mine", "dkf"], seeds=1)
+    finally:
+        del OBSERVERS["mine"]
+
+
+def test_a_design_that_returns_no_certificate_is_named():
+    OBSERVERS["mine"] = Entry(open_loop.OBSERVER, open_loop.Options, lambda s, o: (1, 2), True, "broken")
+    try:
+        with pytest.raises(UserError, match="observer mine: design returned tuple, expected Design"):
+            pcbench.run("cart/nominal", observers=["mine"], seeds=1)
+    finally:
+        del OBSERVERS["mine"]
+
+
+def test_an_empty_note_cut_from_what_differs_between_lanes_is_legal():
+    spare = open_loop.OBSERVER._replace(
+        note=lambda gains, memory, now: memory[:0],
+        jump=lambda gains, memory, now, arrival: memory + 0 * arrival.value[0],
+    )
+    OBSERVERS["mine"] = Entry(spare, open_loop.Options, open_loop.design, True, "empty note")
+    try:
+        runs = pcbench.run("cart/white", observers=["mine", "open-loop"], seeds=2).runs
+        mae = runs[runs.signal == "position"].pivot(index="seed", columns="observer", values="mae")
+        assert mae["mine"].tolist() == pytest.approx(mae["open-loop"].tolist(), rel=1e-12)
+    finally:
+        del OBSERVERS["mine"]
