@@ -152,13 +152,8 @@ def resolved(study: Study) -> dict[str, Any]:
         }
     scenarios = {s: json.loads(json.dumps(SCENARIOS[s]._asdict(), default=dict)) for s in study.scenarios}
     out = study.model_dump(exclude_none=True)
-    return out | {
-        "resolved": {
-            "options": options,
-            "scenarios": scenarios,
-            "observers": {s: observers_of(study, s) for s in study.scenarios},
-        }
-    }
+    ran_by = {s: observers_of(study, s) for s in study.scenarios}
+    return out | {"resolved": {"options": options, "scenarios": scenarios, "observers": ran_by}}
 
 
 def to_toml(study: Study) -> str:
