@@ -9,7 +9,7 @@ draws, with the fixed and with a random start; a difference above 1e-9 ends the 
 Timing: rows take turns (see `turns`); best and median of the turns. 'busy' is CPU time over wall time. A baseline on one
 core is held to it. pcbench on one device computes on one thread, but the runtime's other worker waits by spinning (busy 2),
 and held to the same core it would take half of it: so that row is not held. `taskset -c 0 python benchmarks/throughput.py`
-gives the whole process one core, and one device, where the rate per device is to be the same.
+gives the whole process one core and one device.
 A turn of pcbench is what a user gets: jobs stacked, sent, simulated and read. All draw their noise inside the time.
 Not claimed: that the baselines could not be faster; only that they are what a person would write.
 """

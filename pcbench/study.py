@@ -293,6 +293,8 @@ def _sentence(where: str, error: ValidationError, model: type[BaseModel]) -> Use
     if first["type"] == "extra_forbidden":
         names = [name if model is Study else name.replace("_", "-") for name in model.model_fields]
         return unknown(where, "key here", str(first["loc"][-1]), names)
-    got = "" if first["type"] == "missing" else f"got {first['input']!r}, "
+    if first["type"] == "missing":
+        return UserError(f"{where}: {place} is missing; write {place} = ...")
+    got = f"got {first['input']!r}, "
     message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     return UserError(f"{where}: {place + ': ' if place else ''}{got}expected {message[0].lower() + message[1:]}.")

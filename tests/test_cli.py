@@ -79,7 +79,7 @@ TOML = {
     "not toml": ("name = 'x", "not valid TOML"),
     "unknown key": ("name = 'x'\nscenarios = ['cart/nominal']\nseed = 3", "did you mean 'seeds'"),
     "wrong type": ("name = 'x'\nscenarios = 'cart/nominal'", "scenarios: got 'cart/nominal', expected a valid list"),
-    "missing": ("scenarios = ['cart/nominal']", "name: expected"),
+    "missing": ("name = 'x'", "scenarios is missing; write scenarios = ..."),
     "unknown scenario": ("name = 'x'\nscenarios = ['cart/nominale']", "did you mean 'cart/nominal'"),
     "scenario twice": ("name = 'x'\nscenarios = ['cart/slow', 'cart/slow']", "twice"),
     "value twice": ("name = 'x'\nscenarios = ['cart/slow']\n[axes]\ndelay = [0.1, 0.1]", "twice"),
