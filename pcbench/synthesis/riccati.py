@@ -28,13 +28,13 @@ def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
     """Solve (27) for P and K; the margin is how far A - K C lies left of the axis, NaN where P does not solve (27)."""
     A, _, C = model
     try:
-        P = solve_continuous_are(A.T, C.T, Q, R)
+        P: Matrix = np.asarray(solve_continuous_are(A.T, C.T, Q, R), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
             f"{where}: the Riccati equation (27) was not solved: SciPy said '{error}'; "
             "(A, C) must be detectable and Q, R positive."
         ) from error
-    K = np.linalg.solve(R, C @ P).T
+    K: Matrix = np.asarray(np.linalg.solve(R, C @ P).T, dtype=np.float64)
     residual = A @ P + P @ A.T - P @ C.T @ K.T + Q
     scale = np.abs(A @ P).max() + np.abs(Q).max()
     solved = least_eigenvalue(P) > 0 and np.abs(residual).max() < 1e-9 * scale
