@@ -8,7 +8,6 @@ Plant and observers are one-lane functions carried over the lanes by `pcbench.la
 The rollout owns the packets in flight (a ring by packet number) and the input history (one array for all lanes).
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -125,24 +124,30 @@ def hand_over(layout: Layout, p: Problem, k: Array, slot: int, packet: Any, stat
 
 
 def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State) -> State:
-    """Let everything that the schedule has for tick k happen: sense, then deliver, the oldest packet first."""
+    """Let everything that the schedule has for tick k happen: sense, then deliver, the oldest packet first.
 
-    def sense(state: State) -> State:
-        packet, slot = take(layout, p, keys, k, state), p.schedule.sense[k] % layout.ring
-        flight = jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, slot, 0), state.flight, packet)
-        return state._replace(flight=flight)
+    Only one packet, never the ring of them, goes through a `cond`, which would copy it: what is not there is written to
+    the ring's last place, which nothing reads.
+    """
+    packet = jax.tree.map(lambda ring: ring[layout.ring], state.flight)
+    taken, number = p.schedule.sense[k] >= 0, p.schedule.sense[k]
+    packet = lax.cond(taken, lambda: lanes.like(take(layout, p, keys, k, state), packet, layout.width), lambda: packet)
+    place = jnp.where(taken, number % layout.ring, layout.ring)
+    flight = jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), state.flight, packet)
+    state = state._replace(flight=flight)
 
-    def deliver(slot: int, state: State) -> State:
-        place = p.schedule.arrive[k, slot] % layout.ring
-        packet = jax.tree.map(lambda ring: lax.dynamic_index_in_dim(ring, place, 0, keepdims=False), state.flight)
-        return hand_over(layout, p, k, slot, packet, state)
+    def deliver(slot: int, state: State) -> Any:
+        number = p.schedule.arrive[k, slot]
+        packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
 
-    def maybe(condition: Array, f: Callable[[State], State], state: State) -> State:
-        return lax.cond(condition, lambda s: lanes.like(f(s), s, layout.width), lambda s: s, state)
+        def jump(memories: Any) -> Any:
+            jumped = hand_over(layout, p, k, slot, packet, state._replace(memories=memories)).memories
+            return lanes.like(jumped, memories, layout.width)
 
-    state = maybe(p.schedule.sense[k] >= 0, sense, state)
+        return lax.cond(number >= 0, jump, lambda memories: memories, state.memories)
+
     for slot in range(p.schedule.arrive.shape[1]):
-        state = maybe(p.schedule.arrive[k, slot] >= 0, partial(deliver, slot), state)
+        state = state._replace(memories=deliver(slot, state))
     return state
 
 
@@ -171,7 +176,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
         return advance(layout, p, k, hand_over(layout, p, k, 0, packet, state))._replace(flight=packet)
 
     state = lanes.settle(everything, jax.tree.map(jnp.asarray, state), layout.width)
-    return state._replace(flight=jax.tree.map(lambda v: jnp.zeros((layout.ring, *v.shape)), state.flight))
+    return state._replace(flight=jax.tree.map(lambda v: jnp.zeros((layout.ring + 1, *v.shape)), state.flight))
 
 
 def estimates(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
@@ -209,7 +214,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
     def window(state: State, edges: Array) -> tuple[State, Any]:
         def segment(carry: Any) -> Any:
             k, state, _ = carry
-            state = lax.cond(p.schedule.event[k], lambda s: happen(layout, p, keys, k, s), lambda s: s, state)
+            state = happen(layout, p, keys, k, state)  # a window's edge may be no event: then nothing happens
             stop = jnp.minimum(p.schedule.next_event[k], edges[1])
             return stop, flow(k, stop, state), lanes.like(errors(layout, p, state), final, layout.width)
 
