@@ -16,11 +16,11 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from pcbench import machine, recording, statistics, store, sweep, tables
-from pcbench.errors import UserError, unknown
-from pcbench.observers import OBSERVERS
-from pcbench.plants import PLANTS
-from pcbench.scenarios import SCENARIOS
-from pcbench.study import Study, cells, digest, load, options_of, override, parse, to_toml
+from pcbench.errors import UserError
+from pcbench.observers import entry_of
+from pcbench.plants import signals_of
+from pcbench.scenarios import Scenario
+from pcbench.study import Study, cells, digest, load, options_of, override, parse, scenarios_of, to_toml
 from pcbench.synthesis.certificate import Certificate, Design
 
 Tell = Callable[[str, float], None]
@@ -114,7 +114,7 @@ def _collect(
 
     for done in sweep.execute(study, planned, devices=devices, tell=listen):
         scenario = done.planned.cell.scenario
-        signals = PLANTS[scenario.plant].signals
+        signals = signals_of(scenario)
         head = tables.keys(study.name, done.planned.cell) | {"plant": scenario.plant}
         for observer, results in done.results.items():
             table = tables.runs_table(study.name, done, observer, signals)
@@ -179,17 +179,22 @@ def _runs(folder: Path | None, kept: list[tuple[str, str, pa.Table]]) -> pd.Data
     return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
 
 
-def _one_cell(scenario: str, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:
-    if scenario not in SCENARIOS:
-        raise unknown("scenario", "scenario", scenario, SCENARIOS)
-    for observer in observers:
-        if observer not in OBSERVERS:
-            raise unknown("observer", "observer", observer, OBSERVERS)
-    study = study_of(load(scenario, overrides), {"observers": observers}, [])
-    every = cells(study, scenario)
+def _one_cell(what: str, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:
+    study = study_of(load(what, overrides), {"observers": observers}, [])
+    every = [cell for name in study.scenarios for cell in cells(study, name)]
     if len(every) > 1:
-        raise UserError(f"{scenario}: got {len(every)} cells, expected one here; give each axis one value.")
+        raise UserError(
+            f"{what}: got {len(every)} cells, expected one here; name one scenario, each axis with one value."
+        )
     return study, every[0]
+
+
+def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
+    """Return the one scenario that a name or a TOML file stands for; raise UserError where there are more."""
+    study = load(what, overrides)
+    if len(study.scenarios) > 1:
+        raise UserError(f"{what}: got {len(study.scenarios)} scenarios, expected one here; name a scenario.")
+    return scenarios_of(study)[study.scenarios[0]]
 
 
 def trace(
@@ -197,6 +202,7 @@ def trace(
 ) -> pd.DataFrame:
     """Return one run tick by tick, ticks 0 .. N: t [s], each state, <observer>.<state>, u1.., y1.. (held arrivals).
 
+    `scenario` is a scenario's name, or a TOML file with one scenario and one cell.
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
@@ -204,11 +210,11 @@ def trace(
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
     with machine.float64():
         study, _ = _one_cell(scenario, names, overrides or [])
-        (p,) = sweep.plan(study)
+        (p,) = (sweep.alone(planned, study.root_seed, seed) for planned in sweep.plan(study))
         record = jax.jit(recording.record, static_argnums=0)
         out = record(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
-    states = [name for name, _ in PLANTS[p.cell.scenario.plant].signals]
+    states = [name for name, _ in signals_of(p.cell.scenario)]
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
     columns |= {state: out.x[:, i] for i, state in enumerate(states)}
     for name in names:
@@ -233,4 +239,4 @@ def design(scenario: str, observer: str, *, overrides: list[str] | None = None) 
     """Return an observer's gains in a scenario with the certificate that proves them."""
     with machine.float64():
         study, cell = _one_cell(scenario, [observer], overrides or [])
-        return OBSERVERS[observer].design(sweep.setting(cell), options_of(study, cell.scenario, observer))
+        return entry_of(observer).design(sweep.setting(cell), options_of(study, cell.scenario, observer))

@@ -1,13 +1,17 @@
 """What `pcbench list` says of everything there is."""
 
 from collections.abc import Callable
-from typing import Any
 
 from pcbench.observers import OBSERVERS
-from pcbench.plants import PLANTS
+from pcbench.plants import PLANTS, parameters_of, signals_of
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import STUDIES
 
+TAKES = {
+    "any schedule": "of any age, in any order, from clocks of their own",
+    "one clock": "of any age, in any order; all channels together",
+    "one constant delay": "of one constant age",
+}
 Rows = dict[str, tuple[str, ...]]
 Listed = tuple[tuple[str, ...], Rows]
 
@@ -17,8 +21,8 @@ def plants() -> Listed:
     rows: Rows = {
         name: (
             p.summary,
-            ", ".join(f"{s} [{u}]" for s, u in p.signals),
-            ", ".join(f"{k} {v:g}" for k, v in _numbers(p)),
+            ", ".join(f"{s} [{u}]" for s, u in p.signals) or "the study's",
+            ", ".join(f"{k} {getattr(p.numbers, k):g}" for k in parameters_of(name)),
         )
         for name, p in PLANTS.items()
     }
@@ -30,15 +34,15 @@ def observers() -> Listed:
     rows: Rows = {}
     for name, o in OBSERVERS.items():
         options = ", ".join(f"{f.replace('_', '-')} ({v.description})" for f, v in o.options.model_fields.items())
-        rows[name] = (o.summary, "yes" if o.knows_schedule else "no", options or "none")
-    return ("observer", "what", "knows the schedule", "options"), rows
+        rows[name] = (o.summary, "yes" if o.knows_schedule else "no", TAKES[o.takes], options or "none")
+    return ("observer", "what", "knows the schedule", "samples it takes", "options"), rows
 
 
 def scenarios() -> Listed:
     """Return every scenario with its plant, observers and source."""
     rows: Rows = {}
     for name, s in SCENARIOS.items():
-        units = [unit for _, unit in PLANTS[s.plant].signals]
+        units = [unit for _, unit in signals_of(s)]
         band = ", ".join(f"{b:g} {unit}" for b, unit in zip(s.settle_band, units, strict=True))
         times = f"{s.horizon:g} s, tail from {s.tail:g} s; settled within {band}; diverged beyond {s.bound:g}"
         rows[name] = (s.summary, times, ", ".join(s.observers), s.source)
@@ -47,11 +51,11 @@ def scenarios() -> Listed:
 
 def studies() -> Listed:
     """Return every built-in study."""
-    return ("study", "scenarios", "seeds"), {n: (", ".join(s.scenarios), str(s.seeds)) for n, s in STUDIES.items()}
-
-
-def _numbers(plant: Any) -> list[tuple[str, float]]:
-    return [(k, v) for k, v in plant.numbers._asdict().items() if not k.startswith("drift")]
+    rows: Rows = {}
+    for name, s in STUDIES.items():
+        axes = "; ".join(f"{axis} {', '.join(map(str, values))}" for axis, values in s.axes.items())
+        rows[name] = (", ".join(s.scenarios), axes or "none", str(s.seeds))
+    return ("study", "scenarios", "axes", "seeds"), rows
 
 
 CATALOGUE: dict[str, Callable[[], Listed]] = {

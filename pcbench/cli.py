@@ -154,7 +154,7 @@ def run(
 
 @app.command()
 def trace(
-    scenario: Annotated[str, typer.Argument(help="a scenario's name")],
+    scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
     observer: Annotated[str, typer.Option(help="an observer's name, or several with commas")],
     out: Annotated[Path, typer.Option(help="Parquet file to write")],
     seed: Annotated[int, typer.Option(help="seed index")] = 0,
@@ -166,17 +166,16 @@ def trace(
     """
     _setup()
     from pcbench import bench, store, tables
-    from pcbench.plants import PLANTS
-    from pcbench.scenarios import SCENARIOS
+    from pcbench.plants import signals_of
 
     frame = bench.trace(scenario, [name.strip() for name in observer.split(",")], seed=seed, overrides=changes)
-    store.write_table(out, tables.trace_table(frame, PLANTS[SCENARIOS[scenario].plant].signals))
+    store.write_table(out, tables.trace_table(frame, signals_of(bench.scenario_of(scenario, changes))))
     print(f"{len(frame)} ticks, columns {', '.join(frame.columns)}: {out}")
 
 
 @app.command()
 def design(
-    scenario: Annotated[str, typer.Argument(help="a scenario's name")],
+    scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
     observer: Annotated[str, typer.Argument(help="an observer's name")],
     changes: Set = None,
     as_json: AsJson = False,

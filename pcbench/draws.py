@@ -13,12 +13,12 @@ STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "
 
 def run_keys(root_seed: Array, seeds: Array, stream: str, channels: int) -> list[Array]:
     """Return one key per run for each channel of a stream: `channels` arrays of keys [L]."""
+    return [jax.vmap(lambda seed, c=channel: _key(root_seed, seed, stream, c))(seeds) for channel in range(channels)]
 
-    def key(seed: Array, channel: int) -> Array:
-        base = jax.random.fold_in(jax.random.key(root_seed), seed)
-        return jax.random.fold_in(jax.random.fold_in(base, STREAMS[stream]), channel)
 
-    return [jax.vmap(lambda s, c=channel: key(s, c))(seeds) for channel in range(channels)]
+def _key(root_seed: Array, seed: Array, stream: str, channel: Array | int) -> Array:
+    base = jax.random.fold_in(jax.random.key(root_seed), seed)
+    return jax.random.fold_in(jax.random.fold_in(base, STREAMS[stream]), channel)
 
 
 def normals(keys: list[Array], index: Array) -> Array:
@@ -34,3 +34,13 @@ def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1
         jax.vmap(lambda i, j=j: normals([keys[j]], jnp.array([i]))[0, 0])(jnp.arange(samples)) for j in range(channels)
     ]
     return jnp.stack(each)
+
+
+def uniforms(root_seed: Array, seeds: Array, stream: str, channel: Array, samples: int, numbers: int) -> Array:
+    """Draw `numbers` uniform numbers in [0, 1) for each of the first `samples` samples of a channel: [samples, numbers, L]."""
+    keys = jax.vmap(lambda seed: _key(root_seed, seed, stream, channel))(seeds)
+
+    def draw(key: Array, index: Array) -> Array:
+        return jax.random.uniform(jax.random.fold_in(key, index), (numbers,), dtype=jnp.float64)
+
+    return jax.vmap(jax.vmap(draw, (0, None), -1), (None, 0))(keys, jnp.arange(samples))

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench import draws, lanes, metrics
-from pcbench.sampling import Schedule
+from pcbench.irregular import Times
 from pcbench.types import Arrival, Gains, Leaf, Now, Observer, Plant
 
 
@@ -36,7 +36,7 @@ class Problem(NamedTuple):
 
     params: Any  # the plant's
     gains: dict[str, Gains]  # by observer label
-    schedule: Schedule
+    schedule: Any  # a Schedule, the same for every run; or random Times: then each run has its own (`apart`)
     inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1)
     dt: Leaf  # [s]
     x0: Leaf  # [n]
@@ -53,7 +53,7 @@ class State(NamedTuple):
 
     x: Any
     memories: dict[str, Any]
-    flight: tuple[Any, dict[str, Any]]  # rings of measured values and of notes
+    flight: Any  # rings of measured values and of notes
     streams: dict[str, metrics.Stream]
     watches: dict[str, metrics.Watch]
 
@@ -75,10 +75,19 @@ def present(p: Problem, k: Array, decided: bool) -> Now:
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 
 
-def advance(layout: Layout, p: Problem, k: Array, state: State) -> State:
+class Row(NamedTuple):
+    """What is known of an arrival besides what it brings; q outputs."""
+
+    fresh: Any  # [q]
+    age: Any  # [q] as the observers believe it
+    number: Any  # [q]
+    since: Any
+
+
+def advance(layout: Layout, p: Problem, k: Any, state: State) -> State:
     """Estimate and measure the error at tick k, then flow to tick k + 1."""
 
-    def one_lane(x: Array, memories: Any, streams: Any, watches: Any) -> Any:
+    def one_lane(k: Array, x: Array, memories: Any, streams: Any, watches: Any) -> Any:
         now = present(p, k, True)
         new: tuple[dict[str, Any], dict[str, Any], dict[str, Any]] = ({}, {}, {})
         for label, observer in layout.observers:
@@ -90,69 +99,86 @@ def advance(layout: Layout, p: Problem, k: Array, state: State) -> State:
                 new[2][label] = metrics.look(watches[label], k, e, p.band, p.bound)
         return layout.plant.step(p.params, now, x), *new
 
-    x, *rest = lanes.over(one_lane)(state.x, state.memories, state.streams, state.watches)
+    x, *rest = lanes.over(one_lane)(k, state.x, state.memories, state.streams, state.watches)
     return State(x, rest[0], state.flight, rest[1], rest[2])
 
 
-def take(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State) -> Any:
-    """Return the packet of tick k: measured values and each observer's note."""
-    noise = lanes.split(draws.normals(keys, p.schedule.sample[k]))
+def measure(layout: Layout, p: Problem, k: Any, x: Any, noise: Any) -> Any:
+    """Return what every channel measures at tick k: y[q] with its noise."""
 
-    def one_lane(x: Array, v: Array, memories: Any) -> Any:
-        y = layout.plant.output(p.params, present(p, k, True), x) + p.noise_std * v
+    def one_lane(k: Array, x: Array, v: Array) -> Array:
+        return layout.plant.output(p.params, present(p, k, True), x) + p.noise_std * v
+
+    return lanes.over(one_lane)(k, x, noise)
+
+
+def note(layout: Layout, p: Problem, k: Any, memories: Any) -> dict[str, Any]:
+    """Return what every observer notes at tick k."""
+
+    def one_lane(k: Array, memories: Any) -> Any:
         now = present(p, k, False)
-        return y, {label: o.note(p.gains[label], memories[label], now) for label, o in layout.observers}
+        return {label: o.note(p.gains[label], memories[label], now) for label, o in layout.observers}
 
-    return lanes.over(one_lane)(state.x, noise, state.memories)
+    return lanes.over(one_lane)(k, memories)
 
 
-def hand_over(layout: Layout, p: Problem, k: Array, slot: int, packet: Any, state: State) -> State:
-    """Let every observer jump with a packet that arrives at tick k in one of its slots."""
-    row = jax.tree.map(lambda a: a[k], p.schedule)
-    age = jnp.full(row.fresh[slot].shape, k - row.sent[slot])
+def hand_over(layout: Layout, p: Problem, k: Any, row: Row, packet: Any, memories: Any) -> dict[str, Any]:
+    """Let every observer jump with a packet that arrives at tick k; return their memories."""
 
-    def one_lane(packet: Any, memories: Any) -> Any:
+    def one_lane(k: Array, row: Row, packet: Any, memories: Any) -> Any:
         value, notes = packet
         now = present(p, k, False)
-        arrival = Arrival(value, row.fresh[slot], age, row.number[slot], jnp.zeros(0), row.since[slot])
         return {
-            label: observer.jump(p.gains[label], memories[label], now, arrival._replace(note=notes[label]))
-            for label, observer in layout.observers
+            label: o.jump(p.gains[label], memories[label], now, Arrival(value, *row[:3], notes[label], row.since))
+            for label, o in layout.observers
         }
 
-    return state._replace(memories=lanes.over(one_lane)(packet, state.memories))
+    return lanes.over(one_lane)(k, row, packet, memories)
 
 
 def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State) -> State:
-    """Let everything that the schedule has for tick k happen: sense, then deliver, the oldest packet first.
+    """Let everything that the schedule has for tick k happen: sense and note, then deliver, the oldest packet first.
 
     Only one packet, never the ring of them, goes through a `cond`, which would copy it: what is not there is written to
     the ring's last place, which nothing reads.
     """
-    packet = jax.tree.map(lambda ring: ring[layout.ring], state.flight)
-    taken, number = p.schedule.sense[k] >= 0, p.schedule.sense[k]
-    packet = lax.cond(taken, lambda: lanes.like(take(layout, p, keys, k, state), packet, layout.width), lambda: packet)
-    place = jnp.where(taken, number % layout.ring, layout.ring)
-    flight = jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), state.flight, packet)
-    state = state._replace(flight=flight)
+    plan = p.schedule
 
-    def deliver(slot: int, state: State) -> Any:
-        number = p.schedule.arrive[k, slot]
+    def put(rings: Any, number: Array, make: Any) -> Any:
+        last = jax.tree.map(lambda ring: ring[layout.ring], rings)
+        new = lax.cond(number >= 0, lambda: lanes.like(make(), last, layout.width), lambda: last)
+        place = jnp.where(number >= 0, number % layout.ring, layout.ring)
+        return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, new)
+
+    def sense() -> Any:
+        return measure(layout, p, k, state.x, lanes.split(draws.normals(keys, plan.sample[k])))
+
+    values = put(state.flight[0], plan.sense[k], sense)
+    notes = put(state.flight[1], plan.note[k], lambda: note(layout, p, k, state.memories))
+    flight = (values, notes)
+
+    def deliver(slot: int, memories: Any) -> Any:
+        number = plan.arrive[k, slot]
         packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
+        fresh, age = plan.fresh[k, slot], jnp.full(plan.fresh[k, slot].shape, k - plan.believed[k, slot])
+        row = Row(fresh, age, plan.number[k, slot], plan.since[k, slot])
 
         def jump(memories: Any) -> Any:
-            jumped = hand_over(layout, p, k, slot, packet, state._replace(memories=memories)).memories
-            return lanes.like(jumped, memories, layout.width)
+            return lanes.like(hand_over(layout, p, k, row, packet, memories), memories, layout.width)
 
-        return lax.cond(number >= 0, jump, lambda memories: memories, state.memories)
+        return lax.cond(number >= 0, jump, lambda memories: memories, memories)
 
-    for slot in range(p.schedule.arrive.shape[1]):
-        state = state._replace(memories=deliver(slot, state))
-    return state
+    memories = state.memories
+    for slot in range(plan.arrive.shape[1]):
+        memories = deliver(slot, memories)
+    return state._replace(memories=memories, flight=flight)
 
 
 def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
-    """Return the state before tick 0, with whatever will differ between lanes already spread over them."""
+    """Return the state before tick 0, with whatever will differ between lanes already spread over them.
+
+    A packet that nothing was noted for (it is believed to be from before tick 0) carries the note of the start.
+    """
     n, q = p.x0.shape[0], p.noise_std.shape[0]
     x: Any = p.x0
     if layout.random_start:
@@ -160,23 +186,31 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
         x = lanes.over(lambda v: p.xhat0 + p.spread0 @ v)(lanes.split(normal))
     labels = [label for label, _ in layout.observers]
     memories = {label: observer.init(p.gains[label], p.xhat0) for label, observer in layout.observers}
-    now = present(p, jnp.asarray(0), False)
-    notes = {label: observer.note(p.gains[label], memories[label], now) for label, observer in layout.observers}
+    k = jnp.asarray(0)
     state = State(
         x,
         memories,
-        (jnp.zeros(q), notes),
+        (jnp.zeros(q), note(layout, p, k, memories)),
         {label: metrics.start(n) for label in labels},
         {label: metrics.start_watch(n) for label in labels} if layout.watch else {},
     )
-    keys, k = draws.run_keys(root_seed, seeds, "measurement", q), jnp.asarray(0)
+    own = isinstance(p.schedule, Times)  # then every lane is at a tick of its own, and all differs
+    tick: Any = lanes.spread(k, layout.width) if own else k
+    noise = lanes.split(jnp.zeros((q, layout.width)))
 
     def everything(state: State) -> State:  # one tick on which all happens: what it makes different is per lane
-        packet = take(layout, p, keys, k, state)
-        return advance(layout, p, k, hand_over(layout, p, k, 0, packet, state))._replace(flight=packet)
+        packet = measure(layout, p, tick, state.x, noise), note(layout, p, tick, state.memories)
+        row: Any = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), k)
+        row = jax.tree.map(lambda a: lanes.spread(a, layout.width), row) if own else row
+        memories = hand_over(layout, p, tick, row, packet, state.memories)
+        return advance(layout, p, tick, state._replace(memories=memories))._replace(flight=packet)
 
     state = lanes.settle(everything, jax.tree.map(jnp.asarray, state), layout.width)
-    return state._replace(flight=jax.tree.map(lambda v: jnp.zeros((layout.ring + 1, *v.shape)), state.flight))
+    return state if own else state._replace(flight=_rings(layout, state.flight))
+
+
+def _rings(layout: Layout, packet: Any) -> Any:
+    return jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), packet)
 
 
 def estimates(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
@@ -195,7 +229,8 @@ def errors(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
 
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
-    """Simulate one lane for each of seeds[L] over all windows; L must be `layout.width`."""
+    """Simulate one lane for each of seeds[L] on one schedule over all windows; L must be `layout.width`."""
+    plan = p.schedule
     keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
     state = begin(layout, p, root_seed, seeds)
     empty = state.streams
@@ -215,7 +250,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
         def segment(carry: Any) -> Any:
             k, state, _ = carry
             state = happen(layout, p, keys, k, state)  # a window's edge may be no event: then nothing happens
-            stop = jnp.minimum(p.schedule.next_event[k], edges[1])
+            stop = jnp.minimum(plan.next_event[k], edges[1])
             return stop, flow(k, stop, state), lanes.like(errors(layout, p, state), final, layout.width)
 
         final = errors(layout, p, state)

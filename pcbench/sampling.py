@@ -2,7 +2,8 @@
 
 Everything is a whole number of ticks. One *packet* is one sampling instant: whatever channels are sampled at that tick
 travel under one number, each with a delay of its own, so a packet may arrive in parts. At a tick, arrivals are handed
-over one packet at a time, the oldest first; each has a slot.
+over one packet at a time, the oldest first; each has a slot. Where sampling is random, every run has a schedule of its own
+(`irregular`).
 """
 
 from typing import NamedTuple
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 Ints = NDArray[np.int32]
 Bools = NDArray[np.bool_]
+NEVER = 2**30  # the arrival of a lost sample
 
 
 class Schedule(NamedTuple):
@@ -20,8 +22,10 @@ class Schedule(NamedTuple):
     sense: Ints  # [N+1] the packet taken at this tick
     sampled: Bools  # [N+1, q] the channels in it
     sample: Ints  # [N+1, q] which sample of its channel, from 0
+    note: Ints  # [N+1] the packet for which observers note what they will need
     arrive: Ints  # [N+1, S] the packets that arrive
     sent: Ints  # [N+1, S] the tick at which each was taken
+    believed: Ints  # [N+1, S] the tick at which the observers believe it was taken
     fresh: Bools  # [N+1, S, q] the channels that arrive with it
     number: Ints  # [N+1, S, q] which sample of its channel
     since: Ints  # [N+1, S] ticks since the last tick at which anything arrived (from 0 before the first)
@@ -35,11 +39,99 @@ class Sample(NamedTuple):
     channel: int
     number: int  # which sample of its channel, from 0
     taken: int  # tick
-    arrives: int  # tick, not before `taken`
+    arrives: int  # tick, not before `taken`; NEVER where it is lost
 
 
-def schedule(samples: list[Sample], ticks: int, channels: int) -> Schedule:
-    """Lay samples out over ticks 0 .. `ticks`; what is taken or arrives later is left out."""
+class Clock(NamedTuple):
+    """One sensor: channels that are sampled, delayed and lost together. Times in ticks."""
+
+    channels: tuple[int, ...]
+    period: int  # the mean where intervals vary
+    delay: int | None  # None: one interval, a sample arrives when the next is taken
+    profile: str | tuple[int, ...] = "periodic"  # of the intervals: a name in PROFILES, or intervals in turn
+    jitter: int = 0  # a sample (but the first) is taken up to this much early or late
+    spread: int = 0  # jitter of the delay: a sample arrives up to this much later
+    loss: float = 0.0  # probability that a sample never arrives
+
+    @property
+    def random(self) -> bool:
+        """Whether every run has times of its own."""
+        return self.profile == "uniform" or self.jitter > 0 or self.spread > 0 or self.loss > 0
+
+
+PROFILES = {
+    "periodic": "every interval the period",
+    "sine": "T_i = period (1 + 0.5 sin(0.6 i)), i = 1, 2, ...: the profile of Li, Wang, Tian as decided",
+    "uniform": "every interval uniform over 0.5 to 1.5 periods, for each seed",
+}
+
+
+def interval(clock: Clock, i: int) -> int:
+    """Return the interval between samples i-1 and i of a clock whose intervals are not random."""
+    if isinstance(clock.profile, tuple):
+        return clock.profile[(i - 1) % len(clock.profile)]
+    return max(1, round(clock.period * (1 + 0.5 * np.sin(0.6 * i)))) if clock.profile == "sine" else clock.period
+
+
+def uniform_range(period: int) -> tuple[int, int]:
+    """Return the least and the largest interval of the profile `uniform`."""
+    low = max(1, -(-period // 2))
+    return low, max(low, 3 * period // 2)
+
+
+def instants(clock: Clock, ticks: int) -> list[int]:
+    """Return when samples are due, from tick 0 to the first beyond `ticks`; the mean where they are random."""
+    out = [0]
+    while out[-1] <= ticks:
+        out.append(out[-1] + (clock.period if clock.profile == "uniform" else interval(clock, len(out))))
+    return out
+
+
+def intervals(clock: Clock, ticks: int) -> list[int]:
+    """Return every interval between successive samples that can occur, lost ones counted as taken."""
+    if clock.profile == "uniform":
+        low, high = uniform_range(clock.period)
+        due = list(range(low, high + 1))
+    else:
+        due = sorted(set(np.diff(instants(clock, ticks)).tolist()))
+    j = 2 * clock.jitter
+    return list(range(max(due[0] - j, 1), due[-1] + j + 1)) if j else due
+
+
+def ages(clock: Clock, ticks: int) -> tuple[int, int]:
+    """Return the least and the largest age of a sample when it arrives."""
+    found = intervals(clock, ticks) if clock.delay is None else [clock.delay]
+    return found[0], found[-1] + clock.spread
+
+
+def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
+    """Return every sample of clocks without randomness, taken at tick 0 .. `ticks`."""
+    out = []
+    for clock in clocks:
+        due = instants(clock, ticks)
+        for i, taken in enumerate(due[:-1]):
+            arrives = due[i + 1] if clock.delay is None else taken + clock.delay
+            out += [Sample(channel, i, taken, arrives) for channel in clock.channels]
+    return out
+
+
+def overtaking(found: list[Sample]) -> int:
+    """Return how many newer samples may arrive before one: the places an observer needs to keep them in order."""
+    each = np.array(sorted({(s.taken, s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
+    taken, arrives = each.T
+    counts, shift = np.zeros(len(each), int), 1
+    while shift < len(each) and (taken[shift:] < arrives[:-shift]).any():
+        counts[:-shift] += (arrives[shift:] < arrives[:-shift]) & (taken[shift:] > taken[:-shift])
+        shift += 1
+    return int(counts.max(initial=0))
+
+
+def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -> Schedule:
+    """Lay samples out over ticks 0 .. `ticks`; what is taken or arrives later is left out.
+
+    The observers believe that every sample is `error` ticks older than it is, but that none was taken before tick 0: they
+    note what they need where they believe it to be taken. An error below 0 must leave every age at 0 or more.
+    """
     instants = sorted({s.taken for s in samples if s.taken <= ticks})
     packet = {tick: i for i, tick in enumerate(instants)}
     by_arrival: dict[int, dict[int, list[Sample]]] = {}
@@ -52,8 +144,10 @@ def schedule(samples: list[Sample], ticks: int, channels: int) -> Schedule:
         sense=np.full(n, -1, np.int32),
         sampled=np.zeros((n, q), bool),
         sample=np.full((n, q), -1, np.int32),
+        note=np.full(n, -1, np.int32),
         arrive=np.full((n, slots), -1, np.int32),
         sent=np.zeros((n, slots), np.int32),
+        believed=np.zeros((n, slots), np.int32),
         fresh=np.zeros((n, slots, q), bool),
         number=np.full((n, slots, q), -1, np.int32),
         since=np.zeros((n, slots), np.int32),
@@ -65,17 +159,20 @@ def schedule(samples: list[Sample], ticks: int, channels: int) -> Schedule:
             out.sense[s.taken] = packet[s.taken]
             out.sampled[s.taken, s.channel] = True
             out.sample[s.taken, s.channel] = s.number
+            if 0 <= s.taken - error <= ticks:
+                out.note[s.taken - error] = packet[s.taken]
     last = 0
     for tick in sorted(by_arrival):
         for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
             out.arrive[tick, slot] = packet[taken]
             out.sent[tick, slot] = taken
+            out.believed[tick, slot] = max(taken - error, 0)
             out.since[tick, slot] = tick - last
             for s in group:
                 out.fresh[tick, slot, s.channel] = True
                 out.number[tick, slot, s.channel] = s.number
         last = tick
-    out.event[:] = (out.sense >= 0) | (out.arrive >= 0).any(1)
+    out.event[:] = (out.sense >= 0) | (out.note >= 0) | (out.arrive >= 0).any(1)
     for tick in range(ticks - 1, -1, -1):
         out.next_event[tick] = tick + 1 if out.event[tick + 1] else out.next_event[tick + 1]
     return out
@@ -83,17 +180,13 @@ def schedule(samples: list[Sample], ticks: int, channels: int) -> Schedule:
 
 def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
     """Sample channel j every period[j] ticks from tick 0 on; each sample arrives delay[j] ticks later."""
-    samples = [
-        Sample(channel, i, taken, taken + late)
-        for channel, (every, late) in enumerate(zip(period, delay, strict=True))
-        for i, taken in enumerate(range(0, ticks + 1, every))
-    ]
-    return schedule(samples, ticks, len(period))
+    each = [Clock((j,), every, late) for j, (every, late) in enumerate(zip(period, delay, strict=True))]
+    return schedule(samples(each, ticks), ticks, len(period))
 
 
 def in_flight(plan: Schedule) -> int:
     """Return how many packets the network must be able to hold so that none is overwritten before it arrives."""
-    latest = np.maximum.accumulate(plan.sense)
+    latest = np.maximum.accumulate(np.maximum(plan.sense, plan.note))
     waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
     return int(waiting.max())
 
@@ -108,6 +201,7 @@ def pad_slots(plan: Schedule, slots: int) -> Schedule:
     return plan._replace(
         arrive=wider(plan.arrive, -1),
         sent=wider(plan.sent, 0),
+        believed=wider(plan.believed, 0),
         fresh=wider(plan.fresh, 0),
         number=wider(plan.number, -1),
         since=wider(plan.since, 0),

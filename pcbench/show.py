@@ -13,7 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColum
 from rich.table import Table
 from rich.text import Text
 
-from pcbench.scenarios import SCENARIOS
+from pcbench.scenarios import Scenario
+from pcbench.study import scenarios_of
 
 VERDICTS = {
     "reproduced": "green",
@@ -58,7 +59,7 @@ def progress(quiet: bool) -> Iterator[Any]:
 
 def closing(result: Any, console: Console, metric: str = "mae") -> None:
     """Print who was better and how surely: the first signal of every scenario, the least mean `metric` first."""
-    stats, pairs = result.stats, result.pairs
+    stats, pairs, known = result.stats, result.pairs, scenarios_of(result.study)
     for scenario, part in stats.groupby("scenario", sort=False):
         signal = part.signal.iloc[0]
         part = part[part.signal == signal]
@@ -67,7 +68,7 @@ def closing(result: Any, console: Console, metric: str = "mae") -> None:
         if part.cell.nunique() * part.observer.nunique() > LONGEST:
             _count_wins(scenario, part[part.metric == metric], metric, console)
         else:
-            _scenario(scenario, part, mine, axes, metric, console)
+            _scenario(known[scenario], part, mine, axes, metric, console)
 
 
 def _varying(part: pd.DataFrame) -> list[str]:
@@ -77,13 +78,13 @@ def _varying(part: pd.DataFrame) -> list[str]:
 
 
 def _scenario(
-    scenario: str, part: pd.DataFrame, pairs: pd.DataFrame, axes: list[str], metric: str, console: Console
+    scenario: Scenario, part: pd.DataFrame, pairs: pd.DataFrame, axes: list[str], metric: str, console: Console
 ) -> None:
     unit, n, title = part.unit.iloc[0], int((part.n + part.diverged).max()), "MAE" if metric == "mae" else metric
     heads = [title, f"{title} - best", "RMSE", "tail RMSE"]
     bounded, lost = (part.metric == "efficiency").any(), part.diverged.any()
     heads += [*(["efficiency"] if bounded else []), "settled [s]", *(["diverged"] if lost else [])]
-    table = _table(f"{scenario}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals")
+    table = _table(f"{scenario.name}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals")
     for axis in axes:
         table.add_column(axis, justify="right")
     table.add_column("observer", no_wrap=True)
@@ -99,7 +100,7 @@ def _scenario(
             shown += [_interval(row.loc["pooled_rmse"]), _interval(row.loc["tail_pooled_rmse"])]
             if bounded:
                 shown += [_interval(row.loc["efficiency"]) if "efficiency" in row.index else ""]
-            shown += [_settled(row.loc["settling_time"], SCENARIOS[scenario].horizon)]
+            shown += [_settled(row.loc["settling_time"], scenario.horizon)]
             if lost:
                 shown += [str(int(row.loc["mae"]["diverged"]))]
             place = [str(cell[a].iloc[0]) if best else "" for a in axes]

@@ -21,4 +21,37 @@ def rising(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return -sawtooth(t)
 
 
-SIGNALS: dict[str, Signal] = {"sawtooth": sawtooth, "rising": rising}
+def sine(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return sin 4t, [N, 1]. Source: Li, Wang, Tian, PI-PCO, section 4."""
+    return np.sin(4 * t)[:, None]
+
+
+def square(t: NDArray[np.float64], period: float = 2.0) -> NDArray[np.float64]:
+    """Return 1 in the first half of every period of 2 s and -1 in the second, [N, 1]."""
+    return np.where(np.mod(t / period + 1e-9, 1.0) < 0.5, 1.0, -1.0)[:, None]
+
+
+def step(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return 1, [N, 1]."""
+    return np.ones((len(t), 1))
+
+
+def zero(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return 0, [N, 1]."""
+    return np.zeros((len(t), 1))
+
+
+SIGNALS: dict[str, Signal] = {
+    "sawtooth": sawtooth,
+    "rising": rising,
+    "sine": sine,
+    "square": square,
+    "step": step,
+    "zero": zero,
+}
+
+
+def inputs(names: str, t: NDArray[np.float64], many: int) -> NDArray[np.float64]:
+    """Return u [N, m] for m inputs: one signal for all of them, or one for each, with commas between the names."""
+    each = [SIGNALS[name.strip()](t) for name in names.split(",")]
+    return np.hstack(each if len(each) == many else each * many)

@@ -6,7 +6,6 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 import hashlib
 import itertools
 import json
-import math
 import tomllib
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -14,16 +13,18 @@ from typing import Any, Literal, NamedTuple
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from pcbench import axes as axis
+from pcbench.axes import AXES
 from pcbench.errors import UserError, unknown
-from pcbench.observers import OBSERVERS
-from pcbench.plants import PLANTS
+from pcbench.observers import OBSERVERS, base_of, entry_of
+from pcbench.own_plant import Lti
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.signals import SIGNALS
 
-SMALLEST = 1e-12
-LARGEST = 1e12  # no number of a scenario is larger, in SI units
-AXES = ("sampling_period", "delay", "noise_std", "drift")
 Values = list[Any]
+
+
+OWN = "lti"  # the scenario of a study's own plant
 
 
 class Choices(BaseModel):
@@ -46,11 +47,22 @@ class Study(BaseModel):
     root_seed: int = Field(0, ge=0, lt=2**32, strict=True)
     axes: dict[str, Values] = {}
     options: dict[str, dict[str, Any]] = {}
+    lti: Lti | None = None
 
 
 STUDIES = {
     "quick": Study(name="quick", scenarios=["cart/nominal", "cart/white"], seeds=256),
-    "cart": Study(name="cart", scenarios=[s for s in SCENARIOS if s.startswith("cart/")], seeds=1024),
+    "cart": Study(
+        name="cart",
+        scenarios=[s for s in SCENARIOS if s.startswith("cart/") and not s.startswith("cart/variable")],
+        seeds=1024,
+    ),
+    "variable-sampling": Study(
+        name="variable-sampling",
+        scenarios=["cart/variable", "cart/variable-bias", "cart/variable-gain"],
+        seeds=256,
+        axes={"profile": ["sine", "uniform"], "jitter": [0.0, 0.04], "loss": [0.0, 0.2]},
+    ),
 }
 
 
@@ -60,7 +72,7 @@ class Cell(NamedTuple):
     scenario: Scenario  # with the axes' values put in
     number: int  # from 0, within its scenario
     values: dict[str, Any]  # by axis, seconds and SI units: what the tables say
-    parameters: dict[str, float]  # the plant's, where an axis changes them
+    parameters: dict[str, Any]  # the plant's, where the scenario or an axis changes them
     choices: Choices
 
 
@@ -86,16 +98,19 @@ def parse(raw: dict[str, Any], where: str) -> Study:
     if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # `plant.lam = [...]` is a table to TOML
         nested = {f"plant.{name}": values for name, values in axes["plant"].items()}
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
+    if raw.get("lti") is not None and not raw.get("scenarios"):
+        raw = raw | {"scenarios": [OWN]}
     try:
         study = Study.model_validate(raw)
     except ValidationError as error:
         raise _sentence(where, error, Study) from None
+    known = scenarios_of(study, where)
     for name in study.scenarios:
-        if name not in SCENARIOS:
-            raise unknown(f"{where}: scenarios", "scenario", name, SCENARIOS)
+        if name not in known:
+            raise unknown(f"{where}: scenarios", "scenario", name, known)
     _unique(study.scenarios, f"{where}: scenarios")
     for name in study.observers or []:
-        if name not in OBSERVERS:
+        if not _named(study, name):
             raise unknown(f"{where}: observers", "observer", name, OBSERVERS)
     if study.observers is not None:
         _unique(study.observers, f"{where}: observers")
@@ -104,20 +119,34 @@ def parse(raw: dict[str, Any], where: str) -> Study:
     for name, given in study.options.items():
         _options(name, given, f"{where}: options.{name}")
     for name in study.scenarios:
-        cells(study, name, where)
+        every = cells(study, name, where)
         for observer in observers_of(study, name):
-            options_of(study, SCENARIOS[name], observer)
+            options_of(study, known[name], observer)
+            for cell in every:
+                axis.works_on(observer, cell.scenario, where)
     return study
+
+
+def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
+    """Return every scenario a study may name: the published ones, and `lti` where it brings a plant of its own."""
+    return SCENARIOS if study.lti is None else SCENARIOS | {OWN: study.lti.scenario(OWN, f"{where or study.name}: lti")}
+
+
+def _named(study: Study, label: str) -> bool:
+    """Whether a label names an observer: its own name, or name-anything with options under that label."""
+    return label in OBSERVERS or (base_of(label) is not None and label in study.options)
 
 
 def observers_of(study: Study, scenario: str) -> list[str]:
     """Return the observers that run in a scenario: the study's, or else the scenario's own."""
-    return list(study.observers or SCENARIOS[scenario].observers)
+    return list(study.observers or scenarios_of(study)[scenario].observers)
 
 
 def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
-    """Return an observer's options: the scenario's, with the study's put over them."""
-    given = scenario.options.get(observer, {}) | _dashes(study.options.get(observer, {}))
+    """Return an observer's options: the scenario's, with the study's put over them, the label's own over its name's."""
+    given: dict[str, Any] = {}
+    for label in dict.fromkeys([base_of(observer) or observer, observer]):
+        given |= scenario.options.get(label, {}) | _dashes(study.options.get(label, {}))
     return _options(observer, given, f"{study.name}: options.{observer}")
 
 
@@ -128,17 +157,18 @@ def choices_of(study: Study) -> Choices:
 
 def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     """Return every combination of the axes in one scenario, in the order of the axes as written."""
-    base, where = SCENARIOS[scenario], where or study.name
-    axes = {name: _axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
-    out = []
+    base, where = scenarios_of(study)[scenario], where or study.name
+    axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
+    choices, out = choices_of(study), []
     for index, point in enumerate(itertools.product(*axes.values())):
         given = dict(zip(axes, point, strict=True))
         fields = {k: v for k, v in given.items() if k in AXES}
-        changed = base._replace(**fields, input=choices_of(study).input or base.input)
-        values = {name: _plain(getattr(changed, name)) for name in AXES}
-        parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
+        changed = base._replace(**fields, input=choices.input or base.input)
+        axis.fits(changed, f"{where}: {scenario}")
+        values = {name: axis.plain(name, getattr(changed, name)) for name in AXES}
+        own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
-        out.append(Cell(changed, index, values, parameters, choices_of(study)))
+        out.append(Cell(changed, index, values, dict(base.parameters) | own, choices))
     return out
 
 
@@ -146,14 +176,22 @@ def resolved(study: Study) -> dict[str, Any]:
     """Return everything that decides the numbers, for `study.toml` and its hash."""
     options: dict[str, Any] = {"scenario": choices_of(study).model_dump(exclude_none=True)}
     for scenario in study.scenarios:
-        base = SCENARIOS[scenario]
+        base = scenarios_of(study)[scenario]
         options[scenario] = {
             o: options_of(study, base, o).model_dump(exclude_none=True) for o in observers_of(study, scenario)
         }
-    scenarios = {s: json.loads(json.dumps(SCENARIOS[s]._asdict(), default=dict)) for s in study.scenarios}
+    known = scenarios_of(study)
+    scenarios = {s: _said(json.loads(json.dumps(known[s]._asdict(), default=dict))) for s in study.scenarios}
     out = study.model_dump(exclude_none=True)
     ran_by = {s: observers_of(study, s) for s in study.scenarios}
     return out | {"resolved": {"options": options, "scenarios": scenarios, "observers": ran_by}}
+
+
+def _said(scenario: dict[str, Any]) -> dict[str, Any]:
+    """A scenario without what TOML has no word for: a delay of one interval is written so."""
+    delay = [axis.INTERVAL if d is None else d for d in scenario["delay"]]
+    model = {k: v for k, v in scenario["model"].items() if v is not None}
+    return scenario | {"delay": delay, "model": model}
 
 
 def to_toml(study: Study) -> str:
@@ -197,9 +235,9 @@ def override(raw: dict[str, Any], change: str) -> None:
 
 
 def _options(name: str, given: dict[str, Any], where: str) -> BaseModel:
-    if name != "scenario" and name not in OBSERVERS:
+    if name != "scenario" and base_of(name) is None:
         raise unknown(where, "observer with options (or 'scenario')", name, [*OBSERVERS, "scenario"])
-    model = Choices if name == "scenario" else OBSERVERS[name].options
+    model = Choices if name == "scenario" else entry_of(name).options
     for key in _dashes(given):
         if key not in model.model_fields:
             raise unknown(where, "key here", key, [field.replace("_", "-") for field in model.model_fields])
@@ -214,70 +252,6 @@ def _options(name: str, given: dict[str, Any], where: str) -> BaseModel:
 
 def _dashes(given: dict[str, Any]) -> dict[str, Any]:
     return {key.replace("-", "_"): value for key, value in given.items()}
-
-
-def _axis(name: str, values: Values, base: Scenario, where: str) -> Values:
-    parameters = [f"plant.{p}" for p in PLANTS[base.plant].numbers._fields if not p.startswith("drift")]
-    if name not in AXES and name not in parameters:
-        raise unknown(where, f"axis of {base.name}", name, [*AXES, *parameters])
-    if not values:
-        raise UserError(f"{where}: got an empty list, expected at least one value; leave the axis out or fill it.")
-    out = [_point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
-    if len({str(v) for v in out}) < len(out):
-        raise UserError(f"{where}: got a value twice in {values}, expected each once; remove the repeated one.")
-    return out
-
-
-def _point(name: str, value: Any, base: Scenario, where: str) -> Any:
-    channels = len(base.delay)
-    if name in ("drift",) or name.startswith("plant."):
-        return _number(value, where, least=None)
-    each = value if isinstance(value, list) else [value] * channels
-    if len(each) != channels:
-        raise UserError(
-            f"{where}: got {len(each)} values, expected one or {channels} (a value for each output channel)."
-        )
-    numbers = [_number(v, where, least=0.0) for v in each]
-    if name in ("sampling_period", "delay"):
-        for v in numbers:
-            _whole_ticks(name, v, base, where)
-    return tuple(numbers)
-
-
-def _number(value: Any, where: str, least: float | None) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise UserError(f"{where}: got {value!r}, expected a finite number; write a number in SI units.")
-    if abs(value) > LARGEST:
-        raise UserError(f"{where}: got {value!r}, expected a number of at most {LARGEST:g} in size; write SI units.")
-    if 0 < abs(value) < SMALLEST:
-        raise UserError(f"{where}: got {value!r}, expected 0 or a number of at least {SMALLEST:g} in size; write 0.")
-    if least is not None and value < least:
-        raise UserError(
-            f"{where}: got {value!r}, expected a number of at least {least:g}; change its sign or leave it out."
-        )
-    return float(value)
-
-
-def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
-    ticks = value / base.dt
-    if abs(ticks - round(ticks)) > 1e-6:
-        below, above = max(math.floor(ticks), int(name == "sampling_period")) * base.dt, math.ceil(ticks) * base.dt
-        near = f"{above:.12g}" if below == above else f"{below:.12g} or {above:.12g}"
-        raise UserError(
-            f"{where}: got {value:.12g} s, expected a whole number of ticks of {base.dt:g} s in {base.name}; "
-            f"write {near}."
-        )
-    if name == "sampling_period" and round(ticks) < 1:
-        raise UserError(f"{where}: got {value:g} s, expected at least one tick, {base.dt:g} s in {base.name}.")
-    if value > base.horizon:
-        raise UserError(f"{where}: got {value:g} s, expected at most the horizon of {base.name}, {base.horizon:g} s.")
-
-
-def _plain(value: Any) -> Any:
-    """A tuple of equal channels as one number, of different ones as a list."""
-    if isinstance(value, tuple):
-        return value[0] if len(set(value)) == 1 else list(value)
-    return value
 
 
 def _unique(names: list[str], where: str) -> None:

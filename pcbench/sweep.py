@@ -6,19 +6,23 @@ All cells of a plant and horizon share one compiled program: the ring and the ar
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from pcbench import conformance, ensemble, metrics, sampling
+from pcbench import axes, conformance, ensemble, irregular, metrics, sampling
 from pcbench.errors import UserError
-from pcbench.observers import OBSERVERS
+from pcbench.observers import entry_of
 from pcbench.plants import PLANTS
 from pcbench.rollout import Layout, Problem
-from pcbench.signals import SIGNALS
+from pcbench.scenarios import Scenario
+from pcbench.signals import inputs
 from pcbench.study import Cell, Study, cells, observers_of, options_of
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting
+
+REUNION = 24  # what one meeting of the lanes costs, in ticks of flow: see `apart`
 
 
 class Planned(NamedTuple):
@@ -50,23 +54,39 @@ def tail_tick(cell: Cell) -> int:
 
 
 def setting(cell: Cell) -> Setting:
-    """Return what a designer is told: the nominal model, whatever the axes do to the plant."""
-    s, plant = cell.scenario, PLANTS[cell.scenario.plant]
-
-    def whole(seconds: tuple[float, ...]) -> tuple[int, ...]:
-        return tuple(round(v / s.dt) for v in seconds)
-
+    """Return what a designer is told: the nominal model and the believed delay, whatever is true of the plant."""
+    s, clocks, n = cell.scenario, axes.clocks(cell.scenario), ticks(cell)
+    period, delay = [0] * len(s.delay), [0] * len(s.delay)
+    for clock in clocks:
+        for j in clock.channels:
+            if isinstance(clock.profile, tuple):
+                period[j] = round(sum(clock.profile) / len(clock.profile))
+            else:
+                period[j] = clock.period
+            late = period[j] if clock.delay is None else clock.delay
+            delay[j] = late + clock.spread // 2 + round(s.assumed_delay_error / s.dt)
     return Setting(
         s.name,
-        plant.nominal(plant.numbers),
+        PLANTS[s.plant].nominal(_numbers(s)),
         s.dt,
-        ticks(cell),
-        whole(s.sampling_period),
-        whole(s.delay),
+        n,
+        tuple(period),
+        tuple(delay),
         s.noise_std,
         np.diag(np.square(s.prior_std)),
         s.drift_intensity if s.drift else 0.0,
+        irregular.overtaking(clocks, n) if _random(clocks) else sampling.overtaking(sampling.samples(clocks, n)),
+        tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )
+
+
+def _numbers(s: Scenario) -> Any:
+    """The plant's numbers as observers know them."""
+    return PLANTS[s.plant].numbers._replace(**s.model)
+
+
+def _random(clocks: list[sampling.Clock]) -> bool:
+    return any(clock.random for clock in clocks)
 
 
 def plan(study: Study) -> list[Planned]:
@@ -87,14 +107,39 @@ def fit(drafts: list[Planned]) -> list[Planned]:
             if (key := (label, p.layout.plant)) not in seen:
                 seen.add(key)
                 conformance.check(label, observer, p.problem)
-    slots = max(p.problem.schedule.arrive.shape[1] for p in drafts)
-    room = max(sampling.in_flight(p.problem.schedule) for p in drafts)
+    return _same_shapes(drafts)
+
+
+def _same_shapes(drafts: list[Planned]) -> list[Planned]:
+    """Give every cell the arrival slots, the room on the network and the rows of the plant that the largest needs."""
+    shared = [p.problem.schedule for p in drafts if isinstance(p.problem.schedule, sampling.Schedule)]
+    slots = max((plan.arrive.shape[1] for plan in shared), default=1)
+    most = max(
+        (_times(p).due.shape[1] for p in drafts if not isinstance(p.problem.schedule, sampling.Schedule)), default=0
+    )
+    room = max(p.layout.ring for p in drafts)
     ring = 1 << (room - 1).bit_length()  # few sizes, few programs
+    rows: dict[Any, int] = {}
+    for p in drafts:
+        for i, a in enumerate(jax.tree.leaves(p.problem.params)):
+            key = (p.layout.plant, i)
+            rows[key] = max(rows.get(key, 0), len(a) if np.ndim(a) else 0)
     out = []
     for p in drafts:
-        problem = p.problem._replace(schedule=sampling.pad_slots(p.problem.schedule, slots))
+        plan = p.problem.schedule
+        plan = sampling.pad_slots(plan, slots) if isinstance(plan, sampling.Schedule) else irregular.padded(plan, most)
+        leaves, tree = jax.tree.flatten(p.problem.params)
+        wide = [
+            np.broadcast_to(a, (rows[p.layout.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
+            for i, a in enumerate(leaves)
+        ]
+        problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide))
         out.append(p._replace(problem=problem, layout=p.layout._replace(ring=ring)))
     return out
+
+
+def _times(p: Planned) -> irregular.Times:
+    return p.problem.schedule
 
 
 def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
@@ -102,12 +147,13 @@ def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
     s, known = cell.scenario, setting(cell)
     plant, n = PLANTS[s.plant], ticks(cell)
     designs = {o: _design(o, known, given) for o, given in options.items()}
-    numbers = plant.numbers._replace(**cell.parameters, drift=s.drift, drift_sign=float(cell.choices.drift_sign))
+    truth = {"drift": s.drift, "drift_sign": float(cell.choices.drift_sign)} | cell.parameters
+    plan, room = schedule_of(cell)
     problem = Problem(
-        params=plant.prepare(numbers, s.dt, n),
+        params=plant.prepare(_numbers(s)._replace(**truth), s.dt, n),
         gains={o: d.gains for o, d in designs.items()},
-        schedule=sampling.periodic(list(known.period), list(known.delay), n),
-        inputs=SIGNALS[s.input](s.dt * np.arange(n + 1, dtype=float)),
+        schedule=plan,
+        inputs=inputs(s.input, s.dt * np.arange(n + 1, dtype=float), known.model.B.shape[1]),
         dt=np.asarray(s.dt),
         x0=np.array(s.x0),
         xhat0=np.array(s.xhat0),
@@ -117,13 +163,26 @@ def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
         bound=np.asarray(s.bound),
         windows=np.array([[0, tail_tick(cell)], [tail_tick(cell), n - 1], [n - 1, n]]),
     )
-    observers = tuple((o, OBSERVERS[o].observer) for o in options)
-    layout = Layout(plant.plant, observers, ensemble.WIDTH, 1, cell.choices.random_start)
+    observers = tuple((o, entry_of(o).observer) for o in options)
+    layout = Layout(plant.plant, observers, ensemble.WIDTH, room, cell.choices.random_start)
     return Planned(cell, layout, problem, {o: d.certificate for o, d in designs.items()}, _bound(cell, known))
 
 
+def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, int]:
+    """Return a cell's schedule and the packets it needs room for; of one run (root seed, seed), where it is random."""
+    s, clocks, n = cell.scenario, axes.clocks(cell.scenario), ticks(cell)
+    error, channels = round(s.assumed_delay_error / s.dt), len(s.delay)
+    if _random(clocks) and run is None:
+        events = sum(2 * n / sampling.intervals(clock, n)[0] for clock in clocks)
+        stride = int(np.clip(np.sqrt(2 * REUNION * n / events), 1, n))
+        return irregular.times(clocks, n, channels, error, stride), irregular.room(clocks, n, error)
+    found = irregular.realised(clocks, n, channels, *run) if run and _random(clocks) else sampling.samples(clocks, n)
+    plan = sampling.schedule(found, n, channels, error)
+    return plan, sampling.in_flight(plan)
+
+
 def _design(observer: str, known: Setting, options: BaseModel) -> Design:
-    found = OBSERVERS[observer].design(known, options)
+    found = entry_of(observer).design(known, options)
     if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
         raise UserError(
             f"observer {observer}: design returned {type(found).__name__}, expected Design(gains, Certificate)."
@@ -132,16 +191,23 @@ def _design(observer: str, known: Setting, options: BaseModel) -> Design:
 
 
 def _bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
-    """The Bayesian bound over the tail; it exists for the true linear model, measurement noise and no other noise."""
+    """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
     exact = not cell.scenario.drift and not cell.parameters and all(known.noise_std)  # no bound without noise
-    if not exact or len(set(known.period)) > 1 or len(set(known.delay)) > 1:
+    clocks = axes.clocks(cell.scenario)
+    if not exact or _random(clocks):
         return None
-    doubled = linear.doublings(known.model.A, known.dt, linear.bits_for(known.ticks))
-    R = np.diag(np.square(known.noise_std))
-    variance = riccati.posterior_variance(
-        doubled, known.model.C, R, known.P0, known.period[0], known.delay[0], known.ticks
-    )
+    doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
+    samples = [(s.arrives, s.taken, s.channel) for s in sampling.samples(clocks, known.ticks)]
+    variance = riccati.posterior_variance(doubled, known.model.C, known.noise_variance, known.P0, samples, known.ticks)
     return np.sqrt(variance[tail_tick(cell) :].mean(0))
+
+
+def alone(p: Planned, root_seed: int, seed: int) -> Planned:
+    """Return a cell laid out for one run: where sampling is random, on the schedule of that run."""
+    plan, room = schedule_of(p.cell, (root_seed, seed))
+    return p._replace(
+        problem=p.problem._replace(schedule=plan), layout=p.layout._replace(ring=max(room, p.layout.ring))
+    )
 
 
 def blocks(planned: Planned, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[ensemble.Job]:
@@ -182,8 +248,9 @@ def execute(
 def _by_layout(planned: list[Planned]) -> Iterator[tuple[Layout, list[Planned]]]:
     groups: dict[Any, list[Planned]] = {}
     for p in planned:
-        groups.setdefault((p.layout, ticks(p.cell)), []).append(p)
-    for (layout, _), group in groups.items():
+        leaves, tree = jax.tree.flatten(p.problem)
+        groups.setdefault((p.layout, tree, tuple(np.shape(a) for a in leaves)), []).append(p)
+    for (layout, *_), group in groups.items():
         yield layout, group
 
 

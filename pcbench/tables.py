@@ -12,7 +12,17 @@ import pyarrow as pa
 from pcbench.statistics import QUANTILES, RUN_METRICS
 
 SCHEMA = "1"
-AXIS_UNITS = {"sampling_period": "s", "delay": "s", "noise_std": "unit of the output", "drift": "1"}
+AXIS_UNITS = {
+    "sampling_period": "s",
+    "delay": "s",
+    "noise_std": "unit of the output",
+    "drift": "1",
+    "profile": "",
+    "jitter": "s",
+    "delay_jitter": "s",
+    "loss": "1",
+    "assumed_delay_error": "s",
+}
 MEANING = {
     "study": "name of the study",
     "scenario": "published experiment",
@@ -21,10 +31,15 @@ MEANING = {
     "observer_a": "first observer of the pair",
     "observer_b": "second observer of the pair",
     "cell": "number of the combination of axis values, from 0, within its scenario",
-    "sampling_period": "time between samples; a list where output channels differ",
-    "delay": "age of a sample when it arrives; a list where output channels differ",
+    "sampling_period": "(mean) time between samples; a list where output channels differ",
+    "delay": "age of a sample when it arrives; a list where output channels differ; null: one sampling interval",
     "noise_std": "standard deviation of one sample's noise; a list where output channels differ",
     "drift": "scale of the scenario's parameter drift: 0 nominal, 1 as printed",
+    "profile": "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals [s] in turn",
+    "jitter": "a sample is taken up to this much early or late (uniform over whole ticks)",
+    "delay_jitter": "a sample arrives up to this much later (uniform over whole ticks)",
+    "loss": "probability that a sample never arrives",
+    "assumed_delay_error": "observers believe every sample to be so much older than it is",
     "seed": "seed index: with the study's root seed it addresses every random number of the run",
     "signal": "state whose error e = x - xhat is measured",
     "unit": "unit of the signal; beside a metric, of that metric",
@@ -53,7 +68,7 @@ MEANING = {
     "p_value": "two-sided paired t-test of mean_diff = 0; null where the runs do not vary",
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
 } | {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
-TEXT = {"study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
+TEXT = {"profile", "study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
 WHOLE = {"cell", "seed", "n"}
 
 

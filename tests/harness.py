@@ -82,7 +82,7 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[rollout.L
     """Observers are name -> options."""
     q, n = case.model.C.shape
     known = setting(case)
-    Phi, Gamma = linear.held(case.model.A, case.model.B, case.h)
+    Phi, Gamma = linear.one_tick(case.model, case.h)
     every = (case.ticks + 1,)
     params = Params(
         np.broadcast_to(Phi, every + Phi.shape) if case.Phi is None else case.Phi,

@@ -5,8 +5,8 @@ import pandas as pd
 import pytest
 
 import pcbench
-from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
+from pcbench.study import STUDIES
 
 TRAJECTORIES = {  # scenario, tick, x1, pccebo, kfbo; None: equals x1
     ("cart/nominal", 300): (12.7863665308, 12.7043993177, 8.4002266794),
@@ -162,14 +162,14 @@ def test_pccebo_beats_kfbo_in_position_in_every_scenario_on_every_seed(folder):
     rows = pairs.query(
         "observer_a == 'pccebo' and observer_b == 'kfbo' and signal == 'position' and metric in ('mae', 'rmse')"
     )
-    assert len(rows) == 2 * len([s for s in SCENARIOS if s.startswith("cart/")])
+    assert len(rows) == 2 * len(STUDIES["cart"].scenarios)
     assert (rows.prob_a_better == 1).all()
 
 
 def test_every_observer_beats_the_model_alone_in_position(stats):
     for scenario in ("cart/nominal", "cart/gaussian", "cart/white", "cart/slow"):
         floor = stats.loc[(scenario, "open-loop", "position", "mae"), "mean"]
-        for observer in set(OBSERVERS) - {"open-loop"}:
+        for observer in set(SCENARIOS[scenario].observers) - {"open-loop"}:
             assert stats.loc[(scenario, observer, "position", "mae"), "mean"] < floor
 
 

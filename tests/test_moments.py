@@ -58,8 +58,9 @@ def test_the_error_is_affine_in_the_noise(observer):
 @pytest.mark.parametrize(("te", "d"), [(60, 60), (40, 130), (50, 0)])
 def test_the_bound_equals_the_reference_recursion(te, d):
     P0, R, ticks = cart.P0, np.array([0.6]), 400
-    doubled = synthesis.doublings(CART.A, 1e-3, synthesis.bits_for(ticks))
-    got = riccati.posterior_variance(doubled, CART.C, np.diag(R), P0, te, d, ticks)
+    doubled = synthesis.doublings(CART, 1e-3, synthesis.bits_for(ticks))
+    samples = [(taken + d, taken, 0) for taken in range(0, ticks + 1, te)]
+    got = riccati.posterior_variance(doubled, CART.C, R, P0, samples, ticks)
     model = linear.Model(CART.A, CART.B, CART.C, 1e-3)
     want = np.diagonal(moments.posterior_covariance(model, ticks, [te], [d], R, P0), axis1=1, axis2=2)
     np.testing.assert_allclose(got, want[:-1], rtol=1e-10, atol=1e-12)

@@ -10,8 +10,8 @@ from harness import CART, ODD, Case, problem
 
 from pcbench import rollout
 from pcbench.integrate import rk4
-from pcbench.observers import OBSERVERS
-from pcbench.plants import PLANTS
+from pcbench.observers import OBSERVERS, base_of
+from pcbench.plants import PLANTS, signals_of
 from pcbench.scenarios import SCENARIOS
 from pcbench.types import Arrival
 
@@ -77,11 +77,11 @@ def test_a_channel_that_is_not_fresh_changes_nothing(name):
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenarios_name_what_exists(name):
     s = SCENARIOS[name]
-    states = len(PLANTS[s.plant].signals)
-    assert set(s.observers) <= set(OBSERVERS)
+    states = len(signals_of(s))
+    assert {base_of(label) for label in s.observers} <= set(OBSERVERS)
     assert {len(s.x0), len(s.xhat0), len(s.prior_std), len(s.settle_band)} == {states}
     assert 0 <= s.tail < s.horizon
-    for seconds in (*s.sampling_period, *s.delay, s.horizon, s.tail):
+    for seconds in (*s.sampling_period, *(d or 0.0 for d in s.delay), s.horizon, s.tail):
         assert abs(seconds / s.dt - round(seconds / s.dt)) < 1e-9
 
 

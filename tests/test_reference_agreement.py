@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from harness import CART, ODD, Case, inputs, noise, setting, starts, trace
 from reference import cart as reference_cart
+from reference import irregular
 from reference import linear as reference
 
 from pcbench.observers import OBSERVERS
@@ -32,6 +33,9 @@ def expected(case, observer, options, u, samples):
         return reference.open_loop(model, u, xhat0)
     if observer == "pccebo":
         return reference.pccebo(model, u, samples, xhat0, design.gains.L)
+    if observer in ("pco", "pi-pco"):
+        g = design.gains
+        return irregular.pco(model, u, samples, xhat0, g.T, g.Kp, g.Ki if observer == "pi-pco" else None)
     if observer == "kfbo":
         K = design.certificate.numbers["K"]
         flags = {key: options.get(key, False) for key in ("lag_aware", "sampled_innovation")}

@@ -128,13 +128,16 @@ def test_an_undetectable_plant_has_no_kfbo():
 
 def test_recursion_converges_to_the_discrete_riccati_equation():
     E, Q, R = expm(ODD.A * 0.1), np.diag([0.1, 0.2, 0.05]), np.diag([0.3, 0.1])
-    run = riccati.recursion(E, Q, ODD.C, R, np.eye(3), 400)
-    np.testing.assert_allclose(run.prior[-1], solve_discrete_are(E.T, ODD.C.T, Q, R), rtol=1e-9, atol=1e-12)
+    run = riccati.multirate(E[None], Q[None], ODD.C, np.diag(R), np.eye(3), (1, 1), 1)
+    for _ in range(400):
+        prior = E @ run.P @ E.T + Q
+        run = riccati.multirate(E[None], Q[None], ODD.C, np.diag(R), prior, (1, 1), 0)
+    np.testing.assert_allclose(prior, solve_discrete_are(E.T, ODD.C.T, Q, R), rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("ticks", [1, 2, 3, 200, 600, 1000])
 def test_doublings_reach_any_age(ticks):
-    doubled = linear.doublings(CART.A, 1e-3, 10)
+    doubled = linear.doublings(CART, 1e-3, 10)
     np.testing.assert_allclose(
         linear.over(doubled, ticks), reference_cart.transition(ticks * 1e-3), rtol=1e-13, atol=1e-16
     )
@@ -143,5 +146,5 @@ def test_doublings_reach_any_age(ticks):
 @pytest.mark.parametrize("bit", range(10))
 def test_process_noise_over_long_intervals_keeps_its_digits(bit):
     """Van Loan's exponential over 0.6 s overflows silently; doubling one tick does not."""
-    Q = linear.noise_doublings(CART.A, 0.002 * CART.B @ CART.B.T, 1e-3, 10)[bit]
+    Q = linear.noise_doublings(CART, 0.002, 1e-3, 10)[bit]
     np.testing.assert_allclose(Q, reference_cart.process_covariance(2**bit * 1e-3), rtol=1e-11)

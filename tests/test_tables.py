@@ -14,7 +14,17 @@ import pcbench
 from pcbench import store, study, tables
 from pcbench.errors import UserError
 
-AXES = ["sampling_period", "delay", "noise_std", "drift"]
+AXES = [
+    "sampling_period",
+    "delay",
+    "noise_std",
+    "drift",
+    "profile",
+    "jitter",
+    "delay_jitter",
+    "loss",
+    "assumed_delay_error",
+]
 RUNS = "seed signal unit mae rmse mse peak final settling_time tail_mae tail_rmse tail_mse tail_peak diverged first_bad_time"
 STATS = "signal unit metric n diverged mean se ci_low ci_high p05 p25 p50 p75 p95"
 PAIRS = "observer_a observer_b signal unit metric n mean_diff se ci_low ci_high prob_a_better p_value p_holm"

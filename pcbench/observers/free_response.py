@@ -7,13 +7,17 @@ g(t_m) when sample m is taken; nothing else of the past is kept.
 g follows the plant's own modes: over a horizon on which an unstable model grows past 1e16 the difference loses its digits.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 
 from pcbench.integrate import after
-from pcbench.types import Arrival, Leaf, Now
+from pcbench.observers import in_order
+from pcbench.observers.in_order import Line
+from pcbench.synthesis import linear
+from pcbench.synthesis.certificate import Setting
+from pcbench.types import Leaf, Now
 
 
 class Motion(NamedTuple):
@@ -24,37 +28,48 @@ class Motion(NamedTuple):
     doublings: Leaf  # [bits, n, n] e^{A h 2^b}
 
 
-class Resumable(NamedTuple):
-    """An estimate that can be taken up again at a sample's time."""
+class Point(NamedTuple):
+    """An estimate at the time of a sample."""
+
+    free: Array  # [n] xhat - g there
+    taken: Array  # tick
+
+
+class Memory(NamedTuple):
+    """The estimate of now and what it came from: every observer of this family keeps these."""
 
     g: Array  # [n] input response from zero state
     xhat: Array  # [n] estimate of now
-    free: Array  # [n] xhat - g at the newest sample used
-    taken: Array  # tick at which that sample was taken
+    line: Line  # the recursion's state at the newest samples used
 
 
-def init(xhat0: Array) -> Resumable:
+def start(xhat0: Array, state: Any, places: Leaf, outputs: int) -> Memory:
     """Start from xhat(0), as if a sample had been used at tick 0."""
-    return Resumable(jnp.zeros_like(xhat0), xhat0, xhat0, jnp.asarray(0))
+    return Memory(jnp.zeros_like(xhat0), xhat0, in_order.start(state, places, outputs, xhat0.shape[0]))
 
 
-def flow(motion: Motion, past: Resumable, now: Now) -> Resumable:
+def origin(xhat0: Array) -> Point:
+    """Return xhat(0) as an estimate at the time of a sample."""
+    return Point(xhat0, jnp.asarray(0))
+
+
+def flow(motion: Motion, memory: Memory, now: Now) -> Memory:
     """Advance by one tick under the held input."""
     pushed = motion.Gamma @ now.u
-    return past._replace(g=motion.Phi @ past.g + pushed, xhat=motion.Phi @ past.xhat + pushed)
+    return memory._replace(g=motion.Phi @ memory.g + pushed, xhat=motion.Phi @ memory.xhat + pushed)
 
 
-def gap(past: Resumable, now: Now, arrival: Arrival) -> Array:
-    """Return the ticks between the newest sample used and the one that arrives."""
-    return now.tick - arrival.age[0] - past.taken
+def at(motion: Motion, point: Point, tick: Array) -> Array:
+    """Return `free` carried on to a tick: the estimate there is g + this."""
+    return after(motion.doublings, tick - point.taken, point.free)
 
 
-def at_sample(motion: Motion, past: Resumable, now: Now, arrival: Arrival) -> Array:
-    """Return `free` carried to the arriving sample's time: the estimate there, before its update, is note + free."""
-    return after(motion.doublings, gap(past, now, arrival), past.free)
+def resume(motion: Motion, memory: Memory, now: Now, line: Line, point: Point) -> Memory:
+    """Take the estimate up again from a sample's time and carry it to now."""
+    return Memory(memory.g, memory.g + at(motion, point, now.tick), line)
 
 
-def resume(motion: Motion, past: Resumable, now: Now, arrival: Arrival, free: Array) -> Resumable:
-    """Take the estimate up again from note + free at the sample's time, and carry it to now."""
-    age = arrival.age[0]
-    return Resumable(past.g, past.g + after(motion.doublings, age, free), free, now.tick - age)
+def motion_of(model: linear.Model, setting: Setting) -> Motion:
+    """Return a model's motion in NumPy, for every age up to the horizon."""
+    Phi, Gamma = linear.one_tick(model, setting.dt)
+    return Motion(Phi, Gamma, linear.doublings(model, setting.dt, linear.bits_for(setting.ticks)))

@@ -9,7 +9,8 @@ the input's response over the last d, is one state: s' = A s + B u - e^{A d} B u
 
 Source: Mohammed et al. 2017, section 5 (after Roberts 1986). Different from print: K = P C' R^-1 and Q = 0.002 B B' (see
 `synthesis.riccati`). It does not know that Y is held: on a constant velocity it stays behind by velocity x te/2, so perfect
-start is not claimed. All channels share one delay.
+start is not claimed. It takes one constant delay, the same for all channels: the age of a sample is nothing it could use, so
+schedules on which it varies are refused. A lost sample leaves the last one held.
 Options: `lag-aware` uses d + te/2 in place of d (te must be even in ticks); `sampled-innovation` holds the innovation
 Y_i - C z(t_i) instead of the measurement, z' = A z + B u(t - d) + K (Y_i - C z(t_i)), which can be unstable.
 """
@@ -23,7 +24,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pcbench.errors import UserError
 from pcbench.synthesis import linear, riccati
-from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
+from pcbench.synthesis.certificate import Design, Setting, certified
 from pcbench.types import Arrival, Leaf, Now, Observer
 
 
@@ -37,6 +38,7 @@ class Gains(NamedTuple):
     Gain_z: Leaf  # [n, q] of the filter, K
     E: Leaf  # [n, n] e^{A d}
     C: Leaf  # [q, n]
+    D: Leaf  # [q, m]
     lag: Leaf  # [ticks] d
     sampled: Leaf  # 1 where the innovation is sampled and held, 0 where the measurement is
 
@@ -78,7 +80,8 @@ def note(gains: Gains, memory: Memory, now: Now) -> Array:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Hold what arrived."""
-    Y = arrival.value - gains.sampled * (gains.C @ memory.z)
+    known = jnp.stack([gains.D[j] @ now.past_u(arrival.age[j]) for j in range(gains.D.shape[0])])
+    Y = arrival.value - known - gains.sampled * (gains.C @ memory.z)
     return memory._replace(Y=jnp.where(arrival.fresh, Y, memory.Y))
 
 
@@ -103,18 +106,25 @@ OBSERVER = Observer(init, note, jump, flow, estimate)
 
 def design(setting: Setting, options: Options) -> Design:
     """Solve the Riccati equation (27), check that A - K C is Hurwitz, and discretise exactly."""
-    period, delay = one_clock(setting, "kfbo")
-    A, B, C = setting.model
-    where = f"kfbo in {setting.scenario}"
-    stationary = riccati.continuous(setting.model, options.Q * B @ B.T, options.R * np.eye(len(C)), where)
+    model, where = setting.model, f"kfbo in {setting.scenario}"
+    if model.discrete or len(set(setting.delay)) > 1:
+        found = "a discrete plant" if model.discrete else f"channels with delays {setting.delay} (ticks)"
+        raise UserError(
+            f"{where}: got {found}, expected a continuous plant and one delay for all channels; leave kfbo out."
+        )
+    delay, period = setting.delay[0], setting.period[0]
+    A, B, C, h, m = model.A, model.B, model.C, setting.dt, model.B.shape[1]
+    stationary = riccati.continuous(model, options.Q * B @ B.T, options.R * np.eye(len(C)), where)
     certificate = certified(stationary.certificate, where)
-    K, h, m = stationary.K, setting.dt, B.shape[1]
-    if options.lag_aware and period % 2:
-        raise UserError(f"{where}: lag-aware shifts by te/2, got an odd te of {period} ticks, expected an even one.")
+    K = stationary.K
+    if options.lag_aware and (period % 2 or len(set(setting.period)) > 1):
+        raise UserError(
+            f"{where}: lag-aware shifts by te/2, got te = {setting.period} ticks, expected one even te for all channels."
+        )
     lag = delay + (period // 2 if options.lag_aware else 0)
-    Phi, Gamma = linear.held(A, B, h)
+    Phi, Gamma = linear.one_tick(model, h)
     Phi_z, Gammas = linear.held(A if options.sampled_innovation else A - K @ C, np.hstack([B, K]), h)
-    E = linear.over(linear.doublings(A, h, linear.bits_for(lag)), lag)
+    E = linear.over(linear.doublings(model, h, linear.bits_for(lag)), lag)
     gains = Gains(
         Phi,
         Gamma,
@@ -123,6 +133,7 @@ def design(setting: Setting, options: Options) -> Design:
         Gammas[:, m:],
         E,
         C,
+        model.feedthrough,
         np.asarray(lag),
         np.asarray(float(options.sampled_innovation)),
     )

@@ -57,5 +57,5 @@ OBSERVER = Observer(init, note, jump, flow, estimate)
 
 def design(setting: Setting, options: Options) -> Design:
     """Discretise the model exactly; there is no gain to prove."""
-    Phi, Gamma = linear.held(setting.model.A, setting.model.B, setting.dt)
+    Phi, Gamma = linear.one_tick(setting.model, setting.dt)
     return Design(Gains(Phi, Gamma), Certificate("none: no gain", float("inf"), "none", "not needed", {"Phi": Phi}))

@@ -8,64 +8,80 @@
 As piecewise continuous systems: one integrates the input, the other is the estimate, re-initialised at each arrival.
 Without noise and with a true model the error is e(t) = e^{A (t - t_m)} e_m, e_m = (I - L C) Phi e_(m-1), whatever u is.
 
+A sample that comes after a newer one is put in its place (`in_order`); one that is lost lengthens the interval of (8a).
+
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017) 3738-3751, doi 10.3906/elk-1606-160.
 Different from print: (7) and (8a) hold the input over a whole sampling period, here the integral is exact; (11) is
-printed for d = te only. Time index: the estimate is of now, read after the jump. Not claimed: that it filters noise;
-with the paper's L = [1, 0] it takes every measured position as it comes.
+printed for d = te only. Time index: the estimate is of now, read after the jump. All channels share one clock.
+Not claimed: that it filters noise (with the paper's L = [1, 0] it takes every measured position as it comes), nor that the
+certificate, which is for the mean period, covers intervals that vary.
 """
 
-from typing import NamedTuple
+from functools import partial
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
-from pcbench.observers import free_response
-from pcbench.observers.free_response import Motion, Resumable
-from pcbench.synthesis import cache, current_estimator, linear
+from pcbench.observers import free_response, in_order
+from pcbench.observers.free_response import Memory, Motion, Point
+from pcbench.observers.in_order import Sample
+from pcbench.synthesis import cache, current_estimator, linear, riccati
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
 from pcbench.types import Arrival, Leaf, Now, Observer
 
 
 class Gains(NamedTuple):
-    """n states, q outputs."""
+    """n states, m inputs, q outputs."""
 
     motion: Motion
     C: Leaf  # [q, n]
+    D: Leaf  # [q, m]
     L: Leaf  # [n, q]
+    places: Leaf  # [K] room for samples that may be overtaken
 
 
 class Options(BaseModel):
-    """PCCEBO has no options: its gain is the LMI's."""
+    """How the gain is found."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    gain: Literal["lmi", "riccati"] = Field("lmi", description="LMI (23), or a stationary Kalman filter's gain")
+    q: float = Field(0.002, gt=0, description="riccati: assumed intensity of process noise through the input")
 
 
-def init(gains: Gains, xhat0: Array) -> Resumable:
+def init(gains: Gains, xhat0: Array) -> Memory:
     """Start from xhat(0) [n]."""
-    return free_response.init(xhat0)
+    return free_response.start(xhat0, free_response.origin(xhat0), gains.places, gains.C.shape[0])
 
 
-def note(gains: Gains, memory: Resumable, now: Now) -> Array:
+def note(gains: Gains, memory: Memory, now: Now) -> Array:
     """Note the input response at the sample's time, [n]."""
     return memory.g
 
 
-def jump(gains: Gains, memory: Resumable, now: Now, arrival: Arrival) -> Resumable:
-    """Correct at the sample's own time (8b), then predict to now (11)."""
-    free = free_response.at_sample(gains.motion, memory, now, arrival)
-    xbar = arrival.note + free
-    innovation = jnp.where(arrival.fresh, arrival.value - gains.C @ xbar, 0.0)
-    return free_response.resume(gains.motion, memory, now, arrival, free + gains.L @ innovation)
+def correct(gains: Gains, before: Point, sample: Sample) -> Point:
+    """Correct at the sample's own time, (8a) and (8b)."""
+    free = free_response.at(gains.motion, before, sample.taken)
+    xbar = sample.note + free
+    innovation = jnp.where(sample.fresh, sample.value - gains.C @ xbar, 0.0)
+    return Point(free + gains.L @ innovation, sample.taken)
 
 
-def flow(gains: Gains, memory: Resumable, now: Now) -> Resumable:
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Correct at the sample's own time, then predict to now (11)."""
+    arrived = in_order.sample_of(now, arrival, gains.D)
+    line, newest = in_order.replay(partial(correct, gains), memory.line, arrived)
+    return free_response.resume(gains.motion, memory, now, line, newest)
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Move by one tick under the held input (12)."""
     return free_response.flow(gains.motion, memory, now)
 
 
-def estimate(gains: Gains, memory: Resumable) -> Array:
+def estimate(gains: Gains, memory: Memory) -> Array:
     """Return xhat of now, [n]."""
     return memory.xhat
 
@@ -73,18 +89,19 @@ def estimate(gains: Gains, memory: Resumable) -> Array:
 OBSERVER = Observer(init, note, jump, flow, estimate)
 
 
-def motion(setting: Setting) -> Motion:
-    """Return the nominal model's motion in NumPy, for every age up to the horizon."""
-    Phi, Gamma = linear.held(setting.model.A, setting.model.B, setting.dt)
-    return Motion(Phi, Gamma, linear.doublings(setting.model.A, setting.dt, linear.bits_for(setting.ticks)))
-
-
 def design(setting: Setting, options: Options) -> Design:
-    """Find L by LMI (23) at the sampling period and certify it; raise DesignError where it cannot be."""
-    period, _ = one_clock(setting, "pccebo")
-    moves = motion(setting)
+    """Find L at the (mean) sampling period and certify it by LMI (23); raise DesignError where it cannot be."""
+    period = one_clock(setting, "pccebo")
+    where = f"pccebo in {setting.scenario}"
+    moves = free_response.motion_of(setting.model, setting)
     Phi, C = linear.over(moves.doublings, period), setting.model.C
-    found = cache.remembered(current_estimator.Solution, "lmi23", (Phi, C), lambda: current_estimator.solve(Phi, C))
-    found = current_estimator.sharpen(found, Phi, C)
-    certificate = certified(current_estimator.certify(found, Phi, C), f"pccebo in {setting.scenario}")
-    return Design(Gains(moves, C, np.asarray(found.L)), certificate)
+    if options.gain == "riccati":
+        noise = linear.noise_doublings(setting.model, options.q, setting.dt, len(moves.doublings))
+        Q, R = linear.noise_over(moves.doublings, noise, period), np.diag(setting.noise_variance)
+        found = current_estimator.lyapunov(Phi, C, riccati.current_gain(Phi, C, Q, R, where))
+    else:
+        found = cache.remembered(current_estimator.Solution, "lmi23", (Phi, C), lambda: current_estimator.solve(Phi, C))
+        found = current_estimator.sharpen(found, Phi, C)
+    certificate = certified(current_estimator.certify(found, Phi, C), where)
+    gains = Gains(moves, C, setting.model.feedthrough, np.asarray(found.L), setting.places)
+    return Design(gains, certificate)

@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from pcbench.plants import cart
+from pcbench.plants import cart, lti
+from pcbench.scenarios import Scenario
 from pcbench.synthesis.linear import Model
 from pcbench.types import Plant
 
@@ -12,7 +13,7 @@ class Entry(NamedTuple):
     """A plant with what the tables and the observers need to know of it."""
 
     plant: Plant
-    signals: tuple[tuple[str, str], ...]  # (state, unit)
+    signals: tuple[tuple[str, str], ...]  # (state, unit); empty: the scenario's
     numbers: Any  # default parameters, a NamedTuple
     nominal: Callable[[Any], Model]  # the linear model that observers know
     prepare: Callable[[Any, float, int], Any]  # (numbers, dt [s], ticks) -> params
@@ -23,4 +24,18 @@ PLANTS = {
     "cart": Entry(
         cart.PLANT, cart.SIGNALS, cart.Numbers(), cart.nominal, cart.prepare, "mobile cart under a camera, 2 states"
     ),
+    "lti": Entry(
+        lti.PLANT, (), lti.Numbers(), lti.nominal, lti.prepare, "any linear plant of your own: a study's table [lti]"
+    ),
 }
+
+
+def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
+    """Return (state, unit) of every state of a scenario's plant."""
+    return scenario.signals or PLANTS[scenario.plant].signals
+
+
+def parameters_of(plant: str) -> list[str]:
+    """Return the names of a plant's parameters that a study may vary."""
+    numbers = PLANTS[plant].numbers._asdict()
+    return [name for name, v in numbers.items() if type(v) is float and not name.startswith("drift")]

@@ -35,13 +35,14 @@ class Numbers(NamedTuple):
     b: float = 355.0  # velocity gained per second and unit of input
     drift: float = 0.0  # scale of the printed drift
     drift_sign: float = 1.0  # s
+    input_bias: float = 0.0  # unit of the input: added to it on its way to the plant
 
 
 class Params(NamedTuple):
-    """The linear map of every tick k = 0 .. N: x(t_k+1) = Phi[k] x(t_k) + Gamma[k] u_k."""
+    """The linear map of every tick k = 0 .. N, x(t_k+1) = Phi[k] x(t_k) + Gamma[k] (u_k + bias); one row: of all ticks."""
 
-    Phi: Leaf  # [N+1, 2, 2]
-    Gamma: Leaf  # [N+1, 2, 1]
+    Phi: Leaf  # [N+1 or 1, 2, 2]
+    Gamma: Leaf  # [N+1 or 1, 2, 1]
     numbers: Numbers  # what the field reads
 
 
@@ -60,12 +61,12 @@ def coefficients(numbers: Numbers, t: Array) -> tuple[Array, Array]:
 def field(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "2"]:
     """Return dx/dt at the stage's time now.t under the held now.u."""
     a22, b21 = coefficients(params.numbers, now.t)
-    return jnp.stack([x[1], a22 * x[1] + b21 * now.u[0]])
+    return jnp.stack([x[1], a22 * x[1] + b21 * (now.u[0] + params.numbers.input_bias)])
 
 
 @partial(jax.jit, static_argnames="ticks")
 def _drifting(numbers: Numbers, dt: Array, ticks: int) -> Params:
-    params = Params(jnp.zeros(0), jnp.zeros(0), numbers)
+    params = Params(jnp.zeros(0), jnp.zeros(0), numbers._replace(input_bias=0.0))  # the bias joins the input later
 
     def tick(k: Array) -> Array:  # the state and the held input as one linear system of three
         def joint(t: Array, z: Array) -> Array:
@@ -84,13 +85,14 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
         return _drifting(jax.tree.map(jnp.asarray, numbers), jnp.asarray(dt), ticks)
     model = nominal(numbers)
     Phi, Gamma = held(model.A, model.B, dt)
-    every = (ticks + 1,)
-    return Params(np.broadcast_to(Phi, every + Phi.shape), np.broadcast_to(Gamma, every + Gamma.shape), numbers)
+    return Params(Phi[None], Gamma[None], numbers)
 
 
 def step(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "2"]:
     """Advance x by one tick under the held now.u."""
-    return params.Phi[now.tick] @ x + params.Gamma[now.tick] @ now.u
+    one = params.Phi.shape[0] == 1
+    Phi, Gamma = (params.Phi[0], params.Gamma[0]) if one else (params.Phi[now.tick], params.Gamma[now.tick])
+    return Phi @ x + Gamma @ (now.u + params.numbers.input_bias)
 
 
 def output(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "1"]:

@@ -14,7 +14,7 @@ class Scenario(NamedTuple):
     plant: str
     observers: tuple[str, ...]
     sampling_period: tuple[float, ...]  # [q] s
-    delay: tuple[float, ...]  # [q] s
+    delay: tuple[float | None, ...]  # [q] s; None: one interval, a sample arrives when the next is taken
     noise_std: tuple[float, ...]  # [q] of one sample
     drift: float  # scale of the plant's parameter drift
     input: str  # name in `signals`
@@ -28,3 +28,13 @@ class Scenario(NamedTuple):
     tail: float = 3.0  # s, where the tail starts
     drift_intensity: float = 0.0  # process noise through the input a designer assumes where the plant drifts, 1/s
     options: Mapping[str, dict[str, Any]] = MappingProxyType({})  # by observer
+    profile: str | tuple[float, ...] = (
+        "periodic"  # of the sampling intervals: a name in sampling.PROFILES, or s in turn
+    )
+    jitter: float = 0.0  # s, a sample is taken up to this much early or late
+    delay_jitter: float = 0.0  # s, a sample arrives up to this much later
+    loss: float = 0.0  # probability that a sample never arrives
+    assumed_delay_error: float = 0.0  # s, observers believe samples to be so much older than they are
+    parameters: Mapping[str, Any] = MappingProxyType({})  # of the plant, where not its own: what observers do not know
+    model: Mapping[str, Any] = MappingProxyType({})  # of the plant, where not its own: what observers do know
+    signals: tuple[tuple[str, str], ...] = ()  # (state, unit), where not the plant's own

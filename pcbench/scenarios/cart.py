@@ -1,4 +1,7 @@
-"""The five experiments on the mobile cart, and a second reading of one.
+"""The published experiments on the mobile cart.
+
+`variable*`: the same cart on a camera whose intervals vary, each sample arriving when the next is taken; tail from 3 s.
+Kp = -61 and Ki = 12.2 (F = 0.5) are not printed: the page's defaults. Source: Li, Wang, Tian, PI-PCO, section 4.
 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017), section 6. Decided where the paper is silent:
 horizon 10 s, tick 1 ms, tail from 3 s; in 6.2 the delay is 0.6 s and te is not printed, so `gaussian` takes the paper's rule
@@ -11,6 +14,8 @@ from math import sqrt
 from pcbench.scenarios.base import Scenario
 
 PAPER = "Mohammed, Wang, Tian 2017, section "
+VARIABLE = "Li, Wang, Tian, PI-PCO, section 4"
+PCO = {"pco": {"Kp": -61.0}, "pi-pco": {"Kp": -61.0, "Ki": 12.2}}
 
 NOMINAL = Scenario(
     name="cart/nominal",
@@ -29,7 +34,19 @@ NOMINAL = Scenario(
     settle_band=(0.25, 0.5),
     bound=1e6,
     drift_intensity=0.002,
-    options={"kfbo": {"R": 0.004}},
+    options=PCO | {"kfbo": {"R": 0.004}},
+)
+
+CAMERA = NOMINAL._replace(
+    name="cart/variable",
+    summary="intervals vary about 0.2 s, each sample one interval late; noise of variance 0.001",
+    source=VARIABLE,
+    observers=("pco", "pi-pco", "pccebo", "dkf", "dkf-bias", "open-loop"),
+    delay=(None,),
+    profile="sine",
+    noise_std=(sqrt(0.001),),
+    input="sine",
+    options=PCO | {"dkf-bias": {"bias_variance": 1.0}},
 )
 
 CART = (
@@ -41,7 +58,7 @@ CART = (
         sampling_period=(0.6,),
         delay=(0.6,),
         noise_std=(1.0,),
-        options={"kfbo": {"R": 1.0}},
+        options=PCO | {"kfbo": {"R": 1.0}},
     ),
     NOMINAL._replace(
         name="cart/gaussian-fast",
@@ -49,7 +66,7 @@ CART = (
         source=PAPER + "6.2, other reading",
         delay=(0.6,),
         noise_std=(1.0,),
-        options={"kfbo": {"R": 1.0}},
+        options=PCO | {"kfbo": {"R": 1.0}},
     ),
     NOMINAL._replace(
         name="cart/white",
@@ -66,6 +83,19 @@ CART = (
         source=PAPER + "6.4",
         sampling_period=(1.0,),
         delay=(1.0,),
-        options={"kfbo": {"R": 0.3}},
+        options=PCO | {"kfbo": {"R": 0.3}},
+    ),
+    CAMERA,
+    CAMERA._replace(
+        name="cart/variable-bias",
+        summary="as cart/variable; the plant's input has a bias of 0.2 that no model knows",
+        source=VARIABLE + ", other plant",
+        parameters={"input_bias": 0.2},
+    ),
+    CAMERA._replace(
+        name="cart/variable-gain",
+        summary="as cart/variable; the plant's gain is 10 % larger than the model's",
+        source=VARIABLE + ", other plant",
+        parameters={"b": 390.5},
     ),
 )

@@ -9,6 +9,8 @@ import numpy as np
 from pcbench.errors import DesignError, UserError
 from pcbench.synthesis.linear import Model
 
+NO_NOISE = 1e-12  # variance taken where a scenario has no measurement noise
+
 
 class Certificate(NamedTuple):
     """The inequality that was re-checked, how far inside it the gain stands, and who found the gain."""
@@ -34,11 +36,23 @@ class Setting(NamedTuple):
     model: Model  # nominal
     dt: float  # [s]
     ticks: int  # horizon N
-    period: tuple[int, ...]  # [q] ticks
-    delay: tuple[int, ...]  # [q] ticks
+    period: tuple[int, ...]  # [q] ticks; the mean where intervals vary
+    delay: tuple[int, ...]  # [q] ticks, as the observer believes it; the mean where it varies
     noise_std: tuple[float, ...]  # [q] of one sample
     P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
     input_intensity: float  # process noise through the input that a designer assumes, per second
+    overtaking: int = 0  # K: how many newer samples may arrive before one
+    intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
+
+    @property
+    def noise_variance(self) -> np.ndarray:
+        """Variance of one sample of each channel, [q]; where there is none NO_NOISE, so that nothing is divided by 0."""
+        return np.array([std**2 or NO_NOISE for std in self.noise_std])
+
+    @property
+    def places(self) -> np.ndarray:
+        """Room for the samples that may be overtaken, [K]: its length tells an observer's memory its shape."""
+        return np.zeros(self.overtaking)
 
 
 def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certificate:
@@ -57,12 +71,12 @@ def least_eigenvalue(M: np.ndarray) -> float:
     return float(np.linalg.eigvalsh((M + M.T) / 2)[0]) if np.isfinite(M).all() else float("nan")
 
 
-def one_clock(setting: Setting, observer: str) -> tuple[int, int]:
-    """Return the period and delay (ticks) that all channels share, or say that this observer needs it."""
+def one_clock(setting: Setting, observer: str) -> int:
+    """Return the (mean) period in ticks of the clock that all channels share, or say that this observer needs it."""
     if len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
         raise UserError(
             f"observer {observer} in {setting.scenario}: got channels with periods {setting.period} and delays "
             f"{setting.delay} (ticks), expected one period and one delay for all; give equal ones or leave "
             f"{observer} out."
         )
-    return setting.period[0], setting.delay[0]
+    return setting.period[0]

@@ -16,6 +16,7 @@ Source: Mohammed et al. 2017, Theorem 1; the objective is ours.
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
 
 from pcbench.errors import DesignError
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
@@ -56,6 +57,16 @@ def solve(Phi: Matrix, C: Matrix, solver: str = "CLARABEL") -> Solution:
     if P.value is None or Y.value is None:
         raise DesignError(f"pccebo: LMI (23) has no solution: {solver} said '{problem.status}'; try another period.")
     return Solution(P.value, np.linalg.solve(P.value, Y.value), float(np.asarray(t.value)), str(problem.status), solver)
+
+
+def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> Solution:
+    """Return a gain found elsewhere with the P that proves it, of M'P M - P = -I, M = (I - L C) Phi, scaled to P <= I."""
+    closed = (np.eye(len(Phi)) - L @ C) @ Phi
+    P = np.eye(len(Phi))
+    if np.abs(np.linalg.eigvals(closed)).max() < 1:
+        P = np.asarray(solve_discrete_lyapunov(closed.T, P), dtype=np.float64)
+        P = P / np.linalg.norm(P, 2)
+    return Solution(P, L, 0.0, "solved", "scipy")
 
 
 def sharpen(found: Solution, Phi: Matrix, C: Matrix) -> Solution:

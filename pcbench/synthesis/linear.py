@@ -1,4 +1,4 @@
-"""Exact discretisation of x' = A x + B u under a held input, and of the noise that drives it.
+"""Exact discretisation of a linear model under a held input, and of the noise that drives it.
 
 Doublings: entry b belongs to 2^b ticks. Noise over 2^b ticks follows by Q_2b = E_b Q_b E_b' + Q_b from one short tick,
 never by one matrix exponential over a long interval, which overflows silently (Van Loan's at 0.6 s on the cart).
@@ -15,11 +15,18 @@ Matrix = NDArray[np.float64]
 
 
 class Model(NamedTuple):
-    """A linear model with a held input: x' = A x + B u, y = C x."""
+    """A linear model with a held input: x' = A x + B u, y = C x + D u; where `discrete`, x one tick later is A x + B u."""
 
-    A: Matrix  # [n, n] 1/s
+    A: Matrix  # [n, n] 1/s (discrete: per tick)
     B: Matrix  # [n, m]
     C: Matrix  # [q, n]
+    D: Matrix | None = None  # [q, m]; None: zero
+    discrete: bool = False
+
+    @property
+    def feedthrough(self) -> Matrix:
+        """D as a matrix [q, m]."""
+        return np.zeros((len(self.C), self.B.shape[1])) if self.D is None else self.D
 
 
 def held(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
@@ -31,19 +38,31 @@ def held(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
     return whole[:n, :n], whole[:n, n:]
 
 
+def one_tick(model: Model, h: float) -> tuple[Matrix, Matrix]:
+    """Return Phi and Gamma of one tick of h seconds, exactly: x(t + h) = Phi x(t) + Gamma u."""
+    return (model.A, model.B) if model.discrete else held(model.A, model.B, h)
+
+
 def bits_for(ticks: int) -> int:
     """Return how many doublings reach every age up to `ticks`."""
     return max(int(ticks).bit_length(), 1)
 
 
-def doublings(A: Matrix, h: float, bits: int) -> Matrix:
-    """Return e^{A h 2^b} for b = 0 .. bits - 1, as [bits, n, n]; remembered, as every cell of a study asks for the same."""
-    return _doublings(np.ascontiguousarray(A, float).tobytes(), len(A), h, bits)
+def doublings(model: Model, h: float, bits: int) -> Matrix:
+    """Return the model's map over 2^b ticks without input, b = 0 .. bits - 1, as [bits, n, n]; remembered."""
+    return _doublings(np.ascontiguousarray(model.A, float).tobytes(), len(model.A), model.discrete, h, bits)
 
 
 @lru_cache(maxsize=256)
-def _doublings(A: bytes, n: int, h: float, bits: int) -> Matrix:
-    out = np.stack([expm(np.frombuffer(A).reshape(n, n) * (h * 2**b)) for b in range(bits)])
+def _doublings(A: bytes, n: int, discrete: bool, h: float, bits: int) -> Matrix:
+    one = np.frombuffer(A).reshape(n, n)
+    if discrete:
+        maps = [one]
+        for _ in range(bits - 1):
+            maps.append(maps[-1] @ maps[-1])
+        out = np.stack(maps)
+    else:
+        out = np.stack([expm(one * (h * 2**b)) for b in range(bits)])
     out.flags.writeable = False
     return out
 
@@ -60,10 +79,13 @@ def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     return (Q + Q.T) / 2
 
 
-def noise_doublings(A: Matrix, Qc: Matrix, h: float, bits: int) -> Matrix:
-    """Return the process noise covariance over 2^b ticks for b = 0 .. bits - 1, as [bits, n, n]."""
-    E = doublings(A, h, bits)
-    out = [noise_over_tick(A, Qc, h)]
+def noise_doublings(model: Model, intensity: float, h: float, bits: int) -> Matrix:
+    """Return the covariance over 2^b ticks of process noise through the input, b = 0 .. bits - 1, as [bits, n, n].
+
+    `intensity` is per second. A discrete model knows no time within a tick: there the noise is held over it.
+    """
+    E, Q = doublings(model, h, bits), intensity * model.B @ model.B.T
+    out = [Q / h if model.discrete else noise_over_tick(model.A, Q, h)]
     for b in range(bits - 1):
         out.append(E[b] @ out[-1] @ E[b].T + out[-1])
     return np.stack(out)
@@ -76,3 +98,23 @@ def over(doubled: Matrix, ticks: int) -> Matrix:
         if ticks >> b & 1:
             E = doubled[b] @ E
     return E
+
+
+def noise_over(doubled: Matrix, noise: Matrix, ticks: int) -> Matrix:
+    """Return the process noise covariance over any number of ticks from its doublings."""
+    Q = np.zeros_like(doubled[0])
+    for b in range(doubled.shape[0]):
+        if ticks >> b & 1:
+            Q = doubled[b] @ Q @ doubled[b].T + noise[b]
+    return Q
+
+
+def with_input_bias(model: Model) -> Model:
+    """Return the model with one more state per input: a constant bias b, x' = A x + B (u + b), b' = 0."""
+    n, m = model.B.shape
+    A = np.zeros((n + m, n + m))
+    A[:n, :n], A[:n, n:] = model.A, model.B
+    if model.discrete:
+        A[n:, n:] = np.eye(m)
+    wider = np.vstack([model.B, np.zeros((m, m))])
+    return model._replace(A=A, B=wider, C=np.hstack([model.C, np.zeros((len(model.C), m))]))

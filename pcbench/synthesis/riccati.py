@@ -6,14 +6,16 @@
 noise enters through the input, Q = 0.002 B B'. Source: Mohammed et al. 2017, section 5.
 """
 
+from bisect import bisect
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_continuous_are
+from scipy.linalg import solve_continuous_are, solve_discrete_are
 
 from pcbench.errors import DesignError
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
-from pcbench.synthesis.linear import Matrix, Model, over
+from pcbench.synthesis.linear import Matrix, Model, noise_over, over
 
 
 class Stationary(NamedTuple):
@@ -26,7 +28,7 @@ class Stationary(NamedTuple):
 
 def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
     """Solve (27) for P and K; the margin is how far A - K C lies left of the axis, NaN where P does not solve (27)."""
-    A, _, C = model
+    A, C = model.A, model.C
     try:
         P: Matrix = np.asarray(solve_continuous_are(A.T, C.T, Q, R), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError) as error:
@@ -44,6 +46,18 @@ def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
     return Stationary(P, K, Certificate("A - K C Hurwitz, (27) solved", margin, "scipy", "solved", numbers))
 
 
+def current_gain(Phi: Matrix, C: Matrix, Q: Matrix, R: Matrix, where: str) -> Matrix:
+    """Return the stationary Kalman filter's L [n, q] of a current estimator, xhat = xbar + L (y - C xbar)."""
+    try:
+        P = solve_discrete_are(Phi.T, C.T, Q, R)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(
+            f"{where}: the discrete Riccati equation was not solved: SciPy said '{error}'; "
+            "(Phi, C) must be detectable and Q, R positive."
+        ) from error
+    return np.asarray(np.linalg.solve(C @ P @ C.T + R, C @ P).T, dtype=np.float64)
+
+
 def update(P: Matrix, C: Matrix, R: Matrix) -> Matrix:
     """Return the posterior covariance (Joseph form) after a measurement y = C x + v, v ~ N(0, R)."""
     K = np.linalg.solve(C @ P @ C.T + R, C @ P).T
@@ -51,39 +65,66 @@ def update(P: Matrix, C: Matrix, R: Matrix) -> Matrix:
     return keep @ P @ keep.T + K @ R @ K.T
 
 
-class Recursion(NamedTuple):
-    """Covariances of the optimal filter at its own sampling times t_m, sample 0 included."""
+class Run(NamedTuple):
+    """What a covariance recursion over a horizon leaves."""
 
-    prior: Matrix  # [M, n, n]
-    posterior: Matrix  # [M, n, n]
+    P: Matrix  # [n, n] after the last update
+    K: Matrix  # [n, q] the last gain of each channel
+    innovation: float  # the least c P c' + r over all updates, relative to the least r
+    least: float  # the least eigenvalue of any P, relative to its largest entry
 
 
-def recursion(E: Matrix, Q: Matrix, C: Matrix, R: Matrix, P0: Matrix, samples: int) -> Recursion:
-    """Run P -> E P E' + Q -> update over `samples` samples, the first at t = 0 with the prior P0."""
-    prior, posterior, P = [], [], P0
-    for _ in range(samples):
-        prior.append(P)
-        posterior.append(update(P, C, R))
-        P = E @ posterior[-1] @ E.T + Q
-    return Recursion(np.stack(prior), np.stack(posterior))
+def multirate(
+    doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, P0: Matrix, period: tuple[int, ...], ticks: int
+) -> Run:
+    """Run the covariance over a horizon: channel j with noise variance R[j] is sampled every period[j] ticks from 0 on."""
+    P, at, K = P0, 0, np.zeros((len(P0), len(C)))
+    innovation, least = np.inf, np.inf
+    for tick in sorted({t for every in period for t in range(0, ticks + 1, every)}):
+        E = over(doubled, tick - at)
+        P, at = E @ P @ E.T + noise_over(doubled, noise, tick - at), tick
+        for j in [j for j, every in enumerate(period) if tick % every == 0]:
+            c, r = C[j : j + 1], R[j : j + 1, None]
+            innovation = min(innovation, float((c @ P @ c.T + r)[0, 0]) / R.min())
+            K[:, j] = (P @ c.T)[:, 0] / (c @ P @ c.T + r)[0, 0]
+            P = update(P, c, r)
+        least = min(least, least_eigenvalue(P) / max(np.abs(P).max(), 1e-300))
+    return Run(P, K, innovation, least)
 
 
 def posterior_variance(
-    doubled: Matrix, C: Matrix, R: Matrix, P0: Matrix, period: int, delay: int, ticks: int
+    doubled: Matrix, C: Matrix, R: Matrix, P0: Matrix, samples: list[tuple[int, int, int]], ticks: int
 ) -> Matrix:
     """Return the variance [N, n] that no causal estimator can beat at ticks 0 .. N-1, without process noise.
 
-    With x(0) ~ N(xhat0, P0) this is the Bayesian (posterior Cramer-Rao) bound: at tick k it uses every sample taken at or
-    before k - delay. Source: Kalman; Van Trees. It exists only where R > 0.
+    With x(0) ~ N(xhat0, P0) this is the Bayesian (posterior Cramer-Rao) bound: at tick k it uses every sample that has
+    arrived. `samples` are (arrival, taken, channel) in ticks, in any order; R[q] variances. Source: Kalman; Van Trees. It
+    exists only where R > 0.
     """
-    E = over(doubled, period)
-    after = recursion(E, np.zeros_like(P0), C, R, P0, ticks // period + 1).posterior
-    tick = np.arange(ticks)
-    newest = (tick - delay) // period  # the last sample known at each tick; negative: none
-    gap = np.where(newest < 0, tick, tick - newest * period)
+    arriving: dict[int, list[tuple[int, int]]] = {}
+    for arrival, taken, channel in samples:
+        arriving.setdefault(arrival, []).append((taken, channel))
+    known: list[tuple[int, int]] = []  # (taken, channel), oldest first
+    stages = [(0, P0)]  # the tick and covariance after none, one, two ... of them
+    since = {0: stages[0]}  # from this tick on, nothing newer than that is known
+    for tick in sorted(arriving):
+        for one in sorted(arriving[tick]):
+            place = bisect(known, one)
+            known.insert(place, one)
+            del stages[place + 1 :]
+            for taken, channel in known[place:]:
+                E = over(doubled, taken - stages[-1][0])
+                P = update(E @ stages[-1][1] @ E.T, C[channel : channel + 1], R[channel : channel + 1, None])
+                stages.append((taken, P))
+        since[tick] = stages[-1]
+    edges = [tick for tick in since if tick < ticks] + [ticks]
     powers = [np.eye(len(P0))]
-    for _ in range(gap.max()):
+    for _ in range(max(end - 1 - since[tick][0] for tick, end in pairwise(edges))):
         powers.append(doubled[0] @ powers[-1])
-    F = np.stack(powers)[gap]
-    P = np.where((newest < 0)[:, None, None], P0, after[newest])
-    return np.einsum("kij,kij->ki", F @ P, F)
+    F = np.stack(powers)
+    pieces = []
+    for tick, end in pairwise(edges):
+        at, P = since[tick]
+        moved = F[tick - at : end - at]
+        pieces.append(np.einsum("kij,kij->ki", moved @ P, moved))
+    return np.concatenate(pieces)

@@ -1,0 +1,170 @@
+"""The axes of a study: what each may hold, in seconds and SI units, and what does not fit together.
+
+Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
+"""
+
+import math
+from typing import Any
+
+from pcbench import sampling
+from pcbench.errors import UserError, unknown
+from pcbench.observers import entry_of
+from pcbench.plants import parameters_of
+from pcbench.sampling import PROFILES, Clock
+from pcbench.scenarios import Scenario
+
+SMALLEST = 1e-12
+LARGEST = 1e12  # no number of a scenario is larger, in SI units
+CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
+TIMES = ("sampling_period", "delay", "jitter", "delay_jitter", "assumed_delay_error")  # whole ticks
+AXES = (*CHANNELS, "drift", "profile", "jitter", "delay_jitter", "loss", "assumed_delay_error")
+INTERVAL = "interval"  # a delay of one interval, in a study
+
+
+def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Any]:
+    """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
+    parameters = [f"plant.{p}" for p in parameters_of(base.plant)]
+    if name not in AXES and name not in parameters:
+        raise unknown(where, f"axis of {base.name}", name, [*AXES, *parameters])
+    if not values:
+        raise UserError(f"{where}: got an empty list, expected at least one value; leave the axis out or fill it.")
+    out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
+    if len({str(v) for v in out}) < len(out):
+        raise UserError(f"{where}: got a value twice in {values}, expected each once; remove the repeated one.")
+    return out
+
+
+def point(name: str, value: Any, base: Scenario, where: str) -> Any:
+    """Return one value of an axis as a scenario holds it."""
+    if name == "profile":
+        return _profile(value, base, where)
+    if name not in CHANNELS:
+        least = None if name in ("drift", "assumed_delay_error") or name.startswith("plant.") else 0.0
+        n = number(value, where, least)
+        if name in TIMES:
+            _whole_ticks(name, n, base, where)
+        if name == "loss" and n > 1:
+            raise UserError(f"{where}: got {value!r}, expected a probability from 0 to 1; divide a percentage by 100.")
+        return n
+    channels = len(base.delay)
+    each = value if isinstance(value, list) else [value] * channels
+    if len(each) != channels:
+        raise UserError(
+            f"{where}: got {len(each)} values, expected one or {channels} (a value for each output channel)."
+        )
+    if name == "delay" and isinstance(value, str):
+        if value != INTERVAL:
+            raise UserError(f"{where}: got {value!r}, expected seconds or '{INTERVAL}' (one sampling interval).")
+        return (None,) * channels
+    numbers = [number(v, where, least=0.0) for v in each]
+    if name in TIMES:
+        for v in numbers:
+            _whole_ticks(name, v, base, where)
+    return tuple(numbers)
+
+
+def number(value: Any, where: str, least: float | None) -> float:
+    """Return a finite number of sensible size, not below `least`."""
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise UserError(f"{where}: got {value!r}, expected a finite number; write a number in SI units.")
+    if abs(value) > LARGEST:
+        raise UserError(f"{where}: got {value!r}, expected a number of at most {LARGEST:g} in size; write SI units.")
+    if 0 < abs(value) < SMALLEST:
+        raise UserError(f"{where}: got {value!r}, expected 0 or a number of at least {SMALLEST:g} in size; write 0.")
+    if least is not None and value < least:
+        raise UserError(
+            f"{where}: got {value!r}, expected a number of at least {least:g}; change its sign or leave it out."
+        )
+    return float(value)
+
+
+def _profile(value: Any, base: Scenario, where: str) -> str | tuple[float, ...]:
+    if isinstance(value, str):
+        if value not in PROFILES:
+            raise unknown(where, "profile (or list of intervals)", value, PROFILES)
+        return value
+    if not isinstance(value, list | tuple) or not value:
+        raise UserError(f"{where}: got {value!r}, expected one of {', '.join(PROFILES)} or a list of intervals [s].")
+    out = tuple(number(v, where, least=None) for v in value)
+    for v in out:
+        if v <= 0:
+            raise UserError(f"{where}: got an interval of {v:g} s, expected at least one tick, {base.dt:g} s.")
+        _whole_ticks("sampling_period", v, base, where)
+    return out
+
+
+def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
+    ticks = value / base.dt
+    if abs(ticks - round(ticks)) > 1e-6:
+        below, above = max(math.floor(ticks), int(name == "sampling_period")) * base.dt, math.ceil(ticks) * base.dt
+        near = f"{above:.12g}" if below == above else f"{below:.12g} or {above:.12g}"
+        raise UserError(
+            f"{where}: got {value:.12g} s, expected a whole number of ticks of {base.dt:g} s in {base.name}; "
+            f"write {near}."
+        )
+    if name == "sampling_period" and round(ticks) < 1:
+        raise UserError(f"{where}: got {value:g} s, expected at least one tick, {base.dt:g} s in {base.name}.")
+    if abs(value) > base.horizon:
+        raise UserError(f"{where}: got {value:g} s, expected at most the horizon of {base.name}, {base.horizon:g} s.")
+
+
+def plain(name: str, value: Any) -> Any:
+    """Return a value as the tables hold it: equal channels as one, a list of intervals as text, one interval as null."""
+    if name == "profile":
+        return value if isinstance(value, str) else ", ".join(f"{v:g}" for v in value)
+    if isinstance(value, tuple):
+        return value[0] if len(set(value)) == 1 else list(value)
+    return value
+
+
+def clocks(s: Scenario) -> list[Clock]:
+    """Return the sensors of a scenario in ticks: channels of equal period and delay are one."""
+
+    def whole(seconds: float) -> int:
+        return round(seconds / s.dt)
+
+    groups: dict[Any, list[int]] = {}
+    for j, times in enumerate(zip(s.sampling_period, s.delay, strict=True)):
+        groups.setdefault(times, []).append(j)
+    profile = s.profile if isinstance(s.profile, str) else tuple(whole(v) for v in s.profile)
+    rest = (profile, whole(s.jitter), whole(s.delay_jitter), s.loss)
+    return [
+        Clock(tuple(channels), whole(period), None if delay is None else whole(delay), *rest)
+        for (period, delay), channels in groups.items()
+    ]
+
+
+def fits(s: Scenario, where: str) -> None:
+    """Raise UserError where a scenario's times do not fit together."""
+    ticks = round(s.horizon / s.dt)
+    for clock in clocks(s):
+        least = sampling.intervals(clock._replace(jitter=0), ticks)[0]
+        if clock.jitter and 2 * clock.jitter >= least:
+            raise UserError(
+                f"{where}: got a jitter of {s.jitter:g} s with intervals down to {least * s.dt:g} s, expected less than half "
+                f"the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
+            )
+        youngest = sampling.ages(clock, ticks)[0]
+        if youngest * s.dt + s.assumed_delay_error < -1e-9:
+            raise UserError(
+                f"{where}: got an assumed_delay_error of {s.assumed_delay_error:g} s where samples may be only "
+                f"{youngest * s.dt:g} s late, expected an assumed delay of 0 or more; write at least "
+                f"{-youngest * s.dt:g}."
+            )
+
+
+def works_on(label: str, s: Scenario, where: str) -> None:
+    """Raise UserError where an observer cannot work on a scenario's schedule."""
+    takes, found = entry_of(label).takes, clocks(s)
+    follows = None in s.delay and (s.profile != "periodic" or s.jitter > 0)
+    if takes == "one constant delay" and (s.delay_jitter or follows):
+        varies = f"a delay jitter of {s.delay_jitter:g} s" if s.delay_jitter else "a delay of one varying interval"
+        raise UserError(
+            f"{where}: {label} in {s.name} got {varies}, expected one constant delay: it does not use the age of a "
+            f"sample; leave {label} out, or take pccebo, pco or dkf."
+        )
+    if takes == "one clock" and len(found) > 1:
+        raise UserError(
+            f"{where}: {label} in {s.name} got channels with periods {s.sampling_period} and delays {s.delay} s, expected one "
+            f"period and one delay for all; give equal ones, or take dkf."
+        )

@@ -1,0 +1,148 @@
+"""PCO and PI-PCO: piecewise continuous observers with a reduced-order (PI) observer at the samples.
+
+In coordinates z = T x = [y; w] in which C = [I 0], with A_d(T) = e^{A T} partitioned after y and w, four systems, each
+re-initialised at every arrival t_i, where sample i-1 comes to hand:
+ I, II  a clock, reset at each sample, measures the interval T_(i-1) between the last two samples (here: their ticks);
+ III    z' = A z + B u from 0 gives M = [m1; m2], the input's response over that interval (2);
+        then the reduced-order PI observer of the unmeasured part, in causal order (it uses sample i-1, not y_i):
+            nu      = y_(i-1) - A11 y_(i-2) - m1 - A12 w_(i-2)
+            w_(i-1) = A22 w_(i-2) + A21 y_(i-2) + m2 + Kp nu + L_(i-2)                       (12)
+            L_(i-1) = L_(i-2) + Ki nu                                                        (14)
+ IV     xhat(t_i) = A_d [y_(i-1); w_(i-1)] + M (18), then xhat' = A xhat + B u               (19)
+
+PCO is Ki = 0. w_0 is the unmeasured part of the estimate at the first sample (at tick 0: of xhat(0)), L_0 = 0.
+Here the age of a sample need not be the interval: samples may be late by any age, jittered, lost (the interval is that between
+samples that came) or out of order (`in_order`). As y is taken as measured, xbar + inv(T) [nu; Kp nu + L] is a current
+estimator: PCO is PCCEBO with the gain inv(T) [I; Kp], except at the first sample.
+
+Source: Li, Wang, Tian, PI Piecewise Continuous Observer Design. Different from print: y_i has not arrived at t_i, so (12) is
+shifted by one sample; L_(t-1) is L_(i-1). Sign: on the cart a Kp < 0 smooths, a Kp > 0 amplifies noise. All channels share
+one clock. Not claimed: that F(T) stable (as printed) makes PI-PCO stable; the certificate is one Lyapunov matrix over all
+intervals of the schedule, lost samples left aside.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.errors import UserError
+from pcbench.observers import free_response, in_order
+from pcbench.observers.free_response import Memory, Motion, Point
+from pcbench.observers.in_order import Sample
+from pcbench.synthesis import reduced_order
+from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
+from pcbench.synthesis.linear import Matrix
+from pcbench.types import Arrival, Leaf, Now, Observer
+
+Given = float | list[list[float]] | None
+
+
+class Gains(NamedTuple):
+    """n states, m inputs, l outputs."""
+
+    motion: Motion
+    T: Leaf  # [n, n] to coordinates [y; w]
+    T_inv: Leaf  # [n, n] back
+    D: Leaf  # [l, m]
+    Kp: Leaf  # [n-l, l]
+    Ki: Leaf  # [n-l, l]
+    places: Leaf  # [K] room for samples that may be overtaken
+
+
+class Reduced(NamedTuple):
+    """The reduced-order PI observer at the time of a sample."""
+
+    point: Point  # inv(T) [y; w]
+    L: Array  # [n-l] the integral
+    started: Array  # a sample has been used
+
+
+class Proportional(BaseModel):
+    """PCO's gain, in the coordinates [y; w]."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    Kp: Given = Field(None, description="gain [n-l, l] (a number where that is 1 x 1); default: by LMI")
+
+
+class ProportionalIntegral(Proportional):
+    """PI-PCO's gains, in the coordinates [y; w]."""
+
+    Ki: Given = Field(None, description="gain of the integral, as Kp; default: by LMI")
+
+
+def init(gains: Gains, xhat0: Array) -> Memory:
+    """Start from xhat(0) [n], nothing measured."""
+    state = Reduced(free_response.origin(xhat0), jnp.zeros(gains.Kp.shape[0]), jnp.asarray(False))
+    return free_response.start(xhat0, state, gains.places, gains.D.shape[0])
+
+
+def note(gains: Gains, memory: Memory, now: Now) -> Array:
+    """Note system III's state at the sample's time, [n]."""
+    return memory.g
+
+
+def reduced(gains: Gains, before: Reduced, sample: Sample) -> Reduced:
+    """Run the reduced-order PI observer over one interval, (12) and (14)."""
+    l = gains.D.shape[0]
+    predicted = gains.T @ (sample.note + free_response.at(gains.motion, before.point, sample.taken))  # A_d [y; w] + M
+    nu = jnp.where(sample.fresh, sample.value - predicted[:l], 0.0)
+    push = jnp.where(before.started, gains.Kp @ nu + before.L, 0.0)
+    L = before.L + jnp.where(before.started, gains.Ki @ nu, 0.0)
+    xhat = gains.T_inv @ jnp.concatenate([predicted[:l] + nu, predicted[l:] + push])
+    return Reduced(Point(xhat - sample.note, sample.taken), L, jnp.asarray(True))
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Bring the reduced-order observer up to the sample, then predict to now (18)."""
+    arrived = in_order.sample_of(now, arrival, gains.D)
+    line, newest = in_order.replay(partial(reduced, gains), memory.line, arrived)
+    return free_response.resume(gains.motion, memory, now, line, newest.point)
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Move systems III and IV by one tick under the held input (19)."""
+    return free_response.flow(gains.motion, memory, now)
+
+
+def estimate(gains: Gains, memory: Memory) -> Array:
+    """Return xhat of now, [n]."""
+    return memory.xhat
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate)
+
+
+def design(setting: Setting, options: Proportional) -> Design:
+    """Take or find Kp (and Ki) and certify them over the schedule's intervals; raise DesignError where that fails."""
+    integral = isinstance(options, ProportionalIntegral)
+    name = "pi-pco" if integral else "pco"
+    where = f"{name} in {setting.scenario}"
+    period = one_clock(setting, name)
+    plant = reduced_order.split(setting, setting.intervals or (period,), where)
+    shape = (len(plant.T) - plant.outputs, plant.outputs)
+    given = [_matrix(options.Kp, shape, f"{where}: Kp")]
+    if isinstance(options, ProportionalIntegral):
+        given.append(_matrix(options.Ki, shape, f"{where}: Ki"))
+    if len({g is None for g in given}) > 1:
+        raise UserError(f"{where}: got one of Kp and Ki, expected both or neither; the LMI finds them together.")
+    found = reduced_order.design(plant, [g for g in given if g is not None], integral, where)
+    certificate = certified(found.certificate, where)
+    moves = free_response.motion_of(setting.model, setting)
+    gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.places)
+    return Design(gains, certificate)
+
+
+def _matrix(given: Given, shape: tuple[int, int], where: str) -> Matrix | None:
+    if given is None:
+        return None
+    try:
+        matrix = np.full((1, 1), given) if isinstance(given, float) else np.array(given, float)
+    except ValueError:
+        matrix = np.zeros(0)
+    if matrix.shape != shape:
+        raise UserError(f"{where}: got {given}, expected a matrix of shape {list(shape)}: unmeasured states x outputs.")
+    return matrix

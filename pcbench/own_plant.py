@@ -1,0 +1,132 @@
+"""A study's own linear plant, `[lti]`: matrices with the experiment on them, checked and turned into a scenario."""
+
+import re
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench import axes
+from pcbench.errors import UserError, unknown
+from pcbench.scenarios import Scenario
+from pcbench.signals import SIGNALS
+
+Rows = list[list[float]]
+PerChannel = float | list[float]
+
+
+class Lti(BaseModel):
+    """x' = A x + B u, y = C x + D u, u held over a tick; with `dt`, x one tick later = A x + B u. n, m, q as usual."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    A: Rows = Field(description="[n, n]")
+    B: Rows = Field(description="[n, m]")
+    C: Rows = Field(description="[q, n]")
+    D: Rows | None = Field(None, description="[q, m]; left out: zero")
+    dt: float | None = Field(None, gt=0, description="tick of a discrete plant [s]; left out: a continuous plant")
+    tick: float | None = Field(None, gt=0, description="tick of the simulation [s]; default 0.001, or dt")
+    states: list[str] | None = Field(None, description='names with units, such as "angle [rad]"')
+    sampling_period: PerChannel = Field(description="[s], one or one for each output")
+    delay: PerChannel | str = Field(description="[s], one or one for each output, or 'interval'")
+    noise_std: PerChannel = Field(description="of one sample, one or one for each output")
+    input: str = Field("sine", description="a signal's name for all inputs, or one for each, with commas")
+    x0: list[float] | None = Field(None, description="[n] default: ones")
+    xhat0: list[float] | None = Field(None, description="[n] default: zeros")
+    prior_std: list[float] | None = Field(None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1")
+    settle_band: list[float] | None = Field(None, description="[n] default: 5 % of prior_std")
+    bound: float = Field(1e6, gt=0, description="a run has diverged when an |e| leaves it")
+    horizon: float = Field(10.0, gt=0, description="[s]")
+    tail: float | None = Field(None, ge=0, description="where the tail starts [s]; default: 30 % of the horizon")
+    observers: list[str] = Field(["dkf", "open-loop"], min_length=1)
+    profile: str | list[float] = "periodic"
+    jitter: float = 0.0
+    delay_jitter: float = 0.0
+    loss: float = 0.0
+
+    def scenario(self, name: str, where: str) -> Scenario:
+        """Return the experiment as a scenario; raise UserError naming the key that does not fit."""
+        n, m, q = _shapes(self, where)
+        if self.dt is not None and self.tick not in (None, self.dt):
+            raise UserError(
+                f"{where}: got a discrete plant of dt = {self.dt:g} s and a tick of {self.tick:g} s, expected the same; "
+                f"leave tick out, or discretise the plant at {self.tick:g} s."
+            )
+        signals = [part.strip() for part in self.input.split(",")]
+        for signal in signals:
+            if signal not in SIGNALS:
+                raise unknown(f"{where}.input", "input", signal, SIGNALS)
+        if len(signals) not in (1, m):
+            raise UserError(f"{where}.input: got {len(signals)} signals, expected one, or one for each of {m} inputs.")
+        x0, xhat0 = _vector(self.x0, 1.0, n, f"{where}.x0"), _vector(self.xhat0, 0.0, n, f"{where}.xhat0")
+        apart = [abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=True)]
+        prior = _vector(self.prior_std, apart, n, f"{where}.prior_std")
+        tail = 0.3 * self.horizon if self.tail is None else self.tail
+        tick = self.dt or self.tick or 1e-3
+        base = Scenario(
+            name=name,
+            summary="a plant of one's own",
+            source="the study",
+            plant="lti",
+            observers=tuple(self.observers),
+            sampling_period=(tick,) * q,
+            delay=(0.0,) * q,
+            noise_std=(0.0,) * q,
+            drift=0.0,
+            input=", ".join(signals),
+            x0=tuple(x0),
+            xhat0=tuple(xhat0),
+            prior_std=tuple(prior),
+            settle_band=tuple(_vector(self.settle_band, [0.05 * p for p in prior], n, f"{where}.settle_band")),
+            bound=self.bound,
+            dt=tick,
+            horizon=round(self.horizon / tick) * tick,
+            tail=round(tail / tick) * tick,
+            model={"A": self.A, "B": self.B, "C": self.C, "D": self.D, "discrete": self.dt is not None},
+            signals=_signals(self.states, n, f"{where}.states"),
+        )
+        if not 0 <= base.tail < base.horizon:
+            raise UserError(f"{where}.tail: got {tail:g} s, expected less than the horizon of {self.horizon:g} s.")
+        given = {f: getattr(self, f) for f in axes.AXES if f in type(self).model_fields}
+        return base._replace(**{f: axes.point(f, v, base, f"{where}.{f}") for f, v in given.items()})
+
+
+def _shapes(lti: Lti, where: str) -> tuple[int, int, int]:
+    """Return n, m, q; raise UserError naming the matrix whose shape does not fit."""
+    n, m, q = len(lti.A), len((lti.B or [[]])[0]), len(lti.C)
+    for name, rows, shape in (("A", lti.A, (n, n)), ("B", lti.B, (n, m)), ("C", lti.C, (q, n)), ("D", lti.D, (q, m))):
+        if rows is None:
+            continue
+        widths = sorted({len(row) for row in rows})
+        if 0 in shape or len(rows) != shape[0] or widths != [shape[1]]:
+            got = f"{len(rows)} x {widths[0]}" if len(widths) == 1 else f"rows of lengths {[len(row) for row in rows]}"
+            raise UserError(
+                f"{where}.{name}: got {got}, expected {shape[0]} x {shape[1]} ({n} states, {m} inputs, {q} outputs)."
+            )
+    return n, m, q
+
+
+def _vector(given: list[float] | None, default: Any, n: int, where: str) -> list[float]:
+    if given is None:
+        return list(np.broadcast_to(np.asarray(default, float), n))
+    if len(given) != n:
+        raise UserError(f"{where}: got {len(given)} numbers, expected {n}, one for each state.")
+    return given
+
+
+def _signals(states: list[str] | None, n: int, where: str) -> tuple[tuple[str, str], ...]:
+    """State names and units from texts such as "angle [rad]"."""
+    if states is None:
+        return tuple((f"x{i + 1}", "1") for i in range(n))
+    if len(states) != n:
+        raise UserError(f"{where}: got {len(states)} names, expected {n}, one for each state.")
+    out = []
+    for text in states:
+        found = re.fullmatch(r"\s*([A-Za-z]\w*)\s*(?:\[([^\]]+)\])?\s*", text)
+        if not found:
+            raise UserError(f"{where}: got '{text}', expected a name with a unit, such as 'angle [rad]'.")
+        out.append((found[1], found[2] or "1"))
+    names = [name for name, _ in out]
+    for name in names:
+        if names.count(name) > 1:
+            raise UserError(f"{where}: got '{name}' twice, expected each once; rename one.")
+    return tuple(out)
