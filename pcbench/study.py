@@ -164,7 +164,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         given = dict(zip(axes, point, strict=True))
         fields = {k: v for k, v in given.items() if k in AXES}
         changed = base._replace(**fields, input=choices.input or base.input)
-        axis.fits(changed, f"{where}: {scenario}")
+        axis.fits(changed, where if where == scenario else f"{where}: {scenario}")
         values = {name: axis.plain(name, getattr(changed, name)) for name in AXES}
         own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}

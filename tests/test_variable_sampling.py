@@ -9,8 +9,10 @@ from reference import linear
 
 import pcbench
 from pcbench import irregular, machine, sampling, study, sweep
+from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.sampling import Clock
+from pcbench.synthesis import linear as synthesis
 
 PAGE = {  # t: (x1, pco, pi-pco), noise off
     500: (6.0888233710, 6.0068561578, 6.0068561578),
@@ -139,3 +141,35 @@ def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
                 np.testing.assert_allclose(got["tail_rmse"], np.sqrt((e[3000:-1] ** 2).mean(0)), rtol=1e-10, atol=1e-13)
                 np.testing.assert_allclose(got["peak"], np.abs(e[:-1]).max(0), rtol=1e-10)
                 np.testing.assert_allclose(got["final"], e[-2], rtol=1e-9, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("axes", "sentence"),
+    [
+        ({"jitter": [0.2]}, "at most 0.049"),
+        ({"jitter": [0.0005]}, "whole number of ticks"),
+        ({"loss": [1.5]}, "probability from 0 to 1"),
+        ({"loss": [-0.1]}, "at least 0"),
+        ({"profile": ["sinus"]}, "did you mean 'sine'"),
+        ({"profile": [[0.1, 0.0]]}, "at least one tick"),
+        ({"delay": ["intervall"]}, "'interval'"),
+        ({"assumed_delay_error": [-0.2]}, "write at least -0.1"),
+    ],
+    ids=str,
+)
+def test_times_that_do_not_fit_are_one_sentence(axes, sentence):
+    with pytest.raises(UserError, match=sentence):
+        study.parse({"name": "t", "scenarios": ["cart/variable"], "axes": axes}, "t")
+
+
+def test_an_observer_that_needs_a_constant_delay_is_refused_where_it_varies():
+    with pytest.raises(UserError, match="kfbo in cart/variable got a delay of one varying interval"):
+        study.parse({"name": "t", "scenarios": ["cart/variable"], "observers": ["kfbo"]}, "t")
+    study.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
+
+
+@pytest.mark.parametrize("observer", ["dkf", "pccebo", "pco"])
+def test_a_mode_that_no_output_shows_is_named(observer):
+    blind = synthesis.Model(np.diag([1.0, -1.0]), np.ones((2, 1)), np.array([[0.0, 1.0]]))
+    with pytest.raises(UserError, match=r"mode 1 is un(detectable|observable)"):
+        OBSERVERS[observer].design(setting(Case(blind, 10, 10)), OBSERVERS[observer].options())

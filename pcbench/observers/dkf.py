@@ -28,6 +28,7 @@ from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
+from pcbench.synthesis.observability import require_detectable
 from pcbench.types import Arrival, Leaf, Now, Observer
 
 
@@ -109,6 +110,8 @@ OBSERVER = Observer(init, note, jump, flow, estimate)
 
 def design(setting: Setting, options: Options) -> Design:
     """Gather what the filter assumes, and check its covariance recursion over the horizon at the (mean) periods."""
+    where = f"dkf in {setting.scenario}"
+    require_detectable(setting.model, where)
     model, P0, n = setting.model, setting.P0, len(setting.model.A)
     if options.bias_variance is not None:
         model, m = linear.with_input_bias(model), model.B.shape[1]
@@ -118,7 +121,7 @@ def design(setting: Setting, options: Options) -> Design:
     moves = free_response.motion_of(model, setting)
     noise = linear.noise_doublings(model, q, setting.dt, len(moves.doublings))
     gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, setting.places, np.zeros(n))
-    return Design(gains, certified(_certify(gains, setting), f"dkf in {setting.scenario}"))
+    return Design(gains, certified(_certify(gains, setting), where))
 
 
 def _certify(gains: Gains, setting: Setting) -> Certificate:

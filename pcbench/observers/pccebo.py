@@ -30,6 +30,7 @@ from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
 from pcbench.synthesis import cache, current_estimator, linear, riccati
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
+from pcbench.synthesis.observability import require_detectable
 from pcbench.types import Arrival, Leaf, Now, Observer
 
 
@@ -93,6 +94,7 @@ def design(setting: Setting, options: Options) -> Design:
     """Find L at the (mean) sampling period and certify it by LMI (23); raise DesignError where it cannot be."""
     period = one_clock(setting, "pccebo")
     where = f"pccebo in {setting.scenario}"
+    require_detectable(setting.model, where)
     moves = free_response.motion_of(setting.model, setting)
     Phi, C = linear.over(moves.doublings, period), setting.model.C
     if options.gain == "riccati":

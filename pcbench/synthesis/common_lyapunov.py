@@ -9,6 +9,7 @@ can occur. The objective: maximise t subject to [P, M'; M, P] >= t I, P <= I.
 Source: the design pages for Li, Wang, Tian (PI-PCO); that F(T) alone is stable, as printed, is not enough for PI-PCO.
 """
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +41,9 @@ def solve(J: Matrix, H: Matrix | None, where: str, solver: str = "CLARABEL") -> 
         rules.append(cp.bmat([[P, M.T], [M, P]]) >> t * np.eye(2 * k))
     problem = cp.Problem(cp.Maximize(t), rules)
     try:
-        problem.solve(solver=solver)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # an inaccurate answer is judged by its certificate
+            problem.solve(solver=solver)
     except cp.SolverError as error:
         raise DesignError(f"{where}: the LMI was not solved: {solver} said '{error}'; narrow the intervals.") from error
     if P.value is None or (Y is not None and Y.value is None):

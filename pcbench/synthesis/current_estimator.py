@@ -13,6 +13,7 @@ stands.
 Source: Mohammed et al. 2017, Theorem 1; the objective is ours.
 """
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +52,9 @@ def solve(Phi: Matrix, C: Matrix, solver: str = "CLARABEL") -> Solution:
     block = cp.bmat([[P, M.T], [M, P]])
     problem = cp.Problem(cp.Maximize(t), [block >> t * np.eye(2 * n), P << np.eye(n)])
     try:
-        problem.solve(solver=solver)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # an inaccurate answer is judged by its certificate
+            problem.solve(solver=solver)
     except cp.SolverError as error:
         raise DesignError(f"pccebo: LMI (23) was not solved: {solver} said '{error}'; try another period.") from error
     if P.value is None or Y.value is None:
