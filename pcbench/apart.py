@@ -159,4 +159,5 @@ def _put(rings: Any, place: Array, new: Any, when: Array) -> Any:
 
 def _choose(when: Array, new: Any, old: Any) -> Any:
     """Take `new` in the lanes where `when`; what is of size 0 stays."""
+    new = lanes.like(new, old, when.shape[0])
     return jax.tree.map(lambda a, b: jnp.where(when, a, b) if b.size else b, new, old)

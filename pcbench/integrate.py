@@ -5,10 +5,11 @@ may be traced, so one compiled program serves every delay, and no e^{-As} is eve
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 from jaxtyping import Float, Int
 
 Field = Callable[[Array, Array], Array]  # (t [s], x[n]) -> dx/dt[n]
@@ -40,9 +41,12 @@ def after(doublings: Float[Array, "bits n n"], age: Int[Array, ""], x: Float[Arr
 
     `age` must lie in 0 .. 2^bits - 1; no check is made here.
     """
-    for bit in range(doublings.shape[0]):
-        x = jnp.where((age >> bit) & 1, doublings[bit] @ x, x)
-    return x
+
+    def double(x: Array, row: Any) -> tuple[Array, None]:
+        bit, E = row
+        return jnp.where((age >> bit) & 1, E @ x, x), None
+
+    return lax.scan(double, x, (jnp.arange(doublings.shape[0]), doublings))[0]
 
 
 def covariance_after(
@@ -52,7 +56,9 @@ def covariance_after(
     P: Float[Array, "n n"],
 ) -> Float[Array, "n n"]:
     """P carried over `age` ticks: E P E' + Q, with the process noise of 2^b ticks in `noise[b]`."""
-    for bit in range(doublings.shape[0]):
-        E = doublings[bit]
-        P = jnp.where((age >> bit) & 1, E @ P @ E.T + noise[bit], P)
-    return P
+
+    def double(P: Array, row: Any) -> tuple[Array, None]:
+        bit, E, Q = row
+        return jnp.where((age >> bit) & 1, E @ P @ E.T + Q, P), None
+
+    return lax.scan(double, P, (jnp.arange(doublings.shape[0]), doublings, noise))[0]

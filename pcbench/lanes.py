@@ -94,6 +94,11 @@ def like(tree: Any, template: Any, width: int) -> Any:
     )
 
 
+def everywhere(tree: Any, width: int) -> Any:
+    """Spread every array that has a size."""
+    return jax.tree.map(lambda x: x if is_lanes(x) or not x.size else spread(x, width), tree, is_leaf=is_lanes)
+
+
 def settle(step: Any, tree: Any, width: int) -> Any:
     """Spread whatever `step` (tree -> tree of the same shape) makes different between lanes, until nothing changes."""
     while True:
@@ -138,9 +143,47 @@ def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
         inner = eqn.params.get("jaxpr") or eqn.params["call_jaxpr"]
         closed = inner if hasattr(inner, "consts") else ClosedJaxpr(inner, ())
         return _evaluate(closed.jaxpr, closed.consts, args)
+    if differs and name == "scan" and eqn.params["length"]:
+        return _scan(eqn, args)
     if differs and name in _RULES and not (name == "dot_general" and _products(eqn) > WRITTEN_OUT):
         return [_RULES[name](eqn, args)]
     return _fallback(jaxpr, eqn, args)
+
+
+def _scan(eqn: Any, args: list[Any]) -> list[Any]:
+    """Apply a scan by a scan over the same rows, its body evaluated entry by entry."""
+    body, consts, carry = eqn.params["jaxpr"], eqn.params["num_consts"], eqn.params["num_carry"]
+    width = next(jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a))
+    rows = [_rows(a) for a in args[consts + carry :]]
+
+    def step(state: list[Any], row: list[Any]) -> tuple[list[Any], list[Any]]:
+        out = _evaluate(body.jaxpr, body.consts, [*args[:consts], *state, *row])
+        return like(out[:carry], state, width), out[carry:]
+
+    first = jax.tree.map(lambda a: a[0], rows)
+    start = [a if is_lanes(a) else jnp.asarray(a) for a in args[consts : consts + carry]]
+    start = settle(lambda state: step(state, first)[0], start, width)
+    how = {name: eqn.params[name] for name in ("length", "reverse", "unroll")}
+    end, out = jax.lax.scan(step, start, rows, **how)
+    return [*end, *(_stacked(a) for a in out)]
+
+
+def _rows(x: Any) -> Any:
+    """A Lanes [K, *shape] as one of [*shape] whose entries are [K, L]; an ordinary array as it is."""
+    if not is_lanes(x):
+        return x
+    return Lanes.tree_unflatten(
+        x.parts.shape[1:], [jnp.stack(list(x.parts[:, *i])) for i in np.ndindex(x.parts.shape[1:])]
+    )
+
+
+def _stacked(x: Any) -> Any:
+    """Undo `_rows`."""
+    if not is_lanes(x):
+        return x
+    first = next(iter(x.parts.flat))
+    entries = [part[k] for k in range(first.shape[0]) for part in x.parts.flat]
+    return Lanes.tree_unflatten((first.shape[0], *x.parts.shape), entries)
 
 
 def _fallback(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:

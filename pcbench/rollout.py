@@ -194,19 +194,19 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
         {label: metrics.start(n) for label in labels},
         {label: metrics.start_watch(n) for label in labels} if layout.watch else {},
     )
-    own = isinstance(p.schedule, Times)  # then every lane is at a tick of its own, and all differs
-    tick: Any = lanes.spread(k, layout.width) if own else k
+    state = jax.tree.map(jnp.asarray, state)
+    if isinstance(p.schedule, Times):  # every lane is at a tick of its own, so all that has a size differs
+        return lanes.everywhere(state, layout.width)
     noise = lanes.split(jnp.zeros((q, layout.width)))
 
     def everything(state: State) -> State:  # one tick on which all happens: what it makes different is per lane
-        packet = measure(layout, p, tick, state.x, noise), note(layout, p, tick, state.memories)
-        row: Any = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), k)
-        row = jax.tree.map(lambda a: lanes.spread(a, layout.width), row) if own else row
-        memories = hand_over(layout, p, tick, row, packet, state.memories)
-        return advance(layout, p, tick, state._replace(memories=memories))._replace(flight=packet)
+        packet = measure(layout, p, k, state.x, noise), note(layout, p, k, state.memories)
+        row = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), k)
+        memories = hand_over(layout, p, k, row, packet, state.memories)
+        return advance(layout, p, k, state._replace(memories=memories))._replace(flight=packet)
 
-    state = lanes.settle(everything, jax.tree.map(jnp.asarray, state), layout.width)
-    return state if own else state._replace(flight=_rings(layout, state.flight))
+    state = lanes.settle(everything, state, layout.width)
+    return state._replace(flight=_rings(layout, state.flight))
 
 
 def _rings(layout: Layout, packet: Any) -> Any:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from pcbench.types import Arrival, Leaf, Now
 
@@ -52,29 +52,28 @@ def sample_of(now: Now, arrival: Arrival, D: Leaf) -> Sample:
 
 def replay(update: Update, line: Line, arrived: Sample) -> tuple[Line, Any]:
     """Return the line with the sample that arrived in its place, and the state after the newest sample."""
-    K, entries = (
-        line.samples.taken.shape[0],
-        [jax.tree.map(lambda a, i=i: a[i], line.samples) for i in range(_size(line))],
-    )
-    moving = arrived
-    for i in reversed(range(K)):  # from the newest down: what is newer than the arrival stays to its right
-        later = entries[i].taken > moving.taken
-        newer = jax.tree.map(lambda a, b, later=later: jnp.where(later, a, b), entries[i], moving)
-        moving = jax.tree.map(lambda a, b, later=later: jnp.where(later, b, a), entries[i], moving)
-        entries[i] = newer
-    before = _one(update, line.before, moving)  # the oldest of K + 1 leaves the line
-    state = before
-    for entry in entries:
-        state = _one(update, state, entry)
-    kept = jax.tree.map(lambda *a: jnp.stack(a), *entries) if K else line.samples
-    return Line(before, kept), state
+    if not line.samples.taken.shape[0]:
+        state = update(line.before, arrived)
+        return Line(state, line.samples), state
+    entries = _merged(line.samples, arrived)
+
+    def step(state: Any, sample: Sample) -> tuple[Any, Any]:  # an empty place leaves the state as it is
+        there = jnp.any(sample.fresh)
+        new = jax.tree.map(lambda a, b: jnp.where(there, a, b), update(state, sample), state)
+        return new, new
+
+    newest, states = lax.scan(step, line.before, entries)
+    before = jax.tree.map(lambda a: a[0], states)  # the oldest of K + 1 leaves the line
+    return Line(before, jax.tree.map(lambda a: a[1:], entries)), newest
 
 
-def _size(line: Line) -> int:
-    return int(line.samples.taken.shape[0])
+def _merged(samples: Sample, arrived: Sample) -> Sample:
+    """K samples in the order they were taken, and one more in its place: [K + 1]."""
+    later = samples.taken > arrived.taken
+    stays, moves = jnp.append(~later, False), jnp.append(False, later)  # what is newer than the arrival moves up by one
 
+    def one(a: Array, b: Array) -> Array:
+        s, m = (jnp.reshape(x, (-1, *[1] * b.ndim)) for x in (stays, moves))
+        return jnp.where(s, jnp.concatenate([a, b[None]]), jnp.where(m, jnp.concatenate([b[None], a]), b[None]))
 
-def _one(update: Update, state: Any, sample: Sample) -> Any:
-    """Update with a sample; with an empty place leave the state as it is."""
-    new = update(state, sample)
-    return jax.tree.map(lambda a, b: jnp.where(jnp.any(sample.fresh), a, b), new, state)
+    return jax.tree.map(one, samples, arrived)
