@@ -4,6 +4,8 @@ A draw never depends on the observer, the order of cells, the size of a block, t
 see the same noise, and a run has the same numbers alone or among thousands. Threefry, float64.
 """
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax import Array
@@ -21,10 +23,10 @@ def _key(root_seed: Array, seed: Array, stream: str, channel: Array | int) -> Ar
     return jax.random.fold_in(jax.random.fold_in(base, STREAMS[stream]), channel)
 
 
-def normals(keys: list[Array], index: Array) -> Array:
-    """Draw N(0, 1) for sample index[j] of each channel j: [channels, L]."""
-    draw = jax.vmap(lambda key, i: jax.random.normal(jax.random.fold_in(key, i), dtype=jnp.float64), (0, None))
-    return jnp.stack([draw(key, index[j]) for j, key in enumerate(keys)])
+def normals(keys: list[Array], index: Any) -> Array:
+    """Draw N(0, 1) for sample index[j] of each channel j, one for all runs or [L]: [channels, L]."""
+    draw = jax.vmap(lambda key, i: jax.random.normal(jax.random.fold_in(key, i), dtype=jnp.float64))
+    return jnp.stack([draw(key, jnp.broadcast_to(index[j], key.shape)) for j, key in enumerate(keys)])
 
 
 def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1) -> Array:

@@ -14,8 +14,7 @@ import jax
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
-from pcbench import apart, rollout
-from pcbench.irregular import Times
+from pcbench import simulation
 from pcbench.rollout import Layout, Outcome, Problem
 
 WIDTH = 1024  # lanes a call and device
@@ -54,8 +53,7 @@ def _compiled(layout: Layout, devices: int, tree: Any, shapes: tuple[Any, ...]) 
 
     def one(problems: Problem, root_seed: Any, seeds: Any) -> Outcome:
         problem, *address = jax.tree.map(lambda a: a[0], (problems, root_seed, seeds))
-        simulate = apart.simulate if isinstance(problem.schedule, Times) else rollout.simulate
-        return jax.tree.map(lambda a: a[None], simulate(layout, problem, *address))
+        return jax.tree.map(lambda a: a[None], simulation.simulate(layout, problem, *address))
 
     mapped = jax.shard_map(one, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
     place = NamedSharding(mesh, each)

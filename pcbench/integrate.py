@@ -1,15 +1,14 @@
 """One tick and many: the Runge-Kutta step of a field, and exact powers of a linear map.
 
-Powers: with E_b the map over 2^b ticks (`synthesis.linear.doublings`), any whole age is a product over its bits. The age
-may be traced, so one compiled program serves every delay, and no e^{-As} is ever formed.
+Powers: any whole age is written with two digits to a base R, and its map is a product of one entry from each digit's table
+(`synthesis.linear.powers`). The age may be traced, so one compiled program serves every delay, and no e^{-As} is ever formed.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 from jaxtyping import Float, Int
 
 Field = Callable[[Array, Array], Array]  # (t [s], x[n]) -> dx/dt[n]
@@ -36,29 +35,30 @@ def transition(field: Field, t: Array, n: int, h: Array, substeps: int = 1) -> F
     return jax.vmap(column, 0, 1)(jnp.eye(n))
 
 
-def after(doublings: Float[Array, "bits n n"], age: Int[Array, ""], x: Float[Array, "n"]) -> Float[Array, "n"]:
+def after(powers: Float[Array, "levels R n n"], age: Int[Array, ""], x: Float[Array, "n"]) -> Float[Array, "n"]:
     """X carried over `age` ticks of a linear flow without input: e^{A age} x.
 
-    `age` must lie in 0 .. 2^bits - 1; no check is made here.
+    `age` must lie in 0 .. R^levels - 1; no check is made here.
     """
-
-    def double(x: Array, row: Any) -> tuple[Array, None]:
-        bit, E = row
-        return jnp.where((age >> bit) & 1, E @ x, x), None
-
-    return lax.scan(double, x, (jnp.arange(doublings.shape[0]), doublings))[0]
+    for E in _chosen(powers, age):
+        x = E @ x
+    return x
 
 
 def covariance_after(
-    doublings: Float[Array, "bits n n"],
-    noise: Float[Array, "bits n n"],
+    powers: Float[Array, "levels R n n"],
+    noise: Float[Array, "levels R n n"],
     age: Int[Array, ""],
     P: Float[Array, "n n"],
 ) -> Float[Array, "n n"]:
-    """P carried over `age` ticks: E P E' + Q, with the process noise of 2^b ticks in `noise[b]`."""
+    """P carried over `age` ticks: E P E' + Q, with the process noise of as many ticks as each power in `noise`."""
+    for E, Q in zip(_chosen(powers, age), _chosen(noise, age), strict=True):
+        P = E @ P @ E.T + Q
+    return P
 
-    def double(P: Array, row: Any) -> tuple[Array, None]:
-        bit, E, Q = row
-        return jnp.where((age >> bit) & 1, E @ P @ E.T + Q, P), None
 
-    return lax.scan(double, P, (jnp.arange(doublings.shape[0]), doublings, noise))[0]
+def _chosen(powers: Array, age: Array) -> list[Array]:
+    """One entry of each level's table, by the digits of `age`; taken together."""
+    levels, R, *shape = powers.shape
+    digits = [level * R + age // R**level % R for level in range(levels)]
+    return list(jnp.take(powers.reshape(levels * R, *shape), jnp.stack(digits), axis=0, mode="clip"))

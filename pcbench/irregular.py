@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from pcbench import draws, sampling
 from pcbench.sampling import NEVER, Clock, Sample
@@ -30,20 +30,19 @@ class Times(NamedTuple):
     channel: Leaf  # [C] the first channel: the address of the clock's draws
     clock_of: Leaf  # [q] the clock of each channel
     error: Leaf  # the observers believe samples to be so much older than they are
-    stride: Leaf  # ticks between two rendezvous, see `apart`
 
 
 class Agenda(NamedTuple):
-    """What happens in every run; E = C M samples in the order they are taken, L runs; a last row that never comes."""
+    """What happens in every run; E samples of all clocks in the order they are taken, L runs."""
 
-    taken: Array  # [E+1, L] tick
-    clock: Array  # [E+1, L]
-    number: Array  # [E+1, L] which sample of its clock
-    arrives: Array  # [E+1, L] tick of the first, second ... arrival
-    rank: Array  # [E+1, L] which sample that is
+    samples: Array  # [3, E, L] tick, clock, and which sample of its clock
+    arrives: Array  # [E, L] tick of the first, second ... arrival; NEVER: lost
+    which: Array  # [E, L] the row of the sample that arrives
+    slot: Array  # [E, L] how many arrive before it at the same tick
+    since: Array  # [E, L] ticks since the last tick at which anything arrived (from 0 before the first)
 
 
-def times(clocks: list[Clock], ticks: int, channels: int, error: int, stride: int) -> Times:
+def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
     """Return the numbers of clocks over a horizon."""
     count = max(_most(clock, ticks) for clock in clocks) + 1
     due = np.full((len(clocks), count), NEVER)
@@ -63,7 +62,6 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int, stride: in
         np.array([c.channels[0] for c in clocks]),
         np.array(clock_of),
         np.asarray(error),
-        np.asarray(stride),
     )
 
 
@@ -108,15 +106,19 @@ def agenda(t: Times, root_seed: Array, seeds: Array) -> Agenda:
     number = jnp.concatenate([jnp.broadcast_to(jnp.arange(len(own))[:, None], own.shape) for own, _ in each])
     order = jnp.argsort(taken, axis=0, stable=True)
     taken, arrives, clock, number = (jnp.take_along_axis(a, order, 0) for a in (taken, arrives, clock, number))
-    rank = jnp.argsort(arrives, axis=0, stable=True)
-    columns = (taken, clock, number, jnp.take_along_axis(arrives, rank, 0), rank)
-    ends = (NEVER, 0, 0, NEVER, 0)
-    return Agenda(*(jnp.concatenate([a, jnp.full_like(a[:1], end)]) for a, end in zip(columns, ends, strict=True)))
+    which = jnp.argsort(arrives, axis=0, stable=True)
+    arrives = jnp.take_along_axis(arrives, which, 0)
+    row = jnp.broadcast_to(jnp.arange(len(arrives))[:, None], arrives.shape)
+    again = jnp.concatenate([jnp.zeros_like(arrives[:1], bool), arrives[1:] == arrives[:-1]])
+    slot = row - lax.cummax(jnp.where(again, 0, row), 0)
+    earlier = jnp.take_along_axis(arrives, jnp.maximum(row - slot - 1, 0), 0)
+    since = arrives - jnp.where(row > slot, earlier, 0)
+    return Agenda(jnp.stack([taken, clock, number]), arrives, which, slot, since)
 
 
 def realised(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
     """Return the samples of one run as `sampling.samples` does for clocks that are not random."""
-    t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0, 1))
+    t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0))
     out = []
     for c, clock in enumerate(clocks):
         taken, arrives = clock_times(t, c, jnp.asarray(root_seed), jnp.asarray([seed]))

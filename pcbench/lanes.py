@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
+from jax.lax import GatherScatterMode
 
 ELEMENTWISE = frozenset(
     """abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div
@@ -99,6 +100,31 @@ def everywhere(tree: Any, width: int) -> Any:
     return jax.tree.map(lambda x: x if is_lanes(x) or not x.size else spread(x, width), tree, is_leaf=is_lanes)
 
 
+def unless_same(new: Any, old: Any, width: int) -> Any:
+    """Return `new` with every array spread that is not the very one in `old`."""
+
+    def one(a: Any, b: Any) -> Any:
+        return a if a is b or is_lanes(a) or not jnp.size(a) else spread(a, width)
+
+    return jax.tree.map(one, new, old, is_leaf=is_lanes)
+
+
+def pick(tree: Any, lane: jax.Array) -> Any:
+    """Take some lanes out: `lane` holds their numbers; what is the same in all stays."""
+    return jax.tree.map(
+        lambda x: jax.tree.map(lambda a: a.at[lane].get(mode="clip"), x) if is_lanes(x) else x, tree, is_leaf=is_lanes
+    )
+
+
+def put_back(tree: Any, some: Any, lane: jax.Array) -> Any:
+    """Put lanes taken out back in their places; a number beyond the last lane is of none."""
+
+    def one(x: Any, new: Any) -> Any:
+        return jax.tree.map(lambda a, b: a.at[lane].set(b, mode="drop"), x, new) if is_lanes(x) else x
+
+    return jax.tree.map(one, tree, some, is_leaf=is_lanes)
+
+
 def settle(step: Any, tree: Any, width: int) -> Any:
     """Spread whatever `step` (tree -> tree of the same shape) makes different between lanes, until nothing changes."""
     while True:
@@ -145,6 +171,8 @@ def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
         return _evaluate(closed.jaxpr, closed.consts, args)
     if differs and name == "scan" and eqn.params["length"]:
         return _scan(eqn, args)
+    if differs and name == "gather" and _takes_rows(eqn, args):
+        return [_rows_of_table(eqn, args)]
     if differs and name in _RULES and not (name == "dot_general" and _products(eqn) > WRITTEN_OUT):
         return [_RULES[name](eqn, args)]
     return _fallback(jaxpr, eqn, args)
@@ -270,6 +298,29 @@ def _dot(eqn: Any, args: list[Any]) -> Lanes:
         for j in range(b.shape[1])
     ]
     return Lanes.tree_unflatten(out, sums)
+
+
+def _rows_of_table(eqn: Any, args: list[Any]) -> Lanes:
+    """A gather of whole rows from a table that all lanes share, each lane's own rows, in one gather."""
+    table, own = jnp.asarray(args[0]), args[1].parts[..., 0]
+    columns = table.reshape(table.shape[0], -1).T
+    found = columns.at[:, jnp.stack(list(own.flat))].get(mode="clip")  # [entries, rows, L]
+    shape = eqn.outvars[0].aval.shape
+    return Lanes.tree_unflatten(shape, [found[e, r] for r in range(own.size) for e in range(columns.shape[0])])
+
+
+def _takes_rows(eqn: Any, args: list[Any]) -> bool:
+    d, sizes, rank = (
+        eqn.params["dimension_numbers"],
+        eqn.params["slice_sizes"],
+        args[1].parts.ndim if is_lanes(args[1]) else 0,
+    )
+    offsets = tuple(range(rank - 1, rank - 2 + len(sizes)))
+    rows = (
+        d.start_index_map == d.collapsed_slice_dims == (0,) and d.offset_dims == offsets and not d.operand_batching_dims
+    )
+    whole = sizes == (1, *eqn.invars[0].aval.shape[1:])
+    return not is_lanes(args[0]) and rows and whole and eqn.params["mode"] == GatherScatterMode.CLIP
 
 
 _RULES = (

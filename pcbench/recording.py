@@ -1,6 +1,6 @@
 """One run, tick by tick, with everything in sight: the rollout's own steps, recorded at every tick 0 .. N.
 
-Slower than `rollout.simulate`, which keeps sums only; the same functions in the same order.
+Slower than `simulation.simulate`, which keeps sums only; the same functions in the same order.
 """
 
 from typing import NamedTuple
@@ -8,8 +8,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench import draws, lanes
-from pcbench.rollout import Layout, Problem, State, advance, begin, estimates, happen
+from pcbench import lanes
+from pcbench.rollout import Layout, Problem, State, advance, estimates
+from pcbench.shared_events import prepare
 
 
 class Recording(NamedTuple):
@@ -23,13 +24,10 @@ class Recording(NamedTuple):
 def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recording:
     """Record one run tick by tick, tick N included."""
     layout = layout._replace(width=1)
-    seeds = seed[None]
-    q = p.noise_std.shape[0]
-    keys = draws.run_keys(root_seed, seeds, "measurement", q)
-    state = begin(layout, p, root_seed, seeds)
+    events, state = prepare(layout, p, root_seed, seed[None])
 
     def tick(state: State, k: Array) -> tuple[State, Recording]:
-        state = lax.cond(p.schedule.event[k], lambda s: happen(layout, p, keys, k, s), lambda s: s, state)
+        state = lax.cond(p.schedule.event[k], lambda s: events.happen(k, s)[0], lambda s: s, state)
         place = p.schedule.sense[k] % layout.ring
         value = jnp.stack([lanes.whole(v, 1)[place] if v.ndim == 1 else v[place, 0] for v in state.flight[0].parts])
         y = jnp.where(p.schedule.sampled[k], value, jnp.nan)

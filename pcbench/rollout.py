@@ -1,19 +1,15 @@
-"""One run, tick by tick: sense, deliver, estimate, flow; thousands of lanes at once.
+"""The steps of a run: measure, note, hand over, estimate and flow, for thousands of lanes at once.
 
-The loop is shaped like the hybrid system it simulates: at an event it *jumps* (samples are taken, packets arrive), then
-it *flows* tick after tick to the next event, so nothing is asked at a tick where nothing happens. Whole-number data
-(`sampling.Schedule`) say where the events are; they are traced, so one compiled program serves every period and delay.
-Plant and observers are one-lane functions carried over the lanes by `pcbench.lanes`.
-
-The rollout owns the packets in flight (a ring by packet number) and the input history (one array for all lanes).
+Plant and observers are one-lane functions carried over the lanes by `pcbench.lanes`. When which step is taken, say
+`shared_events` and `own_events`; `simulation` puts them in a loop. The rollout owns the packets in flight and the input
+history (one array for all lanes).
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jax import Array, lax
+from jax import Array
 
 from pcbench import draws, lanes, metrics
 from pcbench.irregular import Times
@@ -36,7 +32,7 @@ class Problem(NamedTuple):
 
     params: Any  # the plant's
     gains: dict[str, Gains]  # by observer label
-    schedule: Any  # a Schedule, the same for every run; or random Times: then each run has its own (`apart`)
+    schedule: Any  # a Schedule, the same for every run; or Times: then each run draws its own
     inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1)
     dt: Leaf  # [s]
     x0: Leaf  # [n]
@@ -52,8 +48,8 @@ class State(NamedTuple):
     """What a block of lanes carries from tick to tick."""
 
     x: Any
-    memories: dict[str, Any]
-    flight: Any  # rings of measured values and of notes
+    memories: Any  # by observer label
+    flight: Any  # packets on the network: measured values and notes
     streams: dict[str, metrics.Stream]
     watches: dict[str, metrics.Watch]
 
@@ -136,48 +132,10 @@ def hand_over(layout: Layout, p: Problem, k: Any, row: Row, packet: Any, memorie
     return lanes.over(one_lane)(k, row, packet, memories)
 
 
-def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State) -> State:
-    """Let everything that the schedule has for tick k happen: sense and note, then deliver, the oldest packet first.
-
-    Only one packet, never the ring of them, goes through a `cond`, which would copy it: what is not there is written to
-    the ring's last place, which nothing reads.
-    """
-    plan = p.schedule
-
-    def put(rings: Any, number: Array, make: Any) -> Any:
-        last = jax.tree.map(lambda ring: ring[layout.ring], rings)
-        new = lax.cond(number >= 0, lambda: lanes.like(make(), last, layout.width), lambda: last)
-        place = jnp.where(number >= 0, number % layout.ring, layout.ring)
-        return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, new)
-
-    def sense() -> Any:
-        return measure(layout, p, k, state.x, lanes.split(draws.normals(keys, plan.sample[k])))
-
-    values = put(state.flight[0], plan.sense[k], sense)
-    notes = put(state.flight[1], plan.note[k], lambda: note(layout, p, k, state.memories))
-    flight = (values, notes)
-
-    def deliver(slot: int, memories: Any) -> Any:
-        number = plan.arrive[k, slot]
-        packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
-        fresh, age = plan.fresh[k, slot], jnp.full(plan.fresh[k, slot].shape, k - plan.believed[k, slot])
-        row = Row(fresh, age, plan.number[k, slot], plan.since[k, slot])
-
-        def jump(memories: Any) -> Any:
-            return lanes.like(hand_over(layout, p, k, row, packet, memories), memories, layout.width)
-
-        return lax.cond(number >= 0, jump, lambda memories: memories, memories)
-
-    memories = state.memories
-    for slot in range(plan.arrive.shape[1]):
-        memories = deliver(slot, memories)
-    return state._replace(memories=memories, flight=flight)
-
-
 def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     """Return the state before tick 0, with whatever will differ between lanes already spread over them.
 
-    A packet that nothing was noted for (it is believed to be from before tick 0) carries the note of the start.
+    `flight` is one packet, what the start would put on the network: events make rings of it.
     """
     n, q = p.x0.shape[0], p.noise_std.shape[0]
     x: Any = p.x0
@@ -194,23 +152,19 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
         {label: metrics.start(n) for label in labels},
         {label: metrics.start_watch(n) for label in labels} if layout.watch else {},
     )
-    state = jax.tree.map(jnp.asarray, state)
-    if isinstance(p.schedule, Times):  # every lane is at a tick of its own, so all that has a size differs
-        return lanes.everywhere(state, layout.width)
     noise = lanes.split(jnp.zeros((q, layout.width)))
+    own = isinstance(p.schedule, Times)
+    row: Any = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), k)
+    row = jax.tree.map(lambda a: lanes.spread(a, layout.width), row) if own else row
 
     def everything(state: State) -> State:  # one tick on which all happens: what it makes different is per lane
         packet = measure(layout, p, k, state.x, noise), note(layout, p, k, state.memories)
-        row = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), k)
         memories = hand_over(layout, p, k, row, packet, state.memories)
+        if own:  # what a jump changes at all, it changes in some lanes only
+            memories = lanes.unless_same(memories, state.memories, layout.width)
         return advance(layout, p, k, state._replace(memories=memories))._replace(flight=packet)
 
-    state = lanes.settle(everything, state, layout.width)
-    return state._replace(flight=_rings(layout, state.flight))
-
-
-def _rings(layout: Layout, packet: Any) -> Any:
-    return jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), packet)
+    return lanes.settle(everything, jax.tree.map(jnp.asarray, state), layout.width)
 
 
 def estimates(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
@@ -228,35 +182,13 @@ def errors(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
     return subtract(state.x, estimates(layout, p, state))
 
 
-def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
-    """Simulate one lane for each of seeds[L] on one schedule over all windows; L must be `layout.width`."""
-    plan = p.schedule
-    keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
-    state = begin(layout, p, root_seed, seeds)
-    empty = state.streams
+def final(layout: Layout, p: Problem, k: Array, state: State) -> tuple[tuple[Any, Any], Any]:
+    """Measure the error at the last tick k, after its events: its own window's streams, itself, and the watches."""
+    e = errors(layout, p, state)
 
-    def flow(start: Array, stop: Array, state: State) -> State:
-        def tick(k: Array, state: State) -> State:
-            return lanes.like(advance(layout, p, k, state), state, layout.width)
+    def one_lane(e: Any, watches: Any) -> Any:
+        streams = {label: metrics.update(metrics.start(e[label].shape[0]), e[label]) for label in e}
+        return streams, {label: metrics.look(watch, k, e[label], p.band, p.bound) for label, watch in watches.items()}
 
-        def pair(i: Array, state: State) -> State:  # two ticks in one body: 1.3 times as fast as one (memory passes)
-            return tick(start + 2 * i + 1, tick(start + 2 * i, state))
-
-        pairs = (stop - start) // 2
-        state = lax.fori_loop(0, pairs, pair, state)
-        return lax.fori_loop(start + 2 * pairs, stop, tick, state)
-
-    def window(state: State, edges: Array) -> tuple[State, Any]:
-        def segment(carry: Any) -> Any:
-            k, state, _ = carry
-            state = happen(layout, p, keys, k, state)  # a window's edge may be no event: then nothing happens
-            stop = jnp.minimum(plan.next_event[k], edges[1])
-            return stop, flow(k, stop, state), lanes.like(errors(layout, p, state), final, layout.width)
-
-        final = errors(layout, p, state)
-        _, state, last = lax.while_loop(lambda c: c[0] < edges[1], segment, (edges[0], state, final))
-        return state._replace(streams=empty), (state.streams, last)
-
-    state, (streams, last) = lax.scan(window, state, p.windows)
-    whole = jax.tree.map(lambda a: lanes.whole(a, layout.width), (streams, state.watches, last), is_leaf=lanes.is_lanes)
-    return Outcome(whole[0], whole[1], jax.tree.map(lambda e: e[-1], whole[2]))
+    streams, watches = lanes.over(one_lane)(e, state.watches)
+    return (streams, e), watches

@@ -22,8 +22,6 @@ from pcbench.study import Cell, Study, cells, observers_of, options_of
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
-REUNION = 24  # what one meeting of the lanes costs, in ticks of flow: see `apart`
-
 
 class Planned(NamedTuple):
     """A cell ready to run."""
@@ -173,9 +171,7 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, in
     s, clocks, n = cell.scenario, axes.clocks(cell.scenario), ticks(cell)
     error, channels = round(s.assumed_delay_error / s.dt), len(s.delay)
     if _random(clocks) and run is None:
-        events = sum(2 * n / sampling.intervals(clock, n)[0] for clock in clocks)
-        stride = int(np.clip(np.sqrt(2 * REUNION * n / events), 1, n))
-        return irregular.times(clocks, n, channels, error, stride), irregular.room(clocks, n, error)
+        return irregular.times(clocks, n, channels, error), irregular.room(clocks, n, error)
     found = irregular.realised(clocks, n, channels, *run) if run and _random(clocks) else sampling.samples(clocks, n)
     plan = sampling.schedule(found, n, channels, error)
     return plan, sampling.in_flight(plan)

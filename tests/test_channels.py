@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from harness import LINEAR, ODD, Case, noise, problem
 
-from pcbench import draws, lanes, rollout, sampling
+from pcbench import lanes, rollout, sampling, shared_events
 from pcbench.types import Observer
 
 SHAPE = (2,)
@@ -54,10 +54,9 @@ def test_each_channel_gets_its_own_samples(period, delay):
     plan = sampling.periodic(list(period), list(delay), ticks)
     p = jax.tree.map(jnp.asarray, p._replace(schedule=plan, gains={"spy": ()}))
     layout = rollout.Layout(LINEAR, (("spy", SPY),), 1, sampling.in_flight(plan), False)
-    state = rollout.begin(layout, p, jnp.asarray(0), jnp.asarray([0]))
-    keys = draws.run_keys(jnp.asarray(0), jnp.asarray([0]), "measurement", 2)
+    events, state = shared_events.prepare(layout, p, jnp.asarray(0), jnp.asarray([0]))
     v = np.stack(noise(case), -1)
-    step = jax.jit(lambda s, k: rollout.happen(layout, p, keys, k, s))
+    step = jax.jit(lambda s, k: events.happen(k, s)[0])
     flow = jax.jit(lambda s, k: rollout.advance(layout, p, k, s))
     x, counts = [], np.zeros(2)
     arrivals = [int(a) for a in np.flatnonzero((plan.arrive >= 0).any(1))]

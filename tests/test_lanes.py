@@ -23,6 +23,18 @@ FUNCTIONS = {
     "branch": lambda x, A: lax.cond(x[0] > 0, lambda y: A @ y, lambda y: y - 1, x),
     "jitted": lambda x, A: jax.jit(lambda y: jnp.clip(y, -0.5, 0.5) ** 3)(x) + A[2],
     "einsum": lambda x, A: jnp.einsum("ij,jk,k->i", A, A, x),
+    "entry of a table": lambda x, A: lax.dynamic_index_in_dim(BIG, jnp.abs(4 * x[0]).astype(int), 0, False)[:3] * A[0],
+    "rows of a table": lambda x, A: (
+        jnp.take(BIG[:, :6].reshape(12, 2, 3), jnp.abs(4 * x[:2]).astype(int), 0, mode="clip")[1, 1] * A[0]
+    ),
+    "rows of an own table": lambda x, A: jnp.take(A, jnp.abs(x[:2]).astype(int), 0, mode="clip")[1],
+    "own entry": lambda x, A: lax.dynamic_index_in_dim(A, jnp.abs(x[0]).astype(int), 0, False) * x,
+    "scan with rows": lambda x, A: jnp.concatenate(
+        [
+            lax.scan(lambda c, r: (c + r @ x, (r, c)), 0.0, A)[1][0][1],
+            lax.scan(lambda c, r: (c * r[0] + 1, c[0]), x, A)[1],
+        ]
+    ),
     "transposed": lambda x, A: A.T @ x - jnp.trace(A),
 }
 

@@ -119,12 +119,14 @@ def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, obse
     [
         {"profile": ["uniform"]},
         {"profile": ["periodic"], "delay": [0.3], "jitter": [0.05], "delay_jitter": [0.5], "loss": [0.3]},
+        {"profile": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [0.07]},
+        {"profile": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [-0.07]},
     ],
-    ids=["uniform", "disorder"],
+    ids=["uniform", "disorder", "believed older", "believed younger"],
 )
 @pytest.mark.slow
 def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
-    """`apart` against `rollout.simulate` through the recorded run on that seed's schedule."""
+    """`own_events` against `shared_events` through the recorded run on that seed's schedule."""
     names = ["pccebo", "pi-pco", "dkf", "dkf-bias"]
     with machine.float64():
         chosen = study.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,

@@ -36,7 +36,7 @@ class Gains(NamedTuple):
     """n states (the plant's, and the bias where it is estimated), m inputs, q outputs."""
 
     motion: Motion
-    noise: Leaf  # [bits, n, n] process noise covariance over 2^b ticks
+    noise: Leaf  # [2, R, n, n] process noise covariance over as many ticks as each of motion.powers
     C: Leaf  # [q, n]
     D: Leaf  # [q, m]
     R: Leaf  # [q] variance of one sample
@@ -78,7 +78,7 @@ def update(gains: Gains, before: Filtered, sample: Sample) -> Filtered:
     """Update at the sample's own time, channel by channel: with independent noise that is the joint update."""
     free = free_response.at(gains.motion, before.mean, sample.taken)
     gap = sample.taken - before.mean.taken
-    P = covariance_after(gains.motion.doublings, gains.noise, gap, before.P)
+    P = covariance_after(gains.motion.powers, gains.noise, gap, before.P)
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
         K = jnp.where(fresh, P @ c / (c @ P @ c + r), 0.0)
@@ -119,16 +119,17 @@ def design(setting: Setting, options: Options) -> Design:
     q = setting.input_intensity if options.q is None else options.q
     R = setting.noise_variance if options.R is None else np.full(len(model.C), options.R)
     moves = free_response.motion_of(model, setting)
-    noise = linear.noise_doublings(model, q, setting.dt, len(moves.doublings))
+    noise = linear.noise_powers(model, q, setting.dt, setting.ticks)
     gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, setting.places, np.zeros(n))
-    return Design(gains, certified(_certify(gains, setting), where))
+    return Design(gains, certified(_certify(gains, model, q, setting), where))
 
 
-def _certify(gains: Gains, setting: Setting) -> Certificate:
+def _certify(gains: Gains, model: linear.Model, q: float, setting: Setting) -> Certificate:
     """The margin is the least innovation variance over the horizon, relative to R, where the covariance stays >= 0."""
-    run = riccati.multirate(
-        gains.motion.doublings, gains.noise, gains.C, gains.R, gains.P0, setting.period, setting.ticks
-    )
+    bits = linear.bits_for(setting.ticks)
+    doubled = linear.doublings(model, setting.dt, bits)
+    noise = linear.noise_doublings(model, q, setting.dt, bits)
+    run = riccati.multirate(doubled, noise, gains.C, gains.R, gains.P0, setting.period, setting.ticks)
     numbers = {"P_end": run.P, "K_end": run.K, "R": gains.R, "innovation_over_R": run.innovation}
     margin = run.innovation if run.least > -1e-9 else float("nan")
     return Certificate("c P c' + r > 0 and P >= 0 at every sample", margin, "recursion", "run", numbers)

@@ -25,7 +25,7 @@ class Motion(NamedTuple):
 
     Phi: Leaf  # [n, n]
     Gamma: Leaf  # [n, m]
-    doublings: Leaf  # [bits, n, n] e^{A h 2^b}
+    powers: Leaf  # [2, R, n, n] e^{A h i R^level}
 
 
 class Point(NamedTuple):
@@ -61,7 +61,7 @@ def flow(motion: Motion, memory: Memory, now: Now) -> Memory:
 
 def at(motion: Motion, point: Point, tick: Array) -> Array:
     """Return `free` carried on to a tick: the estimate there is g + this."""
-    return after(motion.doublings, tick - point.taken, point.free)
+    return after(motion.powers, tick - point.taken, point.free)
 
 
 def resume(motion: Motion, memory: Memory, now: Now, line: Line, point: Point) -> Memory:
@@ -72,4 +72,4 @@ def resume(motion: Motion, memory: Memory, now: Now, line: Line, point: Point) -
 def motion_of(model: linear.Model, setting: Setting) -> Motion:
     """Return a model's motion in NumPy, for every age up to the horizon."""
     Phi, Gamma = linear.one_tick(model, setting.dt)
-    return Motion(Phi, Gamma, linear.doublings(model, setting.dt, linear.bits_for(setting.ticks)))
+    return Motion(Phi, Gamma, linear.powers(model, setting.dt, setting.ticks))

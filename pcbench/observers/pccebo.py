@@ -96,10 +96,11 @@ def design(setting: Setting, options: Options) -> Design:
     where = f"pccebo in {setting.scenario}"
     require_detectable(setting.model, where)
     moves = free_response.motion_of(setting.model, setting)
-    Phi, C = linear.over(moves.doublings, period), setting.model.C
+    doubled = linear.doublings(setting.model, setting.dt, linear.bits_for(period))
+    Phi, C = linear.over(doubled, period), setting.model.C
     if options.gain == "riccati":
-        noise = linear.noise_doublings(setting.model, options.q, setting.dt, len(moves.doublings))
-        Q, R = linear.noise_over(moves.doublings, noise, period), np.diag(setting.noise_variance)
+        noise = linear.noise_doublings(setting.model, options.q, setting.dt, len(doubled))
+        Q, R = linear.noise_over(doubled, noise, period), np.diag(setting.noise_variance)
         found = current_estimator.lyapunov(Phi, C, riccati.current_gain(Phi, C, Q, R, where))
     else:
         found = cache.remembered(current_estimator.Solution, "lmi23", (Phi, C), lambda: current_estimator.solve(Phi, C))

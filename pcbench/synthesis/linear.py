@@ -91,6 +91,35 @@ def noise_doublings(model: Model, intensity: float, h: float, bits: int) -> Matr
     return np.stack(out)
 
 
+def powers(model: Model, h: float, ticks: int) -> Matrix:
+    """Return the model's maps over i R^level ticks without input, as [2, R, n, n], R^2 > `ticks`: see `integrate.after`."""
+    half, doubled = _half(model, h, ticks)
+    levels = []
+    for level in range(2):
+        table = np.eye(len(model.A))[None]
+        for E in doubled[level * half : (level + 1) * half]:
+            table = np.concatenate([table, E @ table])
+        levels.append(table)
+    return np.stack(levels)
+
+
+def noise_powers(model: Model, intensity: float, h: float, ticks: int) -> Matrix:
+    """Return the covariance of process noise through the input over as many ticks as each of `powers`, [2, R, n, n]."""
+    half, doubled = _half(model, h, ticks)
+    noise, levels = noise_doublings(model, intensity, h, 2 * half), []
+    for level in range(2):
+        table = np.zeros_like(noise[:1])
+        for b in range(level * half, (level + 1) * half):
+            table = np.concatenate([table, doubled[b] @ table @ doubled[b].T + noise[b]])
+        levels.append(table)
+    return np.stack(levels)
+
+
+def _half(model: Model, h: float, ticks: int) -> tuple[int, Matrix]:
+    half = -(-bits_for(ticks) // 2)
+    return half, doublings(model, h, 2 * half)
+
+
 def over(doubled: Matrix, ticks: int) -> Matrix:
     """Return e^{A h ticks} as the product of its doublings."""
     E = np.eye(doubled.shape[1])

@@ -1,0 +1,80 @@
+"""Events on one schedule for all runs: at a tick every lane senses, or jumps, together.
+
+Whole-number data (`sampling.Schedule`) say where the events are; they are traced, so one compiled program serves every period
+and delay. Packets in flight are kept in rings by packet number.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from pcbench import draws, lanes
+from pcbench.rollout import Layout, Problem, Row, State, begin, hand_over, measure, note
+
+
+class Events(NamedTuple):
+    """How events happen, and in what form the memories are kept between them."""
+
+    happen: Callable[
+        [Array, State], tuple[State, Array]
+    ]  # (tick, state) -> state after the tick's events, next event's tick
+    whole: Callable[[Any], Any] = lambda kept: kept  # as kept -> the observers' memories
+    moved: Callable[[Any, Any], Any] = lambda memories, kept: memories  # memories after a flow, as kept -> as kept
+
+
+def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:
+    """Return the events of a block of runs, and the state before tick 0."""
+    keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
+    state = rings(layout, begin(layout, p, root_seed, seeds))
+    return Events(lambda k, state: (happen(layout, p, keys, k, state), p.schedule.next_event[k])), state
+
+
+def rings(layout: Layout, state: State) -> State:
+    """Give the network its room; a packet that nothing was noted for carries the note of the start.
+
+    (Such a packet is believed to be from before tick 0.)
+    """
+    flight = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
+    return state._replace(flight=flight)
+
+
+def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State) -> State:
+    """Let everything that the schedule has for tick k happen: sense and note, then deliver, the oldest packet first.
+
+    Only one packet, never the ring of them, goes through a `cond`, which would copy it: what is not there is written to
+    the ring's last place, which nothing reads.
+    """
+    plan = p.schedule
+
+    def put(rings: Any, number: Array, make: Any) -> Any:
+        last = jax.tree.map(lambda ring: ring[layout.ring], rings)
+        new = lax.cond(number >= 0, lambda: lanes.like(make(), last, layout.width), lambda: last)
+        place = jnp.where(number >= 0, number % layout.ring, layout.ring)
+        return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, new)
+
+    def sense() -> Any:
+        return measure(layout, p, k, state.x, lanes.split(draws.normals(keys, plan.sample[k])))
+
+    values = put(state.flight[0], plan.sense[k], sense)
+    notes = put(state.flight[1], plan.note[k], lambda: note(layout, p, k, state.memories))
+    flight = (values, notes)
+
+    def deliver(slot: int, memories: Any) -> Any:
+        number = plan.arrive[k, slot]
+        packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
+        fresh, age = plan.fresh[k, slot], jnp.full(plan.fresh[k, slot].shape, k - plan.believed[k, slot])
+        row = Row(fresh, age, plan.number[k, slot], plan.since[k, slot])
+
+        def jump(memories: Any) -> Any:
+            return lanes.like(hand_over(layout, p, k, row, packet, memories), memories, layout.width)
+
+        return lax.cond(number >= 0, jump, lambda memories: memories, memories)
+
+    memories = state.memories
+    for slot in range(plan.arrive.shape[1]):
+        memories = deliver(slot, memories)
+    return state._replace(memories=memories, flight=flight)
