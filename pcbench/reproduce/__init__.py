@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 
+from pcbench.reproduce import mobile_cart, pi_pco
 from pcbench.reproduce.claim import Claim
-from pcbench.reproduce.mobile_cart import claims as cart
 
 PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
     "cart": (
         "Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017): PCCEBO against KFBO on a mobile cart",
-        cart,
+        mobile_cart.claims,
     ),
+    "pi-pco": ("Li, Wang, Tian: PI-PCO against PCO on a mobile cart, variable sampling", pi_pco.claims),
 }
