@@ -24,6 +24,7 @@ from pcbench.study import Study, cells, digest, load, options_of, override, pars
 from pcbench.synthesis.certificate import Certificate, Design
 
 Tell = Callable[[str, float], None]
+Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
 
 
 class Result:
@@ -43,7 +44,7 @@ class Result:
         return f"<pcbench result of study '{self.study.name}': {len(self.stats)} rows of stats>"
 
 
-def study_of(study: str | Path | dict[str, Any] | Study, changes: dict[str, Any], overrides: list[str]) -> Study:
+def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Study:
     """Return a checked study from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
     if isinstance(study, str | Path):
         study, overrides = load(str(study), overrides), []
@@ -55,7 +56,7 @@ def study_of(study: str | Path | dict[str, Any] | Study, changes: dict[str, Any]
 
 
 def run(
-    study: str | Path | dict[str, Any] | Study,
+    study: Described,
     *,
     seeds: int | None = None,
     observers: str | list[str] | None = None,
@@ -179,12 +180,12 @@ def _runs(folder: Path | None, kept: list[tuple[str, str, pa.Table]]) -> pd.Data
     return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
 
 
-def _one_cell(what: str, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:
-    study = study_of(load(what, overrides), {"observers": observers}, [])
+def _one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:
+    study = study_of(study_of(what, {}, overrides), {"observers": observers}, [])
     every = [cell for name in study.scenarios for cell in cells(study, name)]
     if len(every) > 1:
         raise UserError(
-            f"{what}: got {len(every)} cells, expected one here; name one scenario, each axis with one value."
+            f"{study.name}: got {len(every)} cells, expected one here; name one scenario, each axis with one value."
         )
     return study, every[0]
 
@@ -198,11 +199,11 @@ def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
 
 
 def trace(
-    scenario: str, observers: str | list[str], *, seed: int = 0, overrides: list[str] | None = None
+    scenario: Described, observers: str | list[str], *, seed: int = 0, overrides: list[str] | None = None
 ) -> pd.DataFrame:
     """Return one run tick by tick, ticks 0 .. N: t [s], each state, <observer>.<state>, u1.., y1.. (held arrivals).
 
-    `scenario` is a scenario's name, or a TOML file with one scenario and one cell.
+    `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
@@ -211,8 +212,7 @@ def trace(
     with machine.float64():
         study, _ = _one_cell(scenario, names, overrides or [])
         (p,) = (sweep.alone(planned, study.root_seed, seed) for planned in sweep.plan(study))
-        record = jax.jit(recording.record, static_argnums=0)
-        out = record(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
+        out = recording.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
     states = [name for name, _ in signals_of(p.cell.scenario)]
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
@@ -235,7 +235,7 @@ def _held(plan: Any, samples: np.ndarray) -> np.ndarray:
     return held
 
 
-def design(scenario: str, observer: str, *, overrides: list[str] | None = None) -> Design:
+def design(scenario: Described, observer: str, *, overrides: list[str] | None = None) -> Design:
     """Return an observer's gains in a scenario with the certificate that proves them."""
     with machine.float64():
         study, cell = _one_cell(scenario, [observer], overrides or [])

@@ -3,8 +3,10 @@
 Slower than `simulation.simulate`, which keeps sums only; the same functions in the same order.
 """
 
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
@@ -37,3 +39,9 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recordi
 
     _, out = lax.scan(tick, state, jnp.arange(p.schedule.event.shape[0]))
     return out
+
+
+@cache
+def compiled() -> Any:
+    """Return `record` compiled, once for each shape in a process."""
+    return jax.jit(record, static_argnums=0)

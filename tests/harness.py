@@ -4,7 +4,6 @@ The plants here are not degenerate: `ODD` has three states, two inputs and two o
 at every tick.
 """
 
-from functools import cache
 from typing import Any, NamedTuple
 
 import jax
@@ -101,9 +100,7 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[rollout.L
     return layout, jax.tree.map(np.asarray, p)
 
 
-@cache
-def recorder() -> Any:
-    return jax.jit(recording.record, static_argnums=0)
+recorder = recording.compiled
 
 
 def trace(case: Case, observers: dict[str, dict[str, Any]]) -> recording.Recording:

@@ -13,7 +13,7 @@ ROOT = Path(pcbench.__file__).parent
 LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"cli"},
     {"show", "catalogue", "reproduce"},
-    {"bench"},
+    {"bench", "interop"},
     {"sweep"},
     {"study", "machine", "store", "tables", "statistics"},
     {"own_plant"},

@@ -139,11 +139,11 @@ def noise_over(doubled: Matrix, noise: Matrix, ticks: int) -> Matrix:
 
 
 def with_input_bias(model: Model) -> Model:
-    """Return the model with one more state per input: a constant bias b, x' = A x + B (u + b), b' = 0."""
+    """Return the model with one more state per input: a constant bias b, x' = A x + B (u + b), y = C x + D (u + b), b' = 0."""
     n, m = model.B.shape
     A = np.zeros((n + m, n + m))
     A[:n, :n], A[:n, n:] = model.A, model.B
     if model.discrete:
         A[n:, n:] = np.eye(m)
     wider = np.vstack([model.B, np.zeros((m, m))])
-    return model._replace(A=A, B=wider, C=np.hstack([model.C, np.zeros((len(model.C), m))]))
+    return model._replace(A=A, B=wider, C=np.hstack([model.C, model.feedthrough]))

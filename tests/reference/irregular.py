@@ -166,12 +166,12 @@ def pccebo(model: Model, u: Array, samples: list[Sample], xhat0: Array, L: Array
     return run(flow, samples, xhat0, newest)
 
 
-def with_input_bias(model: Model) -> Model:
-    """Return the plant with state [x; bias]: x' = A x + B (u + bias), bias' = 0, y = C x."""
+def with_input_bias(model: Model, D: Array | None) -> Model:
+    """Return the plant with state [x; bias]: x' = A x + B (u + bias), bias' = 0, y = C x + D (u + bias)."""
     n, m = model.B.shape
     A = np.block([[model.A, model.B], [np.zeros((m, n + m))]])
     B = np.vstack([model.B, np.zeros((m, m))])
-    return Model(A, B, np.hstack([model.C, np.zeros((len(model.C), m))]), model.h)
+    return Model(A, B, np.hstack([model.C, np.zeros((len(model.C), m)) if D is None else D]), model.h)
 
 
 def noise_sums(Ad: Array, Qd: Array, count: int) -> Array:
@@ -213,13 +213,13 @@ def dkf(
 
     R [q]: variances per sample; W [n, n]: intensity of the process noise (None: none); D [q, m] of the known u.
     `bias_variance`: of a constant unknown input bias, prior mean 0, one for each input, independent of x(0);
-    the plant is driven by u + bias (the feedthrough D is not), and the plant's n states alone are returned.
+    u + bias drives the plant and its feedthrough D, and the plant's n states alone are returned.
     """
     n, m = model.B.shape
     W = np.zeros((n, n)) if W is None else W
     start, prior = np.asarray(xhat0, float), np.asarray(P0, float)
     if bias_variance is not None:
-        model = with_input_bias(model)
+        model = with_input_bias(model, D)
         W = block_diag(W, np.zeros((m, m)))
         start, prior = np.concatenate([start, np.zeros(m)]), block_diag(prior, bias_variance * np.eye(m))
     flow = flow_of(model, u)
