@@ -16,11 +16,14 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from pcbench import machine, recording, statistics, store, sweep, tables
+from pcbench.cells import cells, digest, to_toml
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
+from pcbench.planning import Planned, alone, plan, setting
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
-from pcbench.study import Study, cells, digest, load, options_of, override, parse, scenarios_of, to_toml
+from pcbench.study import Study, options_of, scenarios_of
+from pcbench.study_file import load, override, parse
 from pcbench.synthesis.certificate import Certificate, Design
 
 Tell = Callable[[str, float], None]
@@ -79,7 +82,7 @@ def run(
     with machine.float64():
         chosen = study_of(study, changes, overrides or [])
         start, began = perf_counter(), datetime.now(UTC)
-        planned = sweep.plan(chosen)
+        planned = plan(chosen)
         folder = None if out is None else Path(out)
         if folder is not None:
             store.claim(folder, to_toml(chosen))
@@ -103,7 +106,7 @@ def run(
 
 
 def _collect(
-    study: Study, planned: list[sweep.Planned], folder: Path | None, devices: int | None, tell: Tell
+    study: Study, planned: list[Planned], folder: Path | None, devices: int | None, tell: Tell
 ) -> tuple[pa.Table, pa.Table, list[tuple[str, str, pa.Table]], float]:
     """Run, and turn each finished cell into rows; runs go to the folder, or are kept where there is none."""
     stats, pairs, kept, compiled = [], [], [], []
@@ -136,7 +139,7 @@ def _collect(
     )
 
 
-def _certificates(planned: list[sweep.Planned]) -> dict[str, dict[str, Any]]:
+def _certificates(planned: list[Planned]) -> dict[str, dict[str, Any]]:
     """The weakest certificate of each observer over the cells of each scenario; margin None: nothing to prove."""
     weakest: dict[str, dict[str, Certificate]] = {}
     for p in planned:
@@ -211,7 +214,7 @@ def trace(
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
     with machine.float64():
         study, _ = _one_cell(scenario, names, overrides or [])
-        (p,) = (sweep.alone(planned, study.root_seed, seed) for planned in sweep.plan(study))
+        (p,) = (alone(planned, study.root_seed, seed) for planned in plan(study))
         out = recording.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
     states = [name for name, _ in signals_of(p.cell.scenario)]
@@ -239,4 +242,4 @@ def design(scenario: Described, observer: str, *, overrides: list[str] | None = 
     """Return an observer's gains in a scenario with the certificate that proves them."""
     with machine.float64():
         study, cell = _one_cell(scenario, [observer], overrides or [])
-        return entry_of(observer).design(sweep.setting(cell), options_of(study, cell.scenario, observer))
+        return entry_of(observer).design(setting(cell), options_of(study, cell.scenario, observer))

@@ -121,11 +121,10 @@ def run(
     Example: pcbench run quick --seeds 512 --out first-look
     """
     _setup()
-    from pcbench import bench, show, statistics, store
-    from pcbench import study as studies
+    from pcbench import bench, show, statistics, store, study_file
 
     statistics.compared(metric, "--metric")
-    chosen = studies.load(study, changes)
+    chosen = study_file.load(study, changes)
     folder = out or Path("results") / chosen.name.replace("/", "-")
     names = None if observers is None else [name.strip() for name in observers.split(",")]
     with show.progress(quiet or as_json) as draw:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from pcbench.errors import UserError, unknown
 from pcbench.own_plant import Lti
-from pcbench.study import Study, parse
+from pcbench.study import Study
+from pcbench.study_file import parse
 
 
 def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:

@@ -1,7 +1,4 @@
-"""From a study to numbers: plan every cell, run its seeds in blocks, collect what each run leaves.
-
-All cells of a plant and horizon share one compiled program: the ring and the arrival slots are sized for the largest.
-"""
+"""Running planned cells: their seeds in blocks, cells of one shape through one program, and what each run leaves."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -9,28 +6,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel
 
-from pcbench import axes, conformance, ensemble, irregular, metrics, sampling
-from pcbench.errors import UserError
-from pcbench.observers import entry_of
-from pcbench.plants import PLANTS
-from pcbench.rollout import Layout, Problem
-from pcbench.scenarios import Scenario
-from pcbench.signals import inputs
-from pcbench.study import Cell, Study, cells, observers_of, options_of
-from pcbench.synthesis import linear, riccati
-from pcbench.synthesis.certificate import Certificate, Design, Setting
-
-
-class Planned(NamedTuple):
-    """A cell ready to run."""
-
-    cell: Cell
-    layout: Layout
-    problem: Problem
-    certificates: dict[str, Certificate]
-    bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
+from pcbench import ensemble, metrics
+from pcbench.planning import Planned, tail_tick, ticks
+from pcbench.rollout import Layout
+from pcbench.study import Study
 
 
 class Done(NamedTuple):
@@ -39,171 +19,6 @@ class Done(NamedTuple):
     planned: Planned
     seeds: NDArray[np.int64]
     results: dict[str, dict[str, NDArray[Any]]]
-
-
-def ticks(cell: Cell) -> int:
-    """Return the horizon N in ticks."""
-    return round(cell.scenario.horizon / cell.scenario.dt)
-
-
-def tail_tick(cell: Cell) -> int:
-    """Return the tick at which the tail starts."""
-    return round(cell.scenario.tail / cell.scenario.dt)
-
-
-def setting(cell: Cell) -> Setting:
-    """Return what a designer is told: the nominal model and the believed delay, whatever is true of the plant."""
-    s, clocks, n = cell.scenario, axes.clocks(cell.scenario), ticks(cell)
-    period, delay = [0] * len(s.delay), [0] * len(s.delay)
-    for clock in clocks:
-        for j in clock.channels:
-            if isinstance(clock.profile, tuple):
-                period[j] = round(sum(clock.profile) / len(clock.profile))
-            else:
-                period[j] = clock.period
-            late = period[j] if clock.delay is None else clock.delay
-            delay[j] = late + clock.spread // 2 + round(s.assumed_delay_error / s.dt)
-    return Setting(
-        s.name,
-        PLANTS[s.plant].nominal(_numbers(s)),
-        s.dt,
-        n,
-        tuple(period),
-        tuple(delay),
-        s.noise_std,
-        np.diag(np.square(s.prior_std)),
-        s.drift_intensity if s.drift else 0.0,
-        irregular.overtaking(clocks, n) if _random(clocks) else sampling.overtaking(sampling.samples(clocks, n)),
-        tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
-    )
-
-
-def _numbers(s: Scenario) -> Any:
-    """The plant's numbers as observers know them."""
-    return PLANTS[s.plant].numbers._replace(**s.model)
-
-
-def _random(clocks: list[sampling.Clock]) -> bool:
-    return any(clock.random for clock in clocks)
-
-
-def plan(study: Study) -> list[Planned]:
-    """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
-    drafts = []
-    for name in study.scenarios:
-        for cell in cells(study, name):
-            options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, name)}
-            drafts.append(draft(cell, options))
-    return fit(drafts)
-
-
-def fit(drafts: list[Planned]) -> list[Planned]:
-    """Give drafts one shape: arrival slots and room on the network for the largest of them."""
-    seen: set[Any] = set()
-    for p in drafts:
-        for label, observer in p.layout.observers:
-            if (key := (label, p.layout.plant)) not in seen:
-                seen.add(key)
-                conformance.check(label, observer, p.problem)
-    return _same_shapes(drafts)
-
-
-def _same_shapes(drafts: list[Planned]) -> list[Planned]:
-    """Give every cell the arrival slots, the room on the network and the rows of the plant that the largest needs."""
-    shared = [p.problem.schedule for p in drafts if isinstance(p.problem.schedule, sampling.Schedule)]
-    slots = max((plan.arrive.shape[1] for plan in shared), default=1)
-    most = max(
-        (_times(p).due.shape[1] for p in drafts if not isinstance(p.problem.schedule, sampling.Schedule)), default=0
-    )
-    room = max(p.layout.ring for p in drafts)
-    ring = 1 << (room - 1).bit_length()  # few sizes, few programs
-    rows: dict[Any, int] = {}
-    for p in drafts:
-        for i, a in enumerate(jax.tree.leaves(p.problem.params)):
-            key = (p.layout.plant, i)
-            rows[key] = max(rows.get(key, 0), len(a) if np.ndim(a) else 0)
-    out = []
-    for p in drafts:
-        plan = p.problem.schedule
-        plan = sampling.pad_slots(plan, slots) if isinstance(plan, sampling.Schedule) else irregular.padded(plan, most)
-        leaves, tree = jax.tree.flatten(p.problem.params)
-        wide = [
-            np.broadcast_to(a, (rows[p.layout.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
-            for i, a in enumerate(leaves)
-        ]
-        problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide))
-        out.append(p._replace(problem=problem, layout=p.layout._replace(ring=ring)))
-    return out
-
-
-def _times(p: Planned) -> irregular.Times:
-    return p.problem.schedule
-
-
-def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
-    """Lay out one cell for the observers that `options` names; its layout does not yet fit others."""
-    s, known = cell.scenario, setting(cell)
-    plant, n = PLANTS[s.plant], ticks(cell)
-    designs = {o: _design(o, known, given) for o, given in options.items()}
-    truth = {"drift": s.drift, "drift_sign": float(cell.choices.drift_sign)} | cell.parameters
-    plan, room = schedule_of(cell)
-    problem = Problem(
-        params=plant.prepare(_numbers(s)._replace(**truth), s.dt, n),
-        gains={o: d.gains for o, d in designs.items()},
-        schedule=plan,
-        inputs=inputs(s.input, s.dt * np.arange(n + 1, dtype=float), known.model.B.shape[1]),
-        dt=np.asarray(s.dt),
-        x0=np.array(s.x0),
-        xhat0=np.array(s.xhat0),
-        spread0=np.diag(s.prior_std),
-        noise_std=np.array(s.noise_std),
-        band=np.array(s.settle_band),
-        bound=np.asarray(s.bound),
-        windows=np.array([[0, tail_tick(cell)], [tail_tick(cell), n - 1], [n - 1, n]]),
-    )
-    observers = tuple((o, entry_of(o).observer) for o in options)
-    layout = Layout(plant.plant, observers, ensemble.WIDTH, room, cell.choices.random_start)
-    return Planned(cell, layout, problem, {o: d.certificate for o, d in designs.items()}, _bound(cell, known))
-
-
-def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, int]:
-    """Return a cell's schedule and the packets it needs room for; of one run (root seed, seed), where it is random."""
-    s, clocks, n = cell.scenario, axes.clocks(cell.scenario), ticks(cell)
-    error, channels = round(s.assumed_delay_error / s.dt), len(s.delay)
-    if _random(clocks) and run is None:
-        return irregular.times(clocks, n, channels, error), irregular.room(clocks, n, error)
-    found = irregular.realised(clocks, n, channels, *run) if run and _random(clocks) else sampling.samples(clocks, n)
-    plan = sampling.schedule(found, n, channels, error)
-    return plan, sampling.in_flight(plan)
-
-
-def _design(observer: str, known: Setting, options: BaseModel) -> Design:
-    found = entry_of(observer).design(known, options)
-    if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
-        raise UserError(
-            f"observer {observer}: design returned {type(found).__name__}, expected Design(gains, Certificate)."
-        )
-    return found
-
-
-def _bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
-    """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
-    exact = not cell.scenario.drift and not cell.parameters and all(known.noise_std)  # no bound without noise
-    clocks = axes.clocks(cell.scenario)
-    if not exact or _random(clocks):
-        return None
-    doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
-    samples = [(s.arrives, s.taken, s.channel) for s in sampling.samples(clocks, known.ticks)]
-    variance = riccati.posterior_variance(doubled, known.model.C, known.noise_variance, known.P0, samples, known.ticks)
-    return np.sqrt(variance[tail_tick(cell) :].mean(0))
-
-
-def alone(p: Planned, root_seed: int, seed: int) -> Planned:
-    """Return a cell laid out for one run: where sampling is random, on the schedule of that run."""
-    plan, room = schedule_of(p.cell, (root_seed, seed))
-    return p._replace(
-        problem=p.problem._replace(schedule=plan), layout=p.layout._replace(ring=max(room, p.layout.ring))
-    )
 
 
 def blocks(planned: Planned, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[ensemble.Job]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench import ensemble, study, sweep
+from pcbench import ensemble, planning, study_file, sweep
 from pcbench.draws import measurement_noise, normals, run_keys
 
 EVERYONE = ["pccebo", "kfbo", "dkf", "open-loop"]
@@ -14,8 +14,8 @@ SEVEN = np.array([7])
 
 def results(seeds, observers=EVERYONE, scenarios=("cart/gaussian-fast",), devices=2, random_start=True, axes=None):
     raw = {"name": "bits", "scenarios": list(scenarios), "observers": observers, "axes": axes or {}}
-    chosen = study.parse(raw | {"options": {"scenario": {"random_start": random_start}}}, "bits")
-    done = list(sweep.execute(chosen, sweep.plan(chosen), seeds=np.asarray(seeds), devices=devices))
+    chosen = study_file.parse(raw | {"options": {"scenario": {"random_start": random_start}}}, "bits")
+    done = list(sweep.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
     return {d.planned.cell.scenario.name + str(d.planned.cell.number): d.results for d in done}
 
 

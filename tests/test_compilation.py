@@ -5,15 +5,15 @@ import re
 import numpy as np
 import pytest
 
-from pcbench import ensemble, study, sweep
+from pcbench import ensemble, planning, study_file, sweep
 
 AXES = {"sampling_period": [0.1, 0.25, 0.4], "delay": [0.0, 0.2, 0.7], "noise_std": [0.0, 0.5], "drift": [0.0, 1.0]}
 
 
 def planned(**axes):
     raw = {"name": "axes", "scenarios": ["cart/white"], "axes": axes, "seeds": 3}
-    chosen = study.parse(raw, "axes")
-    return chosen, sweep.plan(chosen)
+    chosen = study_file.parse(raw, "axes")
+    return chosen, planning.plan(chosen)
 
 
 def test_one_compilation_for_every_period_delay_noise_and_drift():
@@ -31,8 +31,8 @@ def test_gains_are_traced():
     counts = []
     for R in (0.1, 3.0):
         raw = {"name": "gains", "scenarios": ["cart/white"], "options": {"kfbo": {"R": R}}, "seeds": 2}
-        chosen = study.parse(raw, "gains")
-        list(sweep.execute(chosen, sweep.plan(chosen)))
+        chosen = study_file.parse(raw, "gains")
+        list(sweep.execute(chosen, planning.plan(chosen)))
         counts.append(ensemble.compilations())
     assert counts[0] == counts[1]
 

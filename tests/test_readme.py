@@ -10,7 +10,7 @@ import pytest
 from harness import CART, Case, trace
 
 import pcbench
-from pcbench import show, study
+from pcbench import cells, show, study_file
 from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
 
@@ -36,9 +36,9 @@ def test_the_study_runs_as_written(tmp_path):
     (text,) = blocks("toml")
     path = tmp_path / "noise-map.toml"
     path.write_text(text)
-    found = study.load(str(path))
+    found = study_file.load(str(path))
     assert len(pcbench.run(str(path), seeds=2).stats.cell.unique()) == 16
-    assert len(study.cells(found, "cart/gaussian")) == 16
+    assert len(cells.cells(found, "cart/gaussian")) == 16
     assert tomllib.loads(text)["name"] == "noise-map"
 
 

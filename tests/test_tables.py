@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import pcbench
-from pcbench import store, study, tables
+from pcbench import cells, store, study, study_file, tables
 from pcbench.errors import UserError
 
 AXES = [
@@ -122,14 +122,14 @@ def test_every_metric_has_its_own_unit(done):
 
 
 def test_the_study_on_disk_can_be_run_again(done):
-    again = study.load(str(done.out / "study.toml"))
-    assert study.digest(again) == study.digest(done.study)
+    again = study_file.load(str(done.out / "study.toml"))
+    assert cells.digest(again) == cells.digest(done.study)
     assert tomllib.loads((done.out / "study.toml").read_text())["resolved"]["options"]["cart/slow"]["kfbo"]["R"] == 0.3
 
 
 def test_provenance_says_what_made_the_numbers(done):
     found = json.loads((done.out / "provenance.json").read_text())
-    assert found["study_sha256"] == study.digest(done.study)
+    assert found["study_sha256"] == cells.digest(done.study)
     assert {"versions", "device", "precision", "root_seed", "git", "wall_seconds", "compile_seconds"} <= set(found)
     assert found["precision"] == "float64"
 
@@ -188,14 +188,15 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path):
 
 def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     """sampled-innovation at te = d = 3 s and R = 0.004 grows past a bound of 20 m: every lane, at the same tick as a trace."""
-    from pcbench import sweep
+    from pcbench import planning, sweep
+    from pcbench.cells import Cell
     from pcbench.scenarios import SCENARIOS
-    from pcbench.study import Cell, Choices
+    from pcbench.study import Choices
 
     s = SCENARIOS["cart/slow"]._replace(bound=20.0)
     options = {
         "kfbo": study.options_of(
-            study.parse(
+            study_file.parse(
                 {
                     "name": "x",
                     "scenarios": ["cart/slow"],
@@ -207,8 +208,8 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
             "kfbo",
         )
     }
-    (p,) = sweep.fit([sweep.draft(Cell(s, 0, {}, {}, Choices()), options)])
-    (done,) = sweep.execute(study.parse({"name": "x", "scenarios": ["cart/slow"], "seeds": 3}, "x"), [p])
+    (p,) = planning.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
+    (done,) = sweep.execute(study_file.parse({"name": "x", "scenarios": ["cart/slow"], "seeds": 3}, "x"), [p])
     found = done.results["kfbo"]
     trace = pcbench.trace(
         "cart/slow", "kfbo", overrides=["options.kfbo.sampled-innovation=true", "options.kfbo.R=0.0001"]

@@ -8,7 +8,7 @@ from reference import irregular as reference
 from reference import linear
 
 import pcbench
-from pcbench import irregular, machine, sampling, study, sweep
+from pcbench import irregular, machine, planning, sampling, study_file, sweep
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.sampling import Clock
@@ -129,12 +129,12 @@ def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
     """`own_events` against `shared_events` through the recorded run on that seed's schedule."""
     names = ["pccebo", "pi-pco", "dkf", "dkf-bias"]
     with machine.float64():
-        chosen = study.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,
+        chosen = study_file.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,
                               "options": {"dkf-bias": {"bias_variance": 1.0}}}, "t")  # fmt: skip
-        (planned,) = sweep.plan(chosen)
+        (planned,) = planning.plan(chosen)
         (done,) = sweep.execute(chosen, [planned], np.arange(3), 1)
         for seed in range(3):
-            p = sweep.alone(planned, 0, seed)
+            p = planning.alone(planned, 0, seed)
             out = recorder()(p.layout, jax.tree.map(np.asarray, p.problem), np.asarray(0), np.asarray(seed))
             for name in names:
                 e = np.asarray(out.x - out.estimates[name])
@@ -161,13 +161,13 @@ def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
 )
 def test_times_that_do_not_fit_are_one_sentence(axes, sentence):
     with pytest.raises(UserError, match=sentence):
-        study.parse({"name": "t", "scenarios": ["cart/variable"], "axes": axes}, "t")
+        study_file.parse({"name": "t", "scenarios": ["cart/variable"], "axes": axes}, "t")
 
 
 def test_an_observer_that_needs_a_constant_delay_is_refused_where_it_varies():
     with pytest.raises(UserError, match="kfbo in cart/variable got a delay of one varying interval"):
-        study.parse({"name": "t", "scenarios": ["cart/variable"], "observers": ["kfbo"]}, "t")
-    study.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
+        study_file.parse({"name": "t", "scenarios": ["cart/variable"], "observers": ["kfbo"]}, "t")
+    study_file.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
 
 
 @pytest.mark.parametrize("observer", ["dkf", "pccebo", "pco"])

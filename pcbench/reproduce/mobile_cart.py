@@ -6,10 +6,11 @@ error values stand only in figures. All numbers below are computed anew.
 
 import numpy as np
 
-from pcbench import bench, machine, sweep
+from pcbench import bench, machine, planning, sweep
+from pcbench.cells import Cell, cells
 from pcbench.reproduce.claim import Claim, digits, statement
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import Cell, Choices, Study, cells, options_of
+from pcbench.study import Choices, Study, options_of
 from pcbench.synthesis import riccati
 
 SEEDS = 256
@@ -88,7 +89,7 @@ def _under_noise() -> list[Claim]:
     study = Study(name="noise", scenarios=["cart/gaussian"], observers=["pccebo", "kfbo", "dkf"], seeds=SEEDS)
     late = SCENARIOS["cart/gaussian"]._replace(horizon=43.142, tail=40.0)  # the tail is one period of the sawtooth
     options = {name: options_of(study, late, name) for name in ("pccebo", "kfbo")}
-    (done,) = sweep.execute(study, sweep.fit([sweep.draft(Cell(late, 0, {}, {}, Choices()), options)]))
+    (done,) = sweep.execute(study, planning.fit([planning.draft(Cell(late, 0, {}, {}, Choices()), options)]))
     a, b = (np.sqrt(done.results[name]["tail_mse"][0].mean()) for name in options)
     claim = "6.2 Gaussian: PCCEBO stays better (rms over a sawtooth period after 40 s)"
     stays = statement(claim, "better responses", f"pccebo {a:.2f} m, kfbo {b:.2f} m", bool(a < b))
@@ -102,7 +103,7 @@ def _under_noise() -> list[Claim]:
 
 
 def _misprints() -> list[Claim]:
-    model = sweep.setting(cells(Study(name="cart", scenarios=["cart/nominal"]), "cart/nominal")[0]).model
+    model = planning.setting(cells(Study(name="cart", scenarios=["cart/nominal"]), "cart/nominal")[0]).model
     asprinted = riccati.continuous(model, 0.001 * np.eye(2), 0.004 * np.eye(1), "reproduce cart")
     found = bench.design("cart/nominal", "kfbo").certificate.numbers
     P, K = found["P"], found["K"]

@@ -16,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench import bench, machine, sweep
+from pcbench import bench, machine, planning, sweep
+from pcbench.cells import Cell
 from pcbench.reproduce.claim import Claim, statement
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.study import Cell, Choices, Study, options_of
+from pcbench.study import Choices, Study, options_of
 
 SEEDS = 1024
 CARTS_A12 = -np.expm1(-12.2) / 122  # at an interval of 0.1 s
@@ -70,8 +71,8 @@ def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario 
         given = {"pco": {"Kp": Kp}, "pi-pco": {"Kp": Kp, "Ki": Ki}}
         study = Study(name="variance", scenarios=["cart/variable"], options=given, seeds=seeds)
         options = {name: options_of(study, scenario, name) for name in given}
-        drafts.append(sweep.draft(Cell(scenario, number, {}, {}, Choices()), options))
-    for (F, k), done in zip(grid, sweep.execute(study, sweep.fit(drafts)), strict=True):
+        drafts.append(planning.draft(Cell(scenario, number, {}, {}, Choices()), options))
+    for (F, k), done in zip(grid, sweep.execute(study, planning.fit(drafts)), strict=True):
         pco, pi = (done.results[name]["tail_mse"][0] / scenario.noise_std[0] ** 2 for name in ("pco", "pi-pco"))
         rows = (pco, pi, pi - pco)
         means, errors = ([float(f(row)) for row in rows] for f in (np.mean, standard_error))

@@ -1,0 +1,72 @@
+"""The cells of a study: every point of its axes in every scenario, and the record of all that decides their numbers."""
+
+import hashlib
+import itertools
+import json
+from typing import Any, NamedTuple
+
+import tomli_w
+
+from pcbench import axes as axis
+from pcbench.axes import AXES
+from pcbench.scenarios import Scenario
+from pcbench.study import Choices, Study, choices_of, observers_of, options_of, scenarios_of
+
+
+class Cell(NamedTuple):
+    """One point of a study's axes in one scenario, every number resolved."""
+
+    scenario: Scenario  # with the axes' values put in
+    number: int  # from 0, within its scenario
+    values: dict[str, Any]  # by axis, seconds and SI units: what the tables say
+    parameters: dict[str, Any]  # the plant's, where the scenario or an axis changes them
+    choices: Choices
+
+
+def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
+    """Return every combination of the axes in one scenario, in the order of the axes as written."""
+    base, where = scenarios_of(study)[scenario], where or study.name
+    axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
+    choices, out = choices_of(study), []
+    for index, point in enumerate(itertools.product(*axes.values())):
+        given = dict(zip(axes, point, strict=True))
+        fields = {k: v for k, v in given.items() if k in AXES}
+        changed = base._replace(**fields, input=choices.input or base.input)
+        axis.fits(changed, where if where == scenario else f"{where}: {scenario}")
+        values = {name: axis.plain(name, getattr(changed, name)) for name in AXES}
+        own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
+        values |= {k: v for k, v in given.items() if k.startswith("plant.")}
+        out.append(Cell(changed, index, values, dict(base.parameters) | own, choices))
+    return out
+
+
+def resolved(study: Study) -> dict[str, Any]:
+    """Return everything that decides the numbers, for `study.toml` and its hash."""
+    options: dict[str, Any] = {"scenario": choices_of(study).model_dump(exclude_none=True)}
+    for scenario in study.scenarios:
+        base = scenarios_of(study)[scenario]
+        options[scenario] = {
+            o: options_of(study, base, o).model_dump(exclude_none=True) for o in observers_of(study, scenario)
+        }
+    known = scenarios_of(study)
+    scenarios = {s: _said(json.loads(json.dumps(known[s]._asdict(), default=dict))) for s in study.scenarios}
+    out = study.model_dump(exclude_none=True)
+    ran_by = {s: observers_of(study, s) for s in study.scenarios}
+    return out | {"resolved": {"options": options, "scenarios": scenarios, "observers": ran_by}}
+
+
+def _said(scenario: dict[str, Any]) -> dict[str, Any]:
+    """A scenario without what TOML has no word for: a delay of one interval is written so."""
+    delay = [axis.INTERVAL if d is None else d for d in scenario["delay"]]
+    model = {k: v for k, v in scenario["model"].items() if v is not None}
+    return scenario | {"delay": delay, "model": model}
+
+
+def to_toml(study: Study) -> str:
+    """Return the resolved study as TOML; the part under `[resolved]` is for readers, the rest can be run again."""
+    return tomli_w.dumps(resolved(study))
+
+
+def digest(study: Study) -> str:
+    """Return the hash of the resolved study: equal for equal numbers."""
+    return hashlib.sha256(json.dumps(resolved(study), sort_keys=True).encode()).hexdigest()
