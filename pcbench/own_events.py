@@ -1,7 +1,7 @@
 """Events on schedules of their own: at a tick a few lanes sense or jump, the others do not.
 
 With random sampling some lane has an event at nearly every tick. All events of a block of runs are therefore sorted by time,
-and at each tick the lanes that have one are taken out, some `CHUNK` of them at a time, do it, and are put back; the flow
+and at each tick the lanes that have one are taken out, `CHUNK` of them at most at a time, do it, and are put back; the flow
 between is that of a shared schedule. A run has the numbers it has alone on its own schedule (`shared_events`).
 """
 
@@ -19,7 +19,7 @@ from pcbench.rollout import Layout, Problem, Row, State, advance, begin, hand_ov
 from pcbench.sampling import NEVER
 from pcbench.shared_events import Events
 
-CHUNK = 32  # lanes that are taken out together
+CHUNK = 128  # lanes taken out together; up to here the cost is that of the operations, not of the lanes
 
 
 class Queue(NamedTuple):
@@ -102,7 +102,7 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
 def _noise(p: Problem, root_seed: Array, seeds: Array) -> list[Array]:
     """Standard normal noise of every sample of each channel, [M, L]: the draws of a shared schedule.
 
-    Drawn beforehand: the hash behind a draw costs a chunk of 32 lanes more than its jump.
+    Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
     """
     keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
     index = jnp.arange(p.schedule.due.shape[1])

@@ -33,7 +33,7 @@ def test_there_are_two_shell_commands_and_ci_runs_exactly_those():
 
 
 def test_the_study_runs_as_written(tmp_path):
-    (text,) = blocks("toml")
+    (text,) = [b for b in blocks("toml") if "noise-map" in b]
     path = tmp_path / "noise-map.toml"
     path.write_text(text)
     found = study_file.load(str(path))
@@ -42,7 +42,17 @@ def test_the_study_runs_as_written(tmp_path):
     assert tomllib.loads(text)["name"] == "noise-map"
 
 
-@pytest.mark.parametrize("first_line", ["import pcbench", "from typing import Any, NamedTuple"])
+def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
+    (text,) = [b for b in blocks("toml") if '"motor"' in b]
+    path = tmp_path / "motor.toml"
+    path.write_text(text)
+    stats = pcbench.run(str(path), seeds=16).stats.query("signal == 'angle' and metric == 'tail_pooled_rmse'")
+    rms = stats.set_index(["plant.input_bias", "observer"])["mean"]
+    assert rms[0.2, "dkf"] > 1000 * rms[0.2, "dkf-load"]
+    assert 1.5 < rms[0.0, "dkf-load"] / rms[0.0, "dkf"] < 2.5
+
+
+@pytest.mark.parametrize("first_line", ["import pcbench", "from typing import Any, NamedTuple", "import control"])
 def test_python_examples_run(first_line, capsys):
     (example,) = [b for b in blocks("python") if b.startswith(first_line)]
     try:
