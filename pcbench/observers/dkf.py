@@ -14,7 +14,6 @@ a newer one is put in its place (`in_order`), so the estimate uses all that has 
 Source: Kalman 1960; cart.md and variable-sampling.md of the design pages for the numbers.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -23,13 +22,13 @@ from jax import Array
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.integrate import covariance_after
-from pcbench.observers import free_response, in_order
+from pcbench.observers import free_response
 from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
 from pcbench.synthesis.observability import require_detectable
-from pcbench.types import Arrival, Leaf, Now, Observer
+from pcbench.types import Leaf, Observer
 
 
 class Gains(NamedTuple):
@@ -69,11 +68,6 @@ def init(gains: Gains, xhat0: Array) -> Memory:
     return free_response.start(whole, Filtered(free_response.origin(whole), gains.P0), gains.places, gains.C.shape[0])
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Array:
-    """Note the input response at the sample's time, [n]."""
-    return memory.g
-
-
 def update(gains: Gains, before: Filtered, sample: Sample) -> Filtered:
     """Update at the sample's own time, channel by channel: with independent noise that is the joint update."""
     free = free_response.at(gains.motion, before.mean, sample.taken)
@@ -88,24 +82,13 @@ def update(gains: Gains, before: Filtered, sample: Sample) -> Filtered:
     return Filtered(Point(free, sample.taken), P)
 
 
-def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Update at the sample's own time, then predict to now."""
-    arrived = in_order.sample_of(now, arrival, gains.D)
-    line, newest = in_order.replay(partial(update, gains), memory.line, arrived)
-    return free_response.resume(gains.motion, memory, now, line, newest.mean)
-
-
-def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move the mean by one tick; the covariance waits for the next sample."""
-    return free_response.flow(gains.motion, memory, now)
-
-
 def estimate(gains: Gains, memory: Memory) -> Array:
     """Return xhat of now, [n]."""
     return memory.xhat[: gains.states.shape[0]]
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate)
+jump = free_response.jumping(update, lambda filtered: filtered.mean)
+OBSERVER = Observer(init, free_response.note, jump, free_response.flow, estimate)
 
 
 def design(setting: Setting, options: Options) -> Design:

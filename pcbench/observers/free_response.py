@@ -7,6 +7,8 @@ g(t_m) when sample m is taken; nothing else of the past is kept.
 g follows the plant's own modes: over a horizon on which an unstable model grows past 1e16 the difference loses its digits.
 """
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -14,10 +16,12 @@ from jax import Array
 
 from pcbench.integrate import after
 from pcbench.observers import in_order
-from pcbench.observers.in_order import Line
+from pcbench.observers.in_order import Line, Sample
 from pcbench.synthesis import linear
 from pcbench.synthesis.certificate import Setting
-from pcbench.types import Leaf, Now
+from pcbench.types import Arrival, Leaf, Now
+
+Update = Callable[[Any, Any, Sample], Any]
 
 
 class Motion(NamedTuple):
@@ -53,8 +57,14 @@ def origin(xhat0: Array) -> Point:
     return Point(xhat0, jnp.asarray(0))
 
 
-def flow(motion: Motion, memory: Memory, now: Now) -> Memory:
+def note(gains: Any, memory: Memory, now: Now) -> Array:
+    """Note the input response at the sample's time, [n]."""
+    return memory.g
+
+
+def flow(gains: Any, memory: Memory, now: Now) -> Memory:
     """Advance by one tick under the held input."""
+    motion: Motion = gains.motion
     pushed = motion.Gamma @ now.u
     return memory._replace(g=motion.Phi @ memory.g + pushed, xhat=motion.Phi @ memory.xhat + pushed)
 
@@ -64,9 +74,18 @@ def at(motion: Motion, point: Point, tick: Array) -> Array:
     return after(motion.powers, tick - point.taken, point.free)
 
 
-def resume(motion: Motion, memory: Memory, now: Now, line: Line, point: Point) -> Memory:
-    """Take the estimate up again from a sample's time and carry it to now."""
-    return Memory(memory.g, memory.g + at(motion, point, now.tick), line)
+def jumping(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, Memory, Now, Arrival], Memory]:
+    """Return the jump of an observer whose state at a sample's time follows `update` (gains, state, sample).
+
+    It brings the state up to the sample, in the order in which samples were taken, and carries the estimate there to now.
+    """
+
+    def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+        arrived = in_order.sample_of(now, arrival, gains.D)
+        line, newest = in_order.replay(partial(update, gains), memory.line, arrived)
+        return Memory(memory.g, memory.g + at(gains.motion, point_of(newest), now.tick), line)
+
+    return jump
 
 
 def motion_of(model: linear.Model, setting: Setting) -> Motion:

@@ -17,7 +17,6 @@ Not claimed: that it filters noise (with the paper's L = [1, 0] it takes every m
 certificate, which is for the mean period, covers intervals that vary.
 """
 
-from functools import partial
 from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -25,13 +24,13 @@ import numpy as np
 from jax import Array
 from pydantic import BaseModel, ConfigDict, Field
 
-from pcbench.observers import free_response, in_order
+from pcbench.observers import free_response
 from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
 from pcbench.synthesis import cache, current_estimator, linear, riccati
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
 from pcbench.synthesis.observability import require_detectable
-from pcbench.types import Arrival, Leaf, Now, Observer
+from pcbench.types import Leaf, Observer
 
 
 class Gains(NamedTuple):
@@ -57,11 +56,6 @@ def init(gains: Gains, xhat0: Array) -> Memory:
     return free_response.start(xhat0, free_response.origin(xhat0), gains.places, gains.C.shape[0])
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Array:
-    """Note the input response at the sample's time, [n]."""
-    return memory.g
-
-
 def correct(gains: Gains, before: Point, sample: Sample) -> Point:
     """Correct at the sample's own time, (8a) and (8b)."""
     free = free_response.at(gains.motion, before, sample.taken)
@@ -70,24 +64,13 @@ def correct(gains: Gains, before: Point, sample: Sample) -> Point:
     return Point(free + gains.L @ innovation, sample.taken)
 
 
-def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Correct at the sample's own time, then predict to now (11)."""
-    arrived = in_order.sample_of(now, arrival, gains.D)
-    line, newest = in_order.replay(partial(correct, gains), memory.line, arrived)
-    return free_response.resume(gains.motion, memory, now, line, newest)
-
-
-def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move by one tick under the held input (12)."""
-    return free_response.flow(gains.motion, memory, now)
-
-
 def estimate(gains: Gains, memory: Memory) -> Array:
     """Return xhat of now, [n]."""
     return memory.xhat
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate)
+jump = free_response.jumping(correct, lambda point: point)
+OBSERVER = Observer(init, free_response.note, jump, free_response.flow, estimate)
 
 
 def design(setting: Setting, options: Options) -> Design:

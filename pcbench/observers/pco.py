@@ -21,7 +21,6 @@ one clock. Not claimed: that F(T) stable (as printed) makes PI-PCO stable; the c
 intervals of the schedule, lost samples left aside.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -30,13 +29,13 @@ from jax import Array
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
-from pcbench.observers import free_response, in_order
+from pcbench.observers import free_response
 from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
 from pcbench.synthesis import reduced_order
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
 from pcbench.synthesis.linear import Matrix
-from pcbench.types import Arrival, Leaf, Now, Observer
+from pcbench.types import Leaf, Observer
 
 Given = float | list[list[float]] | None
 
@@ -80,11 +79,6 @@ def init(gains: Gains, xhat0: Array) -> Memory:
     return free_response.start(xhat0, state, gains.places, gains.D.shape[0])
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Array:
-    """Note system III's state at the sample's time, [n]."""
-    return memory.g
-
-
 def reduced(gains: Gains, before: Reduced, sample: Sample) -> Reduced:
     """Run the reduced-order PI observer over one interval, (12) and (14)."""
     l = gains.D.shape[0]
@@ -96,24 +90,13 @@ def reduced(gains: Gains, before: Reduced, sample: Sample) -> Reduced:
     return Reduced(Point(xhat - sample.note, sample.taken), L, jnp.asarray(True))
 
 
-def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Bring the reduced-order observer up to the sample, then predict to now (18)."""
-    arrived = in_order.sample_of(now, arrival, gains.D)
-    line, newest = in_order.replay(partial(reduced, gains), memory.line, arrived)
-    return free_response.resume(gains.motion, memory, now, line, newest.point)
-
-
-def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Move systems III and IV by one tick under the held input (19)."""
-    return free_response.flow(gains.motion, memory, now)
-
-
 def estimate(gains: Gains, memory: Memory) -> Array:
     """Return xhat of now, [n]."""
     return memory.xhat
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate)
+jump = free_response.jumping(reduced, lambda state: state.point)
+OBSERVER = Observer(init, free_response.note, jump, free_response.flow, estimate)
 
 
 def design(setting: Setting, options: Proportional) -> Design:
