@@ -138,7 +138,7 @@ def fits(s: Scenario, where: str) -> None:
     """Raise UserError where a scenario's times do not fit together."""
     ticks = round(s.horizon / s.dt)
     for clock in clocks(s):
-        least = sampling.intervals(clock._replace(jitter=0), ticks)[0]
+        least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:
             raise UserError(
                 f"{where}: got a jitter of {s.jitter:g} s with intervals down to {least * s.dt:g} s, expected less than half "

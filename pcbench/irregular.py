@@ -68,7 +68,7 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
 def _most(clock: Clock, ticks: int) -> int:
     """The most samples a clock can take at ticks 0 .. `ticks`."""
     if clock.profile == "uniform":
-        return ticks // sampling.uniform_range(clock.period)[0] + 1
+        return (ticks + clock.jitter) // sampling.uniform_range(clock.period)[0] + 1
     return len(sampling.instants(clock, ticks + clock.jitter)) - 1
 
 

@@ -12,7 +12,7 @@ import pcbench
 CODE = """
 import sys, jax, jax.numpy as jnp, pcbench
 before = (jnp.zeros(1).dtype, len(jax.devices()), jax.config.jax_enable_x64)
-pcbench.run("cart/drift", seeds=3, axes={"noise_std": [0.3]}, out=sys.argv[1])
+pcbench.run("cart/drift", observers="kfbo", seeds=3, axes={"noise_std": [0.3]}, out=sys.argv[1])
 pcbench.trace("cart/white", "kfbo"), pcbench.design("cart/white", "pccebo")
 assert (jnp.zeros(1).dtype, len(jax.devices()), jax.config.jax_enable_x64) == before, "the host's jax was changed"
 assert before[0] == jnp.float32
@@ -26,7 +26,7 @@ def test_a_float32_host_gets_float64_numbers_and_keeps_its_settings(tmp_path):
         [sys.executable, "-c", CODE, str(tmp_path / "out")], capture_output=True, text=True, env=env, check=False
     )
     assert done.returncode == 0, done.stderr
-    here = pcbench.run("cart/drift", seeds=3, axes={"noise_std": [0.3]}).runs
+    here = pcbench.run("cart/drift", observers="kfbo", seeds=3, axes={"noise_std": [0.3]}).runs
     there = pd.read_parquet(tmp_path / "out" / "runs")
     keys = ["observer", "seed", "signal"]
     there["observer"] = there["observer"].astype(str)

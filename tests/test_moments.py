@@ -34,7 +34,7 @@ def agree(scenario, seeds):
 
 
 def test_gaussian_scenario_agrees_with_the_propagated_covariance():
-    agree("cart/gaussian", 4096)
+    agree("cart/gaussian", 2048)
 
 
 @pytest.mark.slow
