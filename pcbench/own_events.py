@@ -51,9 +51,12 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
     """Return the events of a block of runs, and the state before tick 0."""
     plan, drawn = irregular.agenda(p.schedule, root_seed, seeds), _noise(p, root_seed, seeds)
     rows, zero, error = len(plan.arrives), jnp.asarray(0), p.schedule.error
+    none = jnp.zeros(0)  # without process noise: it moves the plant, no memory
     taken, arrivals = _queue(plan.samples[0] * rows), _queue(plan.arrives * rows + plan.slot)
     state = begin(layout, p, root_seed, seeds)
-    form = packing.packing(lambda m: advance(layout, p, zero, state._replace(memories=m)).memories, state.memories)
+    form = packing.packing(
+        lambda m: advance(layout, p, zero, state._replace(memories=m), none).memories, state.memories
+    )
     first_notes = note(layout, p, zero, state.memories)
     early = (taken.when // rows < error).sum()  # believed to be from before tick 0: the start is noted
     flight = Flight(_rings(layout, state.flight[0]), _rings(layout, first_notes), zero, early, zero)

@@ -66,6 +66,7 @@ def setting(cell: Cell) -> Setting:
         np.diag(np.square(s.prior_std)),
         s.drift_intensity if s.drift else 0.0,
         irregular.overtaking(clocks, n) if _random(clocks) else sampling.overtaking(sampling.samples(clocks, n)),
+        s.process_std,
         tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )
 
@@ -152,6 +153,7 @@ def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
         band=np.array(s.settle_band),
         bound=np.asarray(s.bound),
         windows=np.array([[0, tail_tick(cell)], [tail_tick(cell), n - 1], [n - 1, n]]),
+        process_std=np.array(s.process_std),
     )
     observers = tuple((o, entry_of(o).observer) for o in options)
     layout = Layout(plant.plant, observers, ensemble.WIDTH, room, cell.choices.random_start)
@@ -186,7 +188,10 @@ def _bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
         return None
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     samples = [(s.arrives, s.taken, s.channel) for s in sampling.samples(clocks, known.ticks)]
-    variance = riccati.posterior_variance(doubled, known.model.C, known.noise_variance, known.P0, samples, known.ticks)
+    noise = linear.noise_doublings(known.model, known.process_noise, known.dt, len(doubled))
+    variance = riccati.posterior_variance(
+        doubled, noise, known.model.C, known.noise_variance, known.P0, samples, known.ticks
+    )
     return np.sqrt(variance[tail_tick(cell) :].mean(0))
 
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench import lanes
-from pcbench.rollout import Layout, Problem, State, advance, estimates
+from pcbench.rollout import Layout, Problem, State, advance, estimates, process_noise
 from pcbench.shared_events import prepare
 
 
@@ -27,6 +27,7 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recordi
     """Record one run tick by tick, tick N included."""
     layout = layout._replace(width=1)
     events, state = prepare(layout, p, root_seed, seed[None])
+    drawn = process_noise(p, root_seed, seed[None])
 
     def tick(state: State, k: Array) -> tuple[State, Recording]:
         state = lax.cond(p.schedule.event[k], lambda s: events.happen(k, s)[0], lambda s: s, state)
@@ -35,7 +36,7 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recordi
         y = jnp.where(p.schedule.sampled[k], value, jnp.nan)
         shown = {label: lanes.whole(xhat, 1)[:, 0] for label, xhat in estimates(layout, p, state).items()}
         row = Recording(lanes.whole(state.x, 1)[:, 0], shown, y)
-        return lanes.like(advance(layout, p, k, state), state, 1), row
+        return lanes.like(advance(layout, p, k, state, drawn(k)), state, 1), row
 
     _, out = lax.scan(tick, state, jnp.arange(p.schedule.event.shape[0]))
     return out

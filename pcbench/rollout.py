@@ -5,10 +5,12 @@ Plant and observers are one-lane functions carried over the lanes by `pcbench.la
 history (one array for all lanes).
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from pcbench import draws, lanes, metrics
@@ -42,6 +44,7 @@ class Problem(NamedTuple):
     band: Leaf  # [n] settling band of |e|
     bound: Leaf  # [] beyond it a run has diverged
     windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
+    process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick; [0]: none
 
 
 class State(NamedTuple):
@@ -80,10 +83,16 @@ class Row(NamedTuple):
     since: Any
 
 
-def advance(layout: Layout, p: Problem, k: Any, state: State) -> State:
-    """Estimate and measure the error at tick k, then flow to tick k + 1."""
+def process_noise(p: Problem, root_seed: Array, seeds: Array) -> Callable[[Array], Any]:
+    """Return what draws the process noise of tick k, a standard normal for each state; nothing where there is none."""
+    keys = draws.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
+    return lambda k: lanes.split(draws.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
 
-    def one_lane(k: Array, x: Array, memories: Any, streams: Any, watches: Any) -> Any:
+
+def advance(layout: Layout, p: Problem, k: Any, state: State, drawn: Any) -> State:
+    """Estimate and measure the error at tick k, then flow to tick k + 1, with the process noise that is `drawn`."""
+
+    def one_lane(k: Array, x: Array, memories: Any, streams: Any, watches: Any, w: Array) -> Any:
         now = present(p, k, True)
         new: tuple[dict[str, Any], dict[str, Any], dict[str, Any]] = ({}, {}, {})
         for label, observer in layout.observers:
@@ -93,9 +102,10 @@ def advance(layout: Layout, p: Problem, k: Any, state: State) -> State:
             new[1][label] = metrics.update(streams[label], e)
             if layout.watch:
                 new[2][label] = metrics.look(watches[label], k, e, p.band, p.bound)
-        return layout.plant.step(p.params, now, x), *new
+        moved = layout.plant.step(p.params, now, x)
+        return moved + p.process_std * w if w.size else moved, *new
 
-    x, *rest = lanes.over(one_lane)(k, state.x, state.memories, state.streams, state.watches)
+    x, *rest = lanes.over(one_lane)(k, state.x, state.memories, state.streams, state.watches, drawn)
     return State(x, rest[0], state.flight, rest[1], rest[2])
 
 
@@ -153,7 +163,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
         {label: metrics.start_watch(n) for label in labels} if layout.watch else {},
     )
     noise = lanes.split(jnp.zeros((q, layout.width)))
-    own = isinstance(p.schedule, Times)
+    own, drawn = isinstance(p.schedule, Times), process_noise(p, root_seed, seeds)(k)
     row: Any = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), k)
     row = jax.tree.map(lambda a: lanes.spread(a, layout.width), row) if own else row
 
@@ -162,7 +172,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
         memories = hand_over(layout, p, k, row, packet, state.memories)
         if own:  # what a jump changes at all, it changes in some lanes only
             memories = lanes.unless_same(memories, state.memories, layout.width)
-        return advance(layout, p, k, state._replace(memories=memories))._replace(flight=packet)
+        return advance(layout, p, k, state._replace(memories=memories), drawn)._replace(flight=packet)
 
     return lanes.settle(everything, jax.tree.map(jnp.asarray, state), layout.width)
 

@@ -93,7 +93,9 @@ def intervals(clock: Clock, ticks: int) -> list[int]:
         low, high = uniform_range(clock.period)
         due = list(range(low, high + 1))
     else:
-        due = sorted(set(np.diff(instants(clock, ticks + clock.jitter)).tolist()))  # jitter may bring one in from beyond
+        due = sorted(
+            set(np.diff(instants(clock, ticks + clock.jitter)).tolist())
+        )  # jitter may bring one in from beyond
     j = 2 * clock.jitter
     return list(range(max(due[0] - j, 1), due[-1] + j + 1)) if j else due
 

@@ -63,7 +63,7 @@ def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State
     notes = put(state.flight[1], plan.note[k], lambda: note(layout, p, k, state.memories))
     flight = (values, notes)
 
-    def deliver(slot: int, memories: Any) -> Any:
+    def deliver(slot: Array, memories: Any) -> Any:
         number = plan.arrive[k, slot]
         packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
         fresh, age = plan.fresh[k, slot], jnp.full(plan.fresh[k, slot].shape, k - plan.believed[k, slot])
@@ -74,7 +74,5 @@ def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State
 
         return lax.cond(number >= 0, jump, lambda memories: memories, memories)
 
-    memories = state.memories
-    for slot in range(plan.arrive.shape[1]):
-        memories = deliver(slot, memories)
+    memories = lax.fori_loop(0, plan.arrive.shape[1], deliver, state.memories)
     return state._replace(memories=memories, flight=flight)

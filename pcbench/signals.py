@@ -1,6 +1,7 @@
 """Inputs as functions of time, in NumPy; each is read at the start of a tick and held over it."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +42,15 @@ def zero(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.zeros((len(t), 1))
 
 
+def heater(t: NDArray[np.float64], tick: float, power: float) -> NDArray[np.float64]:
+    """Net inflow [L/s] and heater power [W] of the stirred tank, [N, 2], by samples k = t / tick.
+
+    0.02 L/s for 20 samples, then -0.02; `power` for 30 samples, then -0.6 of it. Ours: the paper's figure is lost.
+    """
+    k = np.round(t / tick)
+    return np.stack([np.where(k % 40 < 20, 0.02, -0.02), np.where(k % 60 < 30, power, -0.6 * power)], 1)
+
+
 SIGNALS: dict[str, Signal] = {
     "sawtooth": sawtooth,
     "rising": rising,
@@ -48,10 +58,14 @@ SIGNALS: dict[str, Signal] = {
     "square": square,
     "step": step,
     "zero": zero,
+    "heater-literal": partial(heater, tick=1.0, power=1e-3),
+    "heater-1s": partial(heater, tick=1.0, power=500.0),
+    "heater-10s": partial(heater, tick=10.0, power=500.0),
 }
 
 
 def inputs(names: str, t: NDArray[np.float64], many: int) -> NDArray[np.float64]:
     """Return u [N, m] for m inputs: one signal for all of them, or one for each, with commas between the names."""
     each = [SIGNALS[name.strip()](t) for name in names.split(",")]
-    return np.hstack(each if len(each) == many else each * many)
+    u = np.hstack(each)
+    return u if u.shape[1] == many else np.hstack(each * many)

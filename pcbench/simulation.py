@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from pcbench import lanes, own_events, shared_events
 from pcbench.irregular import Times
-from pcbench.rollout import Layout, Outcome, Problem, State, advance, final
+from pcbench.rollout import Layout, Outcome, Problem, State, advance, final, process_noise
 
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
@@ -21,10 +21,11 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
     kind = own_events if isinstance(p.schedule, Times) else shared_events
     events, state = kind.prepare(layout, p, root_seed, seeds)
     empty, end = state.streams, p.windows[-1, 0]
+    drawn = process_noise(p, root_seed, seeds)
 
     def tick(k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))
-        new = lanes.like(advance(layout, p, k, full), full, layout.width)
+        new = lanes.like(advance(layout, p, k, full, drawn(k)), full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
 
     def flow(start: Array, stop: Array, state: State) -> State:

@@ -57,7 +57,7 @@ def test_each_channel_gets_its_own_samples(period, delay):
     events, state = shared_events.prepare(layout, p, jnp.asarray(0), jnp.asarray([0]))
     v = np.stack(noise(case), -1)
     step = jax.jit(lambda s, k: events.happen(k, s)[0])
-    flow = jax.jit(lambda s, k: rollout.advance(layout, p, k, s))
+    flow = jax.jit(lambda s, k: rollout.advance(layout, p, k, s, jnp.zeros(0)))
     x, counts = [], np.zeros(2)
     arrivals = [int(a) for a in np.flatnonzero((plan.arrive >= 0).any(1))]
     for k in range(ticks + 1):

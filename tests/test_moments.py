@@ -16,11 +16,11 @@ from pcbench.synthesis import riccati
 OBSERVED = ["pccebo", "kfbo", "dkf"]
 
 
-def agree(scenario, seeds):
-    result = pcbench.run(scenario, observers=OBSERVED, seeds=seeds)
+def agree(scenario, seeds, observers):
+    result = pcbench.run(scenario, observers=observers, seeds=seeds)
     rows = result.stats.query("signal == 'position'").set_index(["observer", "metric"])
     s = SCENARIOS[scenario]
-    for observer in OBSERVED:
+    for observer in observers:
         mean, variance = moments.cart_moments(moments.cart_map(scenario, observer), s.noise_std[0])
         want = {
             "mae": moments.expected_mae(mean, variance)[0],
@@ -34,13 +34,13 @@ def agree(scenario, seeds):
 
 
 def test_gaussian_scenario_agrees_with_the_propagated_covariance():
-    agree("cart/gaussian", 2048)
+    agree("cart/gaussian", 2048, ["dkf"])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenario", ["cart/gaussian-fast", "cart/white"])
+@pytest.mark.parametrize("scenario", ["cart/gaussian", "cart/gaussian-fast", "cart/white"])
 def test_other_noise_scenarios_agree_with_the_propagated_covariance(scenario):
-    agree(scenario, 4096)
+    agree(scenario, 4096, OBSERVED)
 
 
 @pytest.mark.parametrize("observer", OBSERVED)
@@ -60,7 +60,7 @@ def test_the_bound_equals_the_reference_recursion(te, d):
     P0, R, ticks = cart.P0, np.array([0.6]), 400
     doubled = synthesis.doublings(CART, 1e-3, synthesis.bits_for(ticks))
     samples = [(taken + d, taken, 0) for taken in range(0, ticks + 1, te)]
-    got = riccati.posterior_variance(doubled, CART.C, R, P0, samples, ticks)
+    got = riccati.posterior_variance(doubled, 0 * doubled, CART.C, R, P0, samples, ticks)
     model = linear.Model(CART.A, CART.B, CART.C, 1e-3)
     want = np.diagonal(moments.posterior_covariance(model, ticks, [te], [d], R, P0), axis1=1, axis2=2)
     np.testing.assert_allclose(got, want[:-1], rtol=1e-10, atol=1e-12)

@@ -42,7 +42,7 @@ def cart_observe(name, samples):
 def noise_variance(name):
     """Return var e(t_k) [N+1, 2] under white noise, exactly: the observer at rest, one impulse at a time."""
     _, samples = cart_samples()
-    model = irregular.with_input_bias(cart.MODEL) if name == "dkf, bias" else cart.MODEL
+    model = irregular.with_input_bias(cart.MODEL, None) if name == "dkf, bias" else cart.MODEL
     flow, n = irregular.flow_of(model, np.zeros_like(U)), len(model.A)
     P0 = np.diag([25.0, 100.0, 1.0])[:n, :n]
     responses = []
@@ -227,13 +227,17 @@ def test_dkf_out_of_order_is_gaussian_conditioning_on_all_that_arrived(name):
         shared = Phi[a - b] @ Q[b] if a >= b else Q[a] @ Phi[b - a].T
         return Phi[a] @ P0 @ Phi[b].T + V * S[a] @ S[b].T + shared
 
+    def through(g, s, h, r):
+        d, e = D[s.channel], D[r.channel]
+        return V * (g @ S[s.taken] @ e + h @ S[r.taken] @ d + d @ e)
+
     for k in range(0, N + 1, 5):
         known = [s for s in samples if s.arrival <= k]
         if not known:
             continue
-        rows = [(model.C[s.channel], s) for s in known]
-        cov = np.array([[g @ joint(s.taken, r.taken) @ h for h, r in rows] for g, s in rows])
-        cross = np.stack([joint(k, s.taken) @ h for h, s in rows], axis=1)
+        rows = [(model.C[s.channel], s) for s in known]  # y = C x + D (u + bias): the bias is in x and in D bias
+        cov = np.array([[g @ joint(s.taken, r.taken) @ h + through(g, s, h, r) for h, r in rows] for g, s in rows])
+        cross = np.stack([joint(k, s.taken) @ h + V * S[k] @ D[s.channel] for h, s in rows], axis=1)
         gap = [s.value - h @ mean[s.taken] - D[s.channel] @ u[s.taken] for h, s in rows]
         best = mean[k] + cross @ np.linalg.solve(cov + np.diag([R[s.channel] for s in known]), gap)
         np.testing.assert_allclose(xhat[k], best, rtol=0, atol=1e-11)

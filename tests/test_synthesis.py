@@ -146,5 +146,5 @@ def test_doublings_reach_any_age(ticks):
 @pytest.mark.parametrize("bit", range(10))
 def test_process_noise_over_long_intervals_keeps_its_digits(bit):
     """Van Loan's exponential over 0.6 s overflows silently; doubling one tick does not."""
-    Q = linear.noise_doublings(CART, 0.002, 1e-3, 10)[bit]
+    Q = linear.noise_doublings(CART, linear.input_noise(CART, 0.002, 1e-3), 1e-3, 10)[bit]
     np.testing.assert_allclose(Q, reference_cart.process_covariance(2**bit * 1e-3), rtol=1e-11)

@@ -27,6 +27,7 @@ from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
+from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.observability import require_detectable
 from pcbench.types import Leaf, Observer
 
@@ -102,16 +103,18 @@ def design(setting: Setting, options: Options) -> Design:
     q = setting.input_intensity if options.q is None else options.q
     R = setting.noise_variance if options.R is None else np.full(len(model.C), options.R)
     moves = free_response.motion_of(model, setting)
-    noise = linear.noise_powers(model, q, setting.dt, setting.ticks)
+    Q = linear.input_noise(model, q, setting.dt)
+    Q[:n, :n] += setting.process_noise
+    noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)
     gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, setting.places, np.zeros(n))
-    return Design(gains, certified(_certify(gains, model, q, setting), where))
+    return Design(gains, certified(_certify(gains, model, Q, setting), where))
 
 
-def _certify(gains: Gains, model: linear.Model, q: float, setting: Setting) -> Certificate:
+def _certify(gains: Gains, model: linear.Model, Q: Matrix, setting: Setting) -> Certificate:
     """The margin is the least innovation variance over the horizon, relative to R, where the covariance stays >= 0."""
     bits = linear.bits_for(setting.ticks)
     doubled = linear.doublings(model, setting.dt, bits)
-    noise = linear.noise_doublings(model, q, setting.dt, bits)
+    noise = linear.noise_doublings(model, Q, setting.dt, bits)
     run = riccati.multirate(doubled, noise, gains.C, gains.R, gains.P0, setting.period, setting.ticks)
     numbers = {"P_end": run.P, "K_end": run.K, "R": gains.R, "innovation_over_R": run.innovation}
     margin = run.innovation if run.least > -1e-9 else float("nan")

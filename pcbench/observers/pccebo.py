@@ -82,7 +82,8 @@ def design(setting: Setting, options: Options) -> Design:
     doubled = linear.doublings(setting.model, setting.dt, linear.bits_for(period))
     Phi, C = linear.over(doubled, period), setting.model.C
     if options.gain == "riccati":
-        noise = linear.noise_doublings(setting.model, options.q, setting.dt, len(doubled))
+        tick = linear.input_noise(setting.model, options.q, setting.dt) + setting.process_noise
+        noise = linear.noise_doublings(setting.model, tick, setting.dt, len(doubled))
         Q, R = linear.noise_over(doubled, noise, period), np.diag(setting.noise_variance)
         found = current_estimator.lyapunov(Phi, C, riccati.current_gain(Phi, C, Q, R, where))
     else:

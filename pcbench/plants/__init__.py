@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from pcbench.plants import cart, lti
+from pcbench.plants import cart, csth, lti
 from pcbench.scenarios import Scenario
 from pcbench.synthesis.linear import Model
 from pcbench.types import Plant
@@ -23,6 +23,14 @@ class Entry(NamedTuple):
 PLANTS = {
     "cart": Entry(
         cart.PLANT, cart.SIGNALS, cart.Numbers(), cart.nominal, cart.prepare, "mobile cart under a camera, 2 states"
+    ),
+    "csth": Entry(
+        lti.PLANT,
+        csth.SIGNALS,
+        csth.Numbers(),
+        csth.nominal,
+        csth.prepare,
+        "stirred tank heater with three slow sensors, 3 states",
     ),
     "lti": Entry(
         lti.PLANT, (), lti.Numbers(), lti.nominal, lti.prepare, "any linear plant of your own: a study's table [lti]"

@@ -2,5 +2,6 @@
 
 from pcbench.scenarios.base import Scenario
 from pcbench.scenarios.cart import CART
+from pcbench.scenarios.csth import CSTH
 
-SCENARIOS: dict[str, Scenario] = {s.name: s for s in CART}
+SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH)}

@@ -42,12 +42,18 @@ class Setting(NamedTuple):
     P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
     input_intensity: float  # process noise through the input that a designer assumes, per second
     overtaking: int = 0  # K: how many newer samples may arrive before one
+    process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick; empty: none
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 
     @property
     def noise_variance(self) -> np.ndarray:
         """Variance of one sample of each channel, [q]; where there is none NO_NOISE, so that nothing is divided by 0."""
         return np.array([std**2 or NO_NOISE for std in self.noise_std])
+
+    @property
+    def process_noise(self) -> np.ndarray:
+        """Covariance [n, n] of the noise added to the state at every tick."""
+        return np.diag(np.square(self.process_std)) if self.process_std else np.zeros_like(self.P0)
 
     @property
     def places(self) -> np.ndarray:

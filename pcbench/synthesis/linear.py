@@ -79,13 +79,18 @@ def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     return (Q + Q.T) / 2
 
 
-def noise_doublings(model: Model, intensity: float, h: float, bits: int) -> Matrix:
-    """Return the covariance over 2^b ticks of process noise through the input, b = 0 .. bits - 1, as [bits, n, n].
+def input_noise(model: Model, intensity: float, h: float) -> Matrix:
+    """Return the covariance [n, n] that white noise through the input adds over a tick of h seconds.
 
     `intensity` is per second. A discrete model knows no time within a tick: there the noise is held over it.
     """
-    E, Q = doublings(model, h, bits), intensity * model.B @ model.B.T
-    out = [Q / h if model.discrete else noise_over_tick(model.A, Q, h)]
+    Q = intensity * model.B @ model.B.T
+    return Q / h if model.discrete else noise_over_tick(model.A, Q, h)
+
+
+def noise_doublings(model: Model, Q: Matrix, h: float, bits: int) -> Matrix:
+    """Return the covariance over 2^b ticks of noise that adds Q [n, n] a tick, b = 0 .. bits - 1, as [bits, n, n]."""
+    E, out = doublings(model, h, bits), [Q]
     for b in range(bits - 1):
         out.append(E[b] @ out[-1] @ E[b].T + out[-1])
     return np.stack(out)
@@ -103,10 +108,10 @@ def powers(model: Model, h: float, ticks: int) -> Matrix:
     return np.stack(levels)
 
 
-def noise_powers(model: Model, intensity: float, h: float, ticks: int) -> Matrix:
-    """Return the covariance of process noise through the input over as many ticks as each of `powers`, [2, R, n, n]."""
+def noise_powers(model: Model, Q: Matrix, h: float, ticks: int) -> Matrix:
+    """Return the covariance of noise that adds Q [n, n] a tick over as many ticks as each of `powers`, [2, R, n, n]."""
     half, doubled = _half(model, h, ticks)
-    noise, levels = noise_doublings(model, intensity, h, 2 * half), []
+    noise, levels = noise_doublings(model, Q, h, 2 * half), []
     for level in range(2):
         table = np.zeros_like(noise[:1])
         for b in range(level * half, (level + 1) * half):

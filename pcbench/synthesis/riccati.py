@@ -93,9 +93,11 @@ def multirate(
 
 
 def posterior_variance(
-    doubled: Matrix, C: Matrix, R: Matrix, P0: Matrix, samples: list[tuple[int, int, int]], ticks: int
+    doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, P0: Matrix, samples: list[tuple[int, int, int]], ticks: int
 ) -> Matrix:
-    """Return the variance [N, n] that no causal estimator can beat at ticks 0 .. N-1, without process noise.
+    """Return the variance [N, n] that no causal estimator can beat at ticks 0 .. N-1.
+
+    `doubled` and `noise` are the maps over 2^b ticks and the covariance that process noise adds over them, [bits, n, n].
 
     With x(0) ~ N(xhat0, P0) this is the Bayesian (posterior Cramer-Rao) bound: at tick k it uses every sample that has
     arrived. `samples` are (arrival, taken, channel) in ticks, in any order; R[q] variances. Source: Kalman; Van Trees. It
@@ -113,18 +115,21 @@ def posterior_variance(
             known.insert(place, one)
             del stages[place + 1 :]
             for taken, channel in known[place:]:
-                E = over(doubled, taken - stages[-1][0])
-                P = update(E @ stages[-1][1] @ E.T, C[channel : channel + 1], R[channel : channel + 1, None])
+                gap = taken - stages[-1][0]
+                E, Q = over(doubled, gap), noise_over(doubled, noise, gap)
+                P = update(E @ stages[-1][1] @ E.T + Q, C[channel : channel + 1], R[channel : channel + 1, None])
                 stages.append((taken, P))
         since[tick] = stages[-1]
     edges = [tick for tick in since if tick < ticks] + [ticks]
-    powers = [np.eye(len(P0))]
+    powers, added = [np.eye(len(P0))], [np.zeros_like(P0)]
     for _ in range(max(end - 1 - since[tick][0] for tick, end in pairwise(edges))):
         powers.append(doubled[0] @ powers[-1])
-    F = np.stack(powers)
+        added.append(doubled[0] @ added[-1] @ doubled[0].T + noise[0])
+    F, G = np.stack(powers), np.stack(added)
     pieces = []
     for tick, end in pairwise(edges):
         at, P = since[tick]
         moved = F[tick - at : end - at]
-        pieces.append(np.einsum("kij,kij->ki", moved @ P, moved))
+        later = np.diagonal(G[tick - at : end - at], axis1=1, axis2=2)
+        pieces.append(np.einsum("kij,kij->ki", moved @ P, moved) + later)
     return np.concatenate(pieces)

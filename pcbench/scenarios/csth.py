@@ -1,0 +1,58 @@
+"""The stirred tank heater with sensors that answer after 2, 5 and 7 samples.
+
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 4. Decided where the paper is silent (the figure of the inputs is
+lost): square waves about 0 of 40 and 60 samples, x(0) = (0.5 L, 2e4 J, 5 degC) with xhat(0) = 0, 200 samples, tail from the
+100th. `literal` is the paper's recursion of continuous-time numbers; `1s` and `10s` are the physical plant, sampled exactly.
+A run has diverged when an error exceeds a million times the initial enthalpy's. The settling band is 5 % of the initial error.
+"""
+
+from math import sqrt
+
+from pcbench.scenarios.base import Scenario
+
+PAPER = "Alipouri, Zhong 2021, section 4"
+DELAYS = (2, 5, 7)  # samples
+NOISE = (1.0, 0.1, 0.1)  # mm, degC, degC
+ROUGHNESS = (1e-3, 50.0, 5e-3)  # process noise: standard deviation over one second
+
+
+def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
+    """Return the experiment at one sample a tick."""
+    return Scenario(
+        name=name,
+        summary=summary,
+        source=source,
+        plant="csth",
+        observers=("dkf", "open-loop"),
+        sampling_period=(tick,) * 3,
+        delay=tuple(d * tick for d in DELAYS),
+        noise_std=(0.0, 0.0, 0.0),
+        drift=0.0,
+        input=f"heater-{tick:g}s",
+        x0=(0.5, 2e4, 5.0),
+        xhat0=(0.0, 0.0, 0.0),
+        prior_std=(0.5, 2e4, 5.0),
+        settle_band=(0.025, 1e3, 0.25),
+        bound=2e10,
+        dt=tick,
+        horizon=200 * tick,
+        tail=100 * tick,
+    )
+
+
+PHYSICAL = sampled("csth/10s", "physical plant, 10 s samples, no noise", PAPER + ", made consistent", 10.0)
+CSTH = (
+    sampled("csth/literal", "the printed recursion, tick 1, no noise", PAPER, 1.0)._replace(
+        input="heater-literal", model={"literal": True}
+    ),
+    sampled("csth/1s", "physical plant, 1 s samples, no noise", PAPER + ", made consistent", 1.0),
+    PHYSICAL,
+    PHYSICAL._replace(
+        name="csth/10s-noise",
+        summary="physical plant, 10 s samples, measurement and process noise",
+        source=PAPER + ", with noise",
+        noise_std=NOISE,
+        process_std=tuple(sqrt(10.0) * s for s in ROUGHNESS),
+        horizon=3000.0,
+    ),
+)
