@@ -189,6 +189,7 @@ def test_list_names_everything():
     assert "kfbo" in call("list", "observers").stdout
 
 
+@pytest.mark.slow
 def test_reproduce_prints_every_claim_with_a_verdict():
     done = call("reproduce", "cart", "--json")
     assert done.returncode == 0, done.stderr
