@@ -19,7 +19,7 @@ from pcbench.rollout import Layout, Problem, Row, State, advance, begin, hand_ov
 from pcbench.sampling import NEVER
 from pcbench.shared_events import Events
 
-CHUNK = 32  # lanes taken out together: 128 costs jitter 1.2 times, overtaking 1.6 times as much, and helps only where all lose at once
+CHUNK = 32  # lanes taken out together: with 128 jitter costs 1.2 and overtaking 1.6 times as much
 
 
 class Queue(NamedTuple):
