@@ -145,6 +145,23 @@ def reference(plant, observer, model, u, samples, D):
     return irregular.pco(model, u, samples, start, gains.T, gains.Kp, Ki, D)
 
 
+@pytest.mark.parametrize("noisy", ["direct"], indirect=True)
+def test_kfbo_equals_the_reference_on_a_plant_of_ones_own_with_feedthrough(noisy):
+    plant, _, model, u, samples, D = noisy
+    own = study(plant, ["kfbo"])
+    got = columns(pcbench.trace(own, "kfbo"), "kfbo.", names(plant))
+    known = [s._replace(value=s.value - D[s.channel] @ u[s.taken]) for s in samples]
+    K = pcbench.design(own, "kfbo").certificate.numbers["K"]
+    want = linear.kfbo(model, u, known, np.zeros(3), K, 50, 70)
+    np.testing.assert_allclose(got, want, rtol=0, atol=1e-10 * np.abs(want).max())
+
+
+@pytest.mark.parametrize(("plant", "found"), [("discrete", "a discrete plant"), ("motor", "channels with delays")])
+def test_kfbo_says_which_plants_it_does_not_take(plant, found):
+    with pytest.raises(UserError, match=rf"got {found}.*expected a continuous plant and one delay"):
+        pcbench.design(study(plant, ["kfbo"]), "kfbo")
+
+
 BAD = {
     "A": ({"A": [[1.0, 2.0]]}, r"lti\.A: got 1 x 2, expected 1 x 1"),
     "ragged": ({"A": [[0.0, 1.0, 0.0], [0.0, 1.0], [0.0, 0.0, 1.0]]}, r"lti\.A: got rows of lengths \[3, 2, 3\]"),
