@@ -11,6 +11,7 @@ TAKES = {
     "any schedule": "of any age, in any order, from clocks of their own",
     "one clock": "of any age, in any order; all channels together",
     "one constant delay": "of one constant age",
+    "constant delays": "taken regularly, all channels together; each channel of a constant age of its own",
 }
 Rows = dict[str, tuple[str, ...]]
 Listed = tuple[tuple[str, ...], Rows]
@@ -44,7 +45,9 @@ def scenarios() -> Listed:
     for name, s in SCENARIOS.items():
         units = [unit for _, unit in signals_of(s)]
         band = ", ".join(f"{b:g} {unit}" for b, unit in zip(s.settle_band, units, strict=True))
-        times = f"{s.horizon:g} s, tail from {s.tail:g} s; settled within {band}; diverged beyond {s.bound:g}"
+        bounds = (s.bound,) * len(units) if isinstance(s.bound, float) else s.bound
+        bound = ", ".join(f"{b:g} {unit}" for b, unit in zip(bounds, units, strict=True))
+        times = f"{s.horizon:g} s, tail from {s.tail:g} s; settled within {band}; diverged beyond {bound}"
         rows[name] = (s.summary, times, ", ".join(s.observers), s.source)
     return ("scenario", "what", "horizon and bands", "observers", "source"), rows
 

@@ -25,8 +25,9 @@ def _key(root_seed: Array, seed: Array, stream: str, channel: Array | int) -> Ar
 
 def normals(keys: list[Array], index: Any) -> Array:
     """Draw N(0, 1) for sample index[j] of each channel j, one for all runs or [L]: [channels, L]."""
-    draw = jax.vmap(lambda key, i: jax.random.normal(jax.random.fold_in(key, i), dtype=jnp.float64))
-    return jnp.stack([draw(key, jnp.broadcast_to(index[j], key.shape)) for j, key in enumerate(keys)])
+    draw = jax.vmap(jax.vmap(lambda key, i: jax.random.normal(jax.random.fold_in(key, i), dtype=jnp.float64)))
+    each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
+    return draw(jnp.stack(keys), each)  # in one piece: the hash is compiled once, not once for each channel
 
 
 def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1) -> Array:

@@ -44,7 +44,7 @@ def update(stream: Stream, e: Array) -> Stream:
 
 
 def look(watch: Watch, tick: Array, e: Array, band: Array, bound: Array) -> Watch:
-    """Note when e[n] leaves its settling band [n], and when it first leaves `bound` (a NaN does)."""
+    """Note when e[n] leaves its settling band [n], and when it first leaves `bound` [n] (a NaN does)."""
     size, now = jnp.abs(e), tick.astype(float)
     good = jnp.all(size <= bound)
     first_bad = jnp.where(good | (watch.first_bad >= 0), watch.first_bad, now)

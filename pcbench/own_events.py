@@ -14,7 +14,6 @@ from jax import Array, lax
 
 from pcbench import draws, irregular, lanes, packing
 from pcbench.irregular import Agenda
-from pcbench.lanes import Lanes
 from pcbench.rollout import Layout, Problem, Row, State, advance, begin, hand_over, measure, note
 from pcbench.sampling import NEVER
 from pcbench.shared_events import Events
@@ -145,7 +144,7 @@ def _at(table: Array, row: Array, lane: Array) -> Array:
 
 def _flat(packet: Any, width: int) -> Array:
     """Every number of a packet, [numbers, L]."""
-    parts = jax.tree.leaves(lanes.everywhere(packet, width), is_leaf=lanes.is_lanes)
+    parts = map(lanes.entries, jax.tree.leaves(lanes.everywhere(packet, width), is_leaf=lanes.is_lanes))
     entries = [entry for part in parts if lanes.is_lanes(part) for entry in part.parts.flat]
     return jnp.stack(entries) if entries else jnp.zeros((0, width))
 
@@ -155,8 +154,8 @@ def _unflat(numbers: Array, like: Any) -> Any:
     rest = iter(numbers)
 
     def one(leaf: Any) -> Any:
-        shape = leaf.parts.shape if lanes.is_lanes(leaf) else leaf.shape
-        return Lanes.tree_unflatten(shape, [next(rest) for _ in range(math.prod(shape))]) if math.prod(shape) else leaf
+        size = math.prod(leaf.shape)
+        return lanes.lanes_of(leaf.shape, [next(rest) for _ in range(size)]) if size else leaf
 
     return jax.tree.map(one, like, is_leaf=lanes.is_lanes)
 

@@ -24,16 +24,25 @@ class Kept(NamedTuple):
     still: Array  # [M, L]
 
 
+class Place(NamedTuple):
+    """Where a leaf's entries are kept, one after the other; a table's entry takes as many rows as it has."""
+
+    first: int
+    shape: tuple[int, ...]
+    rows: int | None
+    kind: Any
+
+
 class Packing(NamedTuple):
     """Where each leaf of a memory is kept; what flow moves has no place."""
 
     tree: Any
-    places: list[tuple[int, tuple[int, ...], Any] | None]  # (first row, shape, type)
+    places: list[Place | None]
 
     def whole(self, kept: Kept) -> Any:
         """Return the memories that are kept so."""
         moving = iter(kept.moving)
-        leaves = [next(moving) if place is None else _rows(kept.still, *place) for place in self.places]
+        leaves = [next(moving) if place is None else _taken(kept.still, place) for place in self.places]
         return jax.tree.unflatten(self.tree, leaves)
 
     def moved(self, memories: Any, kept: Kept) -> Kept:
@@ -44,8 +53,8 @@ class Packing(NamedTuple):
         """Return memories as they are kept."""
         leaves = self._leaves(memories)
         packed = [leaf for leaf, place in zip(leaves, self.places, strict=True) if place is not None]
-        rows = [entry.astype(float) for leaf in packed for entry in leaf.parts.flat]
-        return Kept(self._moving(leaves), jnp.stack(rows) if rows else jnp.zeros((0, 1)))
+        rows = [jnp.atleast_2d(entry).astype(float) for leaf in packed for entry in leaf.parts.flat]
+        return Kept(self._moving(leaves), jnp.concatenate(rows) if rows else jnp.zeros((0, 1)))
 
     def _leaves(self, memories: Any) -> list[Any]:
         return jax.tree.leaves(memories, is_leaf=lanes.is_lanes)
@@ -65,12 +74,12 @@ def packing(flow: Callable[[Any], Any], memories: Any) -> Packing:
 
     jax.eval_shape(probe, memories)
     leaves, tree = jax.tree.flatten(memories, is_leaf=lanes.is_lanes)
-    places: list[tuple[int, tuple[int, ...], Any] | None] = []
+    places: list[Place | None] = []
     rows = 0
     for leaf, left in zip(leaves, alone, strict=True):
         if left and lanes.is_lanes(leaf) and leaf.parts.size:
-            places.append((rows, leaf.parts.shape, leaf.parts.flat[0].dtype))
-            rows += leaf.parts.size
+            places.append(Place(rows, leaf.parts.shape, leaf.rows, leaf.dtype))
+            rows += leaf.parts.size * (leaf.rows or 1)
         else:
             places.append(None)
     return Packing(tree, places)
@@ -87,5 +96,7 @@ def put_back(kept: Kept, some: Kept, lane: Array) -> Kept:
     return Kept(lanes.put_back(kept.moving, some.moving, lane), still)
 
 
-def _rows(still: Array, first: int, shape: tuple[int, ...], kind: Any) -> Lanes:
-    return Lanes.tree_unflatten(shape, [still[first + i].astype(kind) for i in range(math.prod(shape))])
+def _taken(still: Array, p: Place) -> Lanes:
+    each, size = math.prod(p.shape), p.rows or 1
+    blocks = [still[p.first + i * size : p.first + (i + 1) * size].astype(p.kind) for i in range(each)]
+    return lanes.lanes_of(p.shape, blocks if p.rows else [block[0] for block in blocks], p.rows)

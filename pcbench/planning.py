@@ -62,11 +62,12 @@ def setting(cell: Cell) -> Setting:
         n,
         tuple(period),
         tuple(delay),
-        s.noise_std,
+        tuple(std or spare for std, spare in zip(s.noise_std, s.assumed_noise_std or s.noise_std, strict=True)),
         np.diag(np.square(s.prior_std)),
         s.drift_intensity if s.drift else 0.0,
         irregular.overtaking(clocks, n) if _random(clocks) else sampling.overtaking(sampling.samples(clocks, n)),
-        s.process_std,
+        s.process_std or s.assumed_process_std,
+        max(-(-late // every) for late, every in zip(delay, period, strict=True)),
         tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )
 
@@ -82,12 +83,31 @@ def _random(clocks: list[sampling.Clock]) -> bool:
 
 def plan(study: Study) -> list[Planned]:
     """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
+    every = [cell for name in study.scenarios for cell in cells(study, name)]
     drafts = []
-    for name in study.scenarios:
-        for cell in cells(study, name):
-            options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, name)}
-            drafts.append(draft(cell, options))
+    for cell, known in zip(every, _one_room([(cell, setting(cell)) for cell in every]), strict=True):
+        options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, cell.scenario.name)}
+        drafts.append(draft(cell, options, known))
     return fit(drafts)
+
+
+def _one_room(each: list[tuple[Cell, Setting]]) -> list[Setting]:
+    """Give all cells of a plant the room in memories that the largest needs: they share one program.
+
+    Only cells whose sampling is the same for all runs: where it is random, room for more overtaking costs more than a program.
+    """
+    most: dict[str, tuple[int, int]] = {}
+    for cell, known in each:
+        if not _random(axes.clocks(cell.scenario)):
+            overtaking, reach = most.get(cell.scenario.plant, (0, 0))
+            most[cell.scenario.plant] = max(overtaking, known.overtaking), max(reach, known.reach)
+    out = []
+    for cell, known in each:
+        if not _random(axes.clocks(cell.scenario)):
+            overtaking, reach = most[cell.scenario.plant]
+            known = known._replace(overtaking=overtaking, reach=reach)
+        out.append(known)
+    return out
 
 
 def fit(drafts: list[Planned]) -> list[Planned]:
@@ -110,6 +130,7 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
     )
     room = max(p.layout.ring for p in drafts)
     ring = 1 << (room - 1).bit_length()  # few sizes, few programs
+    strides = any(not isinstance(p.problem.schedule, sampling.Schedule) or _sparse(p.problem.schedule) for p in drafts)
     rows: dict[Any, int] = {}
     for p in drafts:
         for i, a in enumerate(jax.tree.leaves(p.problem.params)):
@@ -125,17 +146,21 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
             for i, a in enumerate(leaves)
         ]
         problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide))
-        out.append(p._replace(problem=problem, layout=p.layout._replace(ring=ring)))
+        out.append(p._replace(problem=problem, layout=p.layout._replace(ring=ring, strides=strides)))
     return out
+
+
+def _sparse(plan: sampling.Schedule) -> bool:
+    return bool(plan.event.mean() < 0.5)
 
 
 def _times(p: Planned) -> irregular.Times:
     return p.problem.schedule
 
 
-def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
+def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None) -> Planned:
     """Lay out one cell for the observers that `options` names; its layout does not yet fit others."""
-    s, known = cell.scenario, setting(cell)
+    s, known = cell.scenario, known or setting(cell)
     plant, n = PLANTS[s.plant], ticks(cell)
     designs = {o: _design(o, known, given) for o, given in options.items()}
     truth = {"drift": s.drift, "drift_sign": float(cell.choices.drift_sign)} | cell.parameters
@@ -151,7 +176,7 @@ def draft(cell: Cell, options: dict[str, BaseModel]) -> Planned:
         spread0=np.diag(s.prior_std),
         noise_std=np.array(s.noise_std),
         band=np.array(s.settle_band),
-        bound=np.asarray(s.bound),
+        bound=np.broadcast_to(np.asarray(s.bound, float), len(s.x0)),
         windows=np.array([[0, tail_tick(cell)], [tail_tick(cell), n - 1], [n - 1, n]]),
         process_std=np.array(s.process_std),
     )
@@ -182,13 +207,15 @@ def _design(observer: str, known: Setting, options: BaseModel) -> Design:
 
 def _bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
-    exact = not cell.scenario.drift and not cell.parameters and all(known.noise_std)  # no bound without noise
+    s = cell.scenario
+    exact = not s.drift and not cell.parameters and all(s.noise_std)  # no bound without noise
     clocks = axes.clocks(cell.scenario)
     if not exact or _random(clocks):
         return None
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     samples = [(s.arrives, s.taken, s.channel) for s in sampling.samples(clocks, known.ticks)]
-    noise = linear.noise_doublings(known.model, known.process_noise, known.dt, len(doubled))
+    added = known._replace(process_std=s.process_std).process_noise  # what is, not what designers assume
+    noise = linear.noise_doublings(known.model, added, known.dt, len(doubled))
     variance = riccati.posterior_variance(
         doubled, noise, known.model.C, known.noise_variance, known.P0, samples, known.ticks
     )

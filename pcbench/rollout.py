@@ -1,6 +1,6 @@
 """The steps of a run: measure, note, hand over, estimate and flow, for thousands of lanes at once.
 
-Plant and observers are one-lane functions carried over the lanes by `pcbench.lanes`. When which step is taken, say
+Plant and observers are one-lane functions carried over the lanes by `pcbench.entrywise`. When which step is taken, say
 `shared_events` and `own_events`; `simulation` puts them in a loop. The rollout owns the packets in flight and the input
 history (one array for all lanes).
 """
@@ -14,6 +14,7 @@ import numpy as np
 from jax import Array
 
 from pcbench import draws, lanes, metrics
+from pcbench.entrywise import over
 from pcbench.irregular import Times
 from pcbench.types import Arrival, Gains, Leaf, Now, Observer, Plant
 
@@ -27,6 +28,7 @@ class Layout(NamedTuple):
     ring: int  # packets the network can hold
     random_start: bool  # x(0) ~ N(xhat0, P0) instead of x0
     watch: bool = True  # settling time and divergence, besides the streams
+    strides: bool = True  # flow goes by two ticks where it can; of no use where there is an event at nearly every tick
 
 
 class Problem(NamedTuple):
@@ -42,7 +44,7 @@ class Problem(NamedTuple):
     spread0: Leaf  # [n, n] a square root of P0: x0 = xhat0 + spread0 @ normal, where the start is random
     noise_std: Leaf  # [q]
     band: Leaf  # [n] settling band of |e|
-    bound: Leaf  # [] beyond it a run has diverged
+    bound: Leaf  # [n] beyond it a run has diverged
     windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
     process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick; [0]: none
 
@@ -105,7 +107,7 @@ def advance(layout: Layout, p: Problem, k: Any, state: State, drawn: Any) -> Sta
         moved = layout.plant.step(p.params, now, x)
         return moved + p.process_std * w if w.size else moved, *new
 
-    x, *rest = lanes.over(one_lane)(k, state.x, state.memories, state.streams, state.watches, drawn)
+    x, *rest = over(one_lane)(k, state.x, state.memories, state.streams, state.watches, drawn)
     return State(x, rest[0], state.flight, rest[1], rest[2])
 
 
@@ -115,7 +117,7 @@ def measure(layout: Layout, p: Problem, k: Any, x: Any, noise: Any) -> Any:
     def one_lane(k: Array, x: Array, v: Array) -> Array:
         return layout.plant.output(p.params, present(p, k, True), x) + p.noise_std * v
 
-    return lanes.over(one_lane)(k, x, noise)
+    return over(one_lane)(k, x, noise)
 
 
 def note(layout: Layout, p: Problem, k: Any, memories: Any) -> dict[str, Any]:
@@ -125,7 +127,7 @@ def note(layout: Layout, p: Problem, k: Any, memories: Any) -> dict[str, Any]:
         now = present(p, k, False)
         return {label: o.note(p.gains[label], memories[label], now) for label, o in layout.observers}
 
-    return lanes.over(one_lane)(k, memories)
+    return over(one_lane)(k, memories)
 
 
 def hand_over(layout: Layout, p: Problem, k: Any, row: Row, packet: Any, memories: Any) -> dict[str, Any]:
@@ -139,7 +141,7 @@ def hand_over(layout: Layout, p: Problem, k: Any, row: Row, packet: Any, memorie
             for label, o in layout.observers
         }
 
-    return lanes.over(one_lane)(k, row, packet, memories)
+    return over(one_lane)(k, row, packet, memories)
 
 
 def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
@@ -151,7 +153,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     x: Any = p.x0
     if layout.random_start:
         normal = draws.normals(draws.run_keys(root_seed, seeds, "initial", n), jnp.zeros(n, int))
-        x = lanes.over(lambda v: p.xhat0 + p.spread0 @ v)(lanes.split(normal))
+        x = over(lambda v: p.xhat0 + p.spread0 @ v)(lanes.split(normal))
     labels = [label for label, _ in layout.observers]
     memories = {label: observer.init(p.gains[label], p.xhat0) for label, observer in layout.observers}
     k = jnp.asarray(0)
@@ -183,12 +185,12 @@ def estimates(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
     def one_lane(memories: Any) -> Any:
         return {label: o.estimate(p.gains[label], memories[label]) for label, o in layout.observers}
 
-    return lanes.over(one_lane)(state.memories)
+    return over(one_lane)(state.memories)
 
 
 def errors(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
     """Return e = x - xhat of every observer, as the state stands."""
-    subtract = lanes.over(lambda x, estimates: {label: x - xhat for label, xhat in estimates.items()})
+    subtract = over(lambda x, estimates: {label: x - xhat for label, xhat in estimates.items()})
     return subtract(state.x, estimates(layout, p, state))
 
 
@@ -200,5 +202,5 @@ def final(layout: Layout, p: Problem, k: Array, state: State) -> tuple[tuple[Any
         streams = {label: metrics.update(metrics.start(e[label].shape[0]), e[label]) for label in e}
         return streams, {label: metrics.look(watch, k, e[label], p.band, p.bound) for label, watch in watches.items()}
 
-    streams, watches = lanes.over(one_lane)(e, state.watches)
+    streams, watches = over(one_lane)(e, state.watches)
     return (streams, e), watches

@@ -1,6 +1,6 @@
 """The protocols: a plant and an observer are NamedTuples of pure functions plus a pytree of numbers.
 
-Every function here is written for ONE run (a *lane*); `pcbench.lanes` carries it over thousands. Arrays have the
+Every function here is written for ONE run (a *lane*); `pcbench.entrywise` carries it over thousands. Arrays have the
 shapes named below; n states, m inputs, q outputs, r numbers in a note. Time is counted in ticks of `dt` seconds.
 
 Order of events at tick k (design: "one run, tick by tick"): sense, deliver, estimate, flow. Values are

@@ -1,4 +1,4 @@
-"""`lanes.over(f)` is `vmap(f)` with lanes last, for whatever a one-lane function may do."""
+"""`over(f)` is `vmap(f)` with lanes last, for whatever a one-lane function may do."""
 
 import jax
 import jax.numpy as jnp
@@ -7,6 +7,7 @@ import pytest
 from jax import lax
 
 from pcbench import lanes
+from pcbench.entrywise import over
 
 L, RNG = 5, np.random.default_rng(0)
 M = RNG.normal(size=(3, 3))
@@ -44,13 +45,13 @@ FUNCTIONS = {
 def test_over_equals_vmap(name, shared):
     f, x = FUNCTIONS[name], jnp.asarray(RNG.normal(size=(3, L)))
     A = jnp.asarray(RNG.normal(size=(3, 3) if shared else (3, 3, L)))
-    got = jax.jit(lambda x, A: lanes.join(lanes.over(f)(lanes.split(x), A if shared else lanes.split(A))))(x, A)
+    got = jax.jit(lambda x, A: lanes.join(over(f)(lanes.split(x), A if shared else lanes.split(A))))(x, A)
     want = jax.vmap(f, (-1, None if shared else -1), -1)(x, A)
     np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
 
 
 def test_what_does_not_depend_on_a_lane_is_computed_once():
-    out = lanes.over(lambda x, y: (x * 2, y + 1))(lanes.split(jnp.ones((2, L))), jnp.zeros(3))
+    out = over(lambda x, y: (x * 2, y + 1))(lanes.split(jnp.ones((2, L))), jnp.zeros(3))
     assert lanes.is_lanes(out[0])
     assert not lanes.is_lanes(out[1])
     assert out[1].shape == (3,)
@@ -60,7 +61,7 @@ def test_settle_spreads_exactly_what_becomes_different():
     def step(tree):
         a, b, c = tree
         v = lanes.split(jnp.ones((2, L)))
-        return lanes.over(lambda a, b, c, v: (a + v, b + a.sum(), c * 2))(a, b, c, v)
+        return over(lambda a, b, c, v: (a + v, b + a.sum(), c * 2))(a, b, c, v)
 
     a, b, c = lanes.settle(step, (jnp.zeros(2), jnp.zeros(()), jnp.ones(4)), L)
     assert lanes.is_lanes(a)

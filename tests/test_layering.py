@@ -27,7 +27,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"shared_events"},
     {"rollout"},
     {"irregular"},
-    {"packing"},
+    {"packing", "entrywise"},
     {"lanes", "metrics", "sampling", "draws", "signals"},
     {"plants", "observers"},
     {"integrate"},
@@ -35,7 +35,8 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"scenarios"},
     {"types", "errors"},
 ]
-NO_JAX = ["synthesis.linear", "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "statistics",
+NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov",
+          "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "statistics",
           "tables", "store", "scenarios", "sampling", "signals", "errors"]  # fmt: skip
 
 

@@ -15,6 +15,9 @@ from pcbench.observers import OBSERVERS
 from pcbench.types import Plant
 
 KNOWING = {name: {} for name, entry in OBSERVERS.items() if entry.knows_schedule}
+del KNOWING[
+    "chain"
+]  # needs whole samples, and from a perfect start sees only zeros: its slips are caught in test_chain
 START = {2: [5.0, 10.0], 3: [1.0, -2.0, 0.5]}
 
 

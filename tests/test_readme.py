@@ -78,7 +78,7 @@ def test_the_observer_example_is_short_and_knows_its_schedule():
 
 
 def test_the_table_shown_is_the_one_that_comes_out():
-    result = pcbench.run("quick", observers=list(OBSERVERS))
+    result = pcbench.run("quick")
     stats = result.stats.query("scenario == 'cart/white' and signal == 'position'").set_index(["observer", "metric"])
     (shown,) = [b for b in blocks("text") if b.startswith("cart/white")]
     for line in shown.splitlines()[3:]:

@@ -15,7 +15,10 @@ from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS, cart
 
 TIMES = [(100, 100), (60, 180), (150, 0), (40, 95)]
-VARIANTS = [(name, {}) for name in OBSERVERS if name != "kfbo"]
+WHOLE_SAMPLES = [
+    name for name, entry in OBSERVERS.items() if entry.takes == "constant delays"
+]  # in test_chain, test_rivals
+VARIANTS = [(name, {}) for name in OBSERVERS if name not in ("kfbo", *WHOLE_SAMPLES)]
 VARIANTS += [
     ("kfbo", {"R": 0.004}),
     ("kfbo", {"R": 0.3, "lag_aware": True}),

@@ -5,18 +5,18 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel
 
-from pcbench.observers import dkf, kfbo, open_loop, pccebo, pco
+from pcbench.observers import chain, dkf, equal_delay, kfbo, no_delay, open_loop, pccebo, pco
 from pcbench.synthesis.certificate import Design, Setting
 from pcbench.types import Observer
 
-Takes = Literal["any schedule", "one clock", "one constant delay"]
+Takes = Literal["any schedule", "one clock", "one constant delay", "constant delays"]
 
 
 class Entry(NamedTuple):
     """An observer, the options a study may give it, and how its gains are found.
 
-    `takes` says on which schedules it can work: any; samples of any age and in any order, but all channels together; or
-    samples of one constant age only.
+    `takes` says on which schedules it can work: any; samples of any age and in any order, but all channels together;
+    samples of one constant age only; or sampled regularly, all channels together, each of a constant age of its own.
     """
 
     observer: Observer
@@ -59,6 +59,30 @@ OBSERVERS = {
         True,
         "PCO with an integral; gains given or by LMI",
         "one clock",
+    ),
+    "chain": Entry(
+        chain.OBSERVER,
+        chain.Options,
+        chain.design,
+        True,
+        "a link for each delay, from the latest sensor to now; poles or Riccati",
+        "constant delays",
+    ),
+    "equal-delay": Entry(
+        equal_delay.OBSERVER,
+        equal_delay.Options,
+        equal_delay.design,
+        False,
+        "pretends one delay for all channels",
+        "constant delays",
+    ),
+    "no-delay": Entry(
+        no_delay.OBSERVER,
+        no_delay.Options,
+        no_delay.design,
+        False,
+        "the classical observer, designed as if nothing were late",
+        "constant delays",
     ),
     "dkf": Entry(
         dkf.OBSERVER,

@@ -22,7 +22,7 @@ class Scenario(NamedTuple):
     xhat0: tuple[float, ...]  # [n]
     prior_std: tuple[float, ...]  # [n] of x(0) about xhat(0): P0 is diagonal
     settle_band: tuple[float, ...]  # [n] a run has settled when |e| stays within
-    bound: float  # a run has diverged when an |e| leaves it
+    bound: float | tuple[float, ...]  # a run has diverged when an |e| leaves it; one for all states, or [n]
     dt: float = 1e-3  # s, the tick
     horizon: float = 10.0  # s
     tail: float = 3.0  # s, where the tail starts
@@ -35,6 +35,10 @@ class Scenario(NamedTuple):
     delay_jitter: float = 0.0  # s, a sample arrives up to this much later
     loss: float = 0.0  # probability that a sample never arrives
     process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick; empty: none
+    assumed_noise_std: tuple[
+        float, ...
+    ] = ()  # [q] what designers assume of channels without noise; empty: next to none
+    assumed_process_std: tuple[float, ...] = ()  # [n] what designers assume where no noise is added; empty: none
     assumed_delay_error: float = 0.0  # s, observers believe samples to be so much older than they are
     parameters: Mapping[str, Any] = MappingProxyType({})  # of the plant, where not its own: what observers do not know
     model: Mapping[str, Any] = MappingProxyType({})  # of the plant, where not its own: what observers do know

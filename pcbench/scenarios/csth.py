@@ -3,10 +3,12 @@
 Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 4. Decided where the paper is silent (the figure of the inputs is
 lost): square waves about 0 of 40 and 60 samples, x(0) = (0.5 L, 2e4 J, 5 degC) with xhat(0) = 0, 200 samples, tail from the
 100th. `literal` is the paper's recursion of continuous-time numbers; `1s` and `10s` are the physical plant, sampled exactly.
-A run has diverged when an error exceeds a million times the initial enthalpy's. The settling band is 5 % of the initial error.
+A run has diverged when an error exceeds a million times the initial one. The settling band is 5 % of the initial error. Where
+there is no noise, designers take that of `10s-noise`.
 """
 
 from math import sqrt
+from typing import Any
 
 from pcbench.scenarios.base import Scenario
 
@@ -14,6 +16,11 @@ PAPER = "Alipouri, Zhong 2021, section 4"
 DELAYS = (2, 5, 7)  # samples
 NOISE = (1.0, 0.1, 0.1)  # mm, degC, degC
 ROUGHNESS = (1e-3, 50.0, 5e-3)  # process noise: standard deviation over one second
+
+LABELS: dict[str, dict[str, Any]] = {
+    "chain-slow": {"pole_per_tick": 0.8},
+    "chain-riccati": {"gain": "riccati", "output": "deadbeat"},
+}
 
 
 def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
@@ -23,7 +30,7 @@ def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
         summary=summary,
         source=source,
         plant="csth",
-        observers=("dkf", "open-loop"),
+        observers=("chain", "chain-riccati", "equal-delay", "no-delay", "dkf", "open-loop"),
         sampling_period=(tick,) * 3,
         delay=tuple(d * tick for d in DELAYS),
         noise_std=(0.0, 0.0, 0.0),
@@ -33,10 +40,13 @@ def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
         xhat0=(0.0, 0.0, 0.0),
         prior_std=(0.5, 2e4, 5.0),
         settle_band=(0.025, 1e3, 0.25),
-        bound=2e10,
+        bound=(5e5, 2e10, 5e6),
         dt=tick,
         horizon=200 * tick,
         tail=100 * tick,
+        options=LABELS,
+        assumed_noise_std=NOISE,
+        assumed_process_std=tuple(sqrt(tick) * s for s in ROUGHNESS),
     )
 
 

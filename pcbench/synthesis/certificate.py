@@ -38,11 +38,14 @@ class Setting(NamedTuple):
     ticks: int  # horizon N
     period: tuple[int, ...]  # [q] ticks; the mean where intervals vary
     delay: tuple[int, ...]  # [q] ticks, as the observer believes it; the mean where it varies
-    noise_std: tuple[float, ...]  # [q] of one sample
+    noise_std: tuple[float, ...]  # [q] of one sample, as designers assume it
     P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
     input_intensity: float  # process noise through the input that a designer assumes, per second
     overtaking: int = 0  # K: how many newer samples may arrive before one
-    process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick; empty: none
+    process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick, as assumed; empty: none
+    reach: int = (
+        0  # the longest delay [samples] that a memory must span; with `overtaking`, the most of a study's cells
+    )
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 
     @property

@@ -201,6 +201,8 @@ def chain(plant: Plant, links: list[Link], u: Array, r: Array, delays: list[int]
                 Y[i, t] = C @ X[i, t] + D @ u[t]
                 continue
             ybar = np.array([r[s + tau, j] if mask[j] else Y[i + 1, s, j] for j, tau in enumerate(delays)])
+            lost = mask & np.isnan(ybar)  # never arrived: no correction from that channel
+            ybar[lost] = (C @ X[i, s] + D @ u[s])[lost]
             pushed = sum(power(A, j) @ B @ u[t - 1 - j] for j in range(d))  # (15)
             X[i, t] = F @ X[i, s] + K @ (ybar - D @ u[s]) + pushed
             Y[i, t] = W @ X[i, s] + V @ (ybar - D @ u[s]) + C @ pushed + D @ u[t]  # Q_0 = D, Q_d less V D

@@ -1,0 +1,175 @@
+"""The chain observer for unequal measurement delays: each sensor is used as soon as it comes.
+
+With theta_1 < ... < theta_q the distinct delays in samples, link i carries an estimate from its source s = k - theta_i to its
+stamp t = k - theta_(i-1), d_i samples; the links run from the latest sensor to the present, whose estimate is link 1's:
+
+    ybar_i(s)[j] = y_j(s) where tau_j <= theta_i, else yhat_(i+1)(s)[j]
+    xhat_i(t) = F_i xhat_i(s) + K_i ybar_i(s) + response to the known input                  (26), F = inv(T) G T, K = inv(T) L
+    yhat_i(t) = W_i xhat_i(s) + V_i ybar_i(s) + response to the known input                  (27)
+
+Here the known input is taken out at once (`sample_by_sample`): z = xhat - xbar, y - D u - C xbar. It is the same observer, and
+before a link's first source (s < 0) it is the model alone, as decided. A sample that never arrives is replaced by
+C xhat_i(s): no correction. Delays are data, so ties, zeros and any order are legal and delay vectors are an axis; one delay at
+least must be positive.
+
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 3. Different from print: T = I; Q_0 = D and Q_d less V D.
+Time index: the estimate is of now, after the jump. Not claimed: that the printed poles filter any noise.
+"""
+
+from typing import Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.errors import UserError
+from pcbench.observers import sample_by_sample
+from pcbench.observers.sample_by_sample import Model, Place, known_input, read, ring, write
+from pcbench.synthesis import chain, shared_lyapunov
+from pcbench.synthesis.certificate import Design, Setting, certified
+from pcbench.synthesis.sampled import sampled
+from pcbench.types import Arrival, Leaf, Now, Observer
+
+
+class Link(NamedTuple):
+    """The links, latest first: n states, q outputs, q links."""
+
+    stamp: Leaf  # [q] samples ago
+    source: Leaf  # [q]
+    seen: Leaf  # [q, q] link x channel: arrived at the link's source
+    F: Leaf  # [q, n, n]
+    K: Leaf  # [q, n, q]
+    V: Leaf  # [q, q, q]
+    W: Leaf  # [q, q, n]
+
+
+class Gains(NamedTuple):
+    """n states, q outputs."""
+
+    model: Model
+    tau: Leaf  # [q] samples
+    links: Link
+    room: Leaf  # [rows] its length is how many samples back the longest delay of the study reaches
+
+
+class Memory(NamedTuple):
+    """Deviations from the model alone."""
+
+    place: Place
+    past: Array  # [ring, n] the links' estimates by the sample they are of
+    arrived: tuple[Array, ...]  # q rings: y - D u - C xbar of a channel by when it was sampled
+    known: tuple[Array, ...]  # q rings of bool: it has arrived
+    value: Array  # [q] what has arrived since the last tick, so reduced
+    fresh: Array  # [q] bool
+
+
+class Options(BaseModel):
+    """How the links' gains and outputs are found."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    gain: Literal["poles", "companion", "riccati"] = Field("poles", description="F = pole I, the paper's, or Kalman's")
+    pole: float = Field(1e-4, gt=-1, lt=1, description="of each link, but with riccati")
+    pole_per_tick: float | None = Field(
+        None, ge=0, lt=1, description="in place of pole: of each sample, r^d for a link"
+    )
+    output: Literal["updated", "deadbeat"] = Field(
+        "updated", description="yhat from the corrected estimate (V = C K), or V = C A^d pinv(C)"
+    )
+    q: float = Field(
+        0.0, ge=0, description="riccati: process noise through the input besides the scenario's, per second"
+    )
+    shared: bool = Field(False, description="also look for one P for all links, the paper's condition (29)")
+
+
+def init(gains: Gains, xhat0: Array) -> Memory:
+    """Start from xhat(0) [n], nothing measured."""
+    (q, n), room = gains.model.C.shape, gains.room
+    arrived = (ring(room, jnp.zeros(())),) * q
+    known = (ring(room, jnp.asarray(False)),) * q
+    past = ring(room, jnp.zeros(n))
+    return Memory(sample_by_sample.start(xhat0), past, arrived, known, jnp.zeros(q), jnp.zeros(q, bool))
+
+
+def note(gains: Gains, memory: Memory, now: Now) -> Array:
+    """Note what the model alone expects of the sample, C xbar [q]."""
+    return gains.model.C @ memory.place.xbar
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Keep what arrives, less what is known of it."""
+    y = arrival.value - known_input(gains.model, now, arrival.age) - arrival.note
+    return memory._replace(value=jnp.where(arrival.fresh, y, memory.value), fresh=memory.fresh | arrival.fresh)
+
+
+def links(gains: Gains, memory: Memory) -> Array:
+    """Run the links on all that has arrived: the estimate at the stamp of each, latest first, [q, n]."""
+    k, C, channels = memory.place.sample, gains.model.C, range(gains.model.C.shape[0])
+
+    def link(before: tuple[Array, Array], own: Link) -> tuple[tuple[Array, Array], Array]:
+        z, there = (
+            read(memory.past, k - own.source),
+            own.source > own.stamp,
+        )  # one over no samples passes on what it is given
+        expected = C @ z
+        y = jnp.stack([_sample(gains, memory, j, own.source, expected[j]) for j in channels])
+        ybar = jnp.where(own.seen > 0, y, before[1])
+        estimate = jnp.where(there, own.F @ z + own.K @ ybar, before[0])
+        yhat = jnp.where(there, own.W @ z + own.V @ ybar, before[1])
+        return (estimate, yhat), estimate
+
+    return lax.scan(link, (jnp.zeros(C.shape[1]), jnp.zeros(C.shape[0])), gains.links)[1]
+
+
+def _sample(gains: Gains, memory: Memory, j: int, age: Array, expected: Array) -> Array:
+    """Channel j's sample of so many samples ago: from its ring, or just arrived; as expected where it has not."""
+    sample, new = memory.place.sample - age, age == gains.tau[j]
+    known = jnp.where(new, memory.fresh[j], read(memory.known[j], sample))
+    return jnp.where(known, jnp.where(new, memory.value[j], read(memory.arrived[j], sample)), expected)
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Go one tick on; where a sample is due, what this one brought is put by."""
+    place, due = sample_by_sample.flow(gains.model, memory.place, now)
+    k, past = memory.place.sample, memory.past
+    stamp, source = gains.links.stamp, gains.links.source
+    for i, estimate in enumerate(links(gains, memory)):
+        past = write(past, k - stamp[i], estimate, due & (source[i] > stamp[i]))
+    each = range(len(memory.arrived))
+    return Memory(
+        place,
+        past,
+        tuple(write(memory.arrived[j], k - gains.tau[j], memory.value[j], due) for j in each),
+        tuple(write(memory.known[j], k - gains.tau[j], memory.fresh[j], due) for j in each),
+        memory.value,
+        memory.fresh & ~due,
+    )
+
+
+def estimate(gains: Gains, memory: Memory) -> Array:
+    """Return link 1's estimate, carried on to now, [n]."""
+    return memory.place.xbar + memory.place.carried @ links(gains, memory)[-1]
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Find every link's gains and certify the map of one sample; refuse what is no chain."""
+    where, plant = f"chain in {setting.scenario}", sampled(setting, "chain", options.q)
+    if max(plant.tau) == 0:
+        raise UserError(
+            f"{where}: got no delay in any channel, expected one at least: without delays there is nothing to chain; take dkf "
+            "or pccebo."
+        )
+    per_sample = options.pole_per_tick is not None
+    pole = options.pole if options.pole_per_tick is None else options.pole_per_tick
+    found = chain.links(plant, options.gain, pole, per_sample, options.output, where)
+    certificate = certified(chain.certify(found, plant.C, options.gain), where)
+    if options.shared:
+        extra = shared_lyapunov.check(found, plant.scale, where)
+        certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)
+    latest_first, theta = found[::-1], np.array(chain.ages(plant.tau)[::-1])
+    stacked = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}
+    each, room = Link(theta[1:], theta[:-1], **stacked), np.zeros(max(setting.reach, *plant.tau))
+    return Design(Gains(sample_by_sample.model_of(setting), np.array(plant.tau), each, room), certificate)

@@ -1,0 +1,53 @@
+"""Pretending one delay for all channels: what the chain is compared with first (Method 2 of the paper).
+
+`theorem1`, a single link of the chain fed with whatever arrives, as if all of it were d samples old:
+
+    xhat(k) = A^d xhat(k-d) + response to the input + K e(k),   e(k) = r(k) - C xhat(k-d) - D u(k-d),   A^d - K C = F       (6)
+
+`held` (default), a slow observer of the same belief: xhat(k+1) = A xhat(k) + B u(k) + K e(k), K = kappa A pinv(C),
+kappa = d^d / (d+1)^(d+1) (4/27 for d = 2), the largest for which e(k+1) = e(k) - kappa e(k-d) does not swing. It stands in for
+the design which the paper cites and does not print. Both are stable and biased wherever a delay is not d.
+The delay d believed is the shortest of the channels', one sample at least, or the option `delay`.
+
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 1 and section 5. It does not know the schedule: no perfect start is
+claimed unless every delay is d.
+"""
+
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.observers import output_error
+from pcbench.synthesis import chain
+from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
+from pcbench.synthesis.late import one_sample
+from pcbench.synthesis.sampled import by_poles, power, sampled
+
+OBSERVER = output_error.OBSERVER
+
+
+class Options(BaseModel):
+    """Which of the two, and the delay it believes in."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    variant: Literal["held", "theorem1"] = Field("held", description="the slow one, or a single link of the chain")
+    delay: int | None = Field(None, ge=1, le=10_000, description="samples; default: the shortest of the channels'")
+    pole: float = Field(1e-4, gt=-1, lt=1, description="theorem1: F = pole I")
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Design for the believed delay and certify that alone; the delays as they are enter as a disturbance."""
+    where, plant = f"equal-delay in {setting.scenario}", sampled(setting, "equal-delay")
+    d, A = options.delay or max(min(plant.tau), 1), plant.A
+    if options.variant == "theorem1":
+        K, Ad = by_poles(plant, d, options.pole, where), power(A, d)
+        rate = chain.radius(Ad - K @ plant.C) ** (1 / d)
+        gains = output_error.corrected_here(setting, Ad, K, d)
+    else:
+        K = d**d / (d + 1) ** (d + 1) * A @ np.linalg.pinv(plant.C)
+        rate = chain.radius(one_sample(A, K, plant.C, (d,) * len(plant.tau)))
+        gains = output_error.corrected_next(setting, A, K, (d,) * len(plant.tau))
+    what = f"radius of the errors' map < 1, if every delay were {d} samples"
+    certificate = Certificate(what, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d})
+    return Design(gains, certified(certificate, where))

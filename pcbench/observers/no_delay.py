@@ -1,0 +1,45 @@
+"""The classical observer, designed as if nothing were late (Method 3 of the paper).
+
+    xhat(k+1) = A xhat(k) + B u(k) + K e(k),   A - K C = pole I (or by pole placement)
+
+`plain`: e_j(k) = r_j(k) - C_j xhat(k): late data taken for the present. It cannot diverge on a bounded plant.
+`aligned` (default): e_j(k) = r_j(k) - C_j xhat(k - tau_j): each sample against the estimate of its own time, corrected now. It
+knows the delays, not what they do to its stability: the error of channel j returns tau_j + 1 samples late, and with the
+gain above it diverges on the tank. The radius with the delays as they are is reported, not required.
+
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5; which of the two the paper ran is not said. Perfect start is exact
+for `aligned` until rounding has grown by its radius.
+"""
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.observers import output_error
+from pcbench.synthesis import chain
+from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
+from pcbench.synthesis.late import one_sample
+from pcbench.synthesis.sampled import by_poles, sampled
+
+OBSERVER = output_error.OBSERVER
+
+
+class Options(BaseModel):
+    """Which of the two, and its pole."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    variant: Literal["aligned", "plain"] = Field(
+        "aligned", description="samples against their own time, or against now"
+    )
+    pole: float = Field(1e-4, gt=-1, lt=1, description="A - K C = pole I")
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Design without delays and certify that alone."""
+    where, plant = f"no-delay in {setting.scenario}", sampled(setting, "no-delay")
+    K = by_poles(plant, 1, options.pole, where)
+    ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)
+    undelayed, delayed = chain.radius(plant.A - K @ plant.C), chain.radius(one_sample(plant.A, K, plant.C, ages))
+    numbers = {"K": K, "radius_without_delays": undelayed, "radius_with_these": delayed}
+    certificate = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)
+    return Design(output_error.corrected_next(setting, plant.A, K, ages), certified(certificate, where))

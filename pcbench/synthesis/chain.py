@@ -1,0 +1,134 @@
+"""Gains of a chain of observers: one link for each distinct delay, from the latest sensor to the present.
+
+Link i carries an estimate over d_i = theta_i - theta_(i-1) samples. In state coordinates (T = I, F = inv(T) G T, K = inv(T) L):
+
+    A^d - F = K C,   yhat = W xhat + V ybar,   W = C A^d - V C                                (8), (9)
+
+so a link's error moves by F over d samples, and the cascade's map is block triangular: it is stable iff every rho(F_i) < 1, at
+the rate max rho(F_i)^(1/d_i) a sample. That is the certificate: the spectral radius of the whole map of one sample, in shift
+coordinates (newest first), which must equal that rate. Condition (29) of the paper, for one matrix P and all links, is
+sufficient at most; `shared_lyapunov` checks it where asked.
+
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorems 1 and 3, Algorithm 1. Different from print: T = I, for T has nine
+free dimensions and a Sylvester equation for it is ill-conditioned here; (9) prints Q_0 = D - V D, wrong for D != 0.
+"""
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from pcbench.errors import DesignError
+from pcbench.synthesis.certificate import Certificate
+from pcbench.synthesis.linear import Matrix
+from pcbench.synthesis.sampled import Sampled, by_poles, invertible, noise_over, power, require_seen
+
+LARGEST = 600  # of the map of one sample; beyond, its radius is taken from the links, which is the same
+
+
+class Link(NamedTuple):
+    """One link over d samples; n states, q outputs. Where d = 0 it is passed through and its gains are 0."""
+
+    d: int
+    seen: Matrix  # [q] 1 for the channels that have arrived at its source, 0 for those it takes from the link before
+    F: Matrix  # [n, n]
+    K: Matrix  # [n, q]
+    V: Matrix  # [q, q]
+    W: Matrix  # [q, n]
+
+
+def ages(tau: tuple[int, ...]) -> list[int]:
+    """Return theta: 0 and the delays in order, ties kept, so that any delay vector gives q links."""
+    return [0, *sorted(tau)]
+
+
+def links(plant: Sampled, gain: str, pole: float, per_sample: bool, output: str, where: str) -> list[Link]:
+    """Return a link for each channel, nearest first; `pole` is of each link, or of each sample of it."""
+    theta, out = ages(plant.tau), []
+    n, q = len(plant.A), len(plant.C)
+    for start, end in pairwise(theta):
+        d, seen = end - start, np.array([float(tau <= end) for tau in plant.tau])
+        if d == 0:
+            out.append(Link(0, seen, np.zeros((n, n)), np.zeros((n, q)), np.zeros((q, q)), np.zeros((q, n))))
+            continue
+        p = pole**d if per_sample else pole
+        by_pole = by_companion if gain == "companion" else by_poles
+        K = by_riccati(plant, d, where) if gain == "riccati" else by_pole(plant, d, p, where)
+        Ad, C = power(plant.A, d), plant.C
+        V = C @ K if output == "updated" else C @ Ad @ np.linalg.pinv(C)
+        out.append(Link(d, seen, Ad - K @ C, K, V, C @ Ad - V @ C))
+    return out
+
+
+def by_riccati(plant: Sampled, d: int, where: str) -> Matrix:
+    """Return K = A^d P C'(C P C' + R)^-1 [n, q] of the stationary Kalman predictor over d samples."""
+    require_seen(plant, d, where)
+    Ad, C = power(plant.A, d), plant.C
+    try:
+        P = solve_discrete_are(Ad.T, C.T, noise_over(plant, d), plant.R)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(
+            f"{where}: the Riccati equation over d = {d} samples was not solved: SciPy said '{error}'; process noise must "
+            "reach every mode that does not decay: give options q."
+        ) from error
+    return np.asarray(np.linalg.solve(C @ P @ C.T + plant.R, C @ P @ Ad.T).T, float)
+
+
+def companion(p: float, n: int) -> Matrix:
+    """Return G [n, n] of (20) with an n-fold pole p: its last column holds s^n - g_n s^(n-1) - ... - g_1."""
+    G = np.eye(n, k=-1)
+    G[:, -1] = -np.poly([p] * n)[:0:-1]
+    return G
+
+
+def by_companion(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
+    """Return K [n, q] of the paper's companion G with T = C, so F = inv(C) G C; C must be invertible."""
+    if not invertible(plant.C):
+        raise DesignError(
+            f"{where}: gain = 'companion' got C of shape {list(plant.C.shape)} and rank {np.linalg.matrix_rank(plant.C)}, "
+            "expected an invertible one (T = C); take 'poles' or 'riccati'."
+        )
+    F = np.linalg.solve(plant.C, companion(pole, len(plant.A)) @ plant.C)
+    return np.asarray((power(plant.A, d) - F) @ np.linalg.inv(plant.C), float)
+
+
+def one_sample(chain: list[Link], C: Matrix) -> Matrix:
+    """Return the map [n theta, n theta] of the errors over one sample, newest first, theta the longest delay.
+
+    Row g of the errors is that of the state g samples ago, as estimated by the link whose range (stamp to source) has g in it.
+    """
+    n, q = len(C[0]), len(C)
+    theta = np.cumsum([0, *(link.d for link in chain)])
+    blocks = theta[-1]
+    J = np.eye(n * blocks, k=-n)
+    eps = np.zeros((q, n * blocks))  # error of the output that comes from the link before, by errors one sample ago
+    for link, stamp, source in reversed(list(zip(chain, theta, theta[1:], strict=False))):
+        if link.d == 0:
+            continue
+        old = np.zeros((n, n * blocks))
+        old[:, n * (source - 1) : n * source] = np.eye(n)
+        miss = (1 - link.seen)[:, None] * eps
+        J[n * stamp : n * (stamp + 1)] = link.F @ old + link.K @ miss
+        eps = link.W @ old + link.V @ miss
+    return J
+
+
+def radius(M: Matrix) -> float:
+    """Return the spectral radius."""
+    return float(np.abs(np.linalg.eigvals(M)).max())
+
+
+def certify(chain: list[Link], C: Matrix, how: str) -> Certificate:
+    """Say how far inside the unit circle the map of one sample stands; NaN where its radius is not that of its links."""
+    numbers: dict[str, Any]
+    rate = max(radius(link.F) ** (1 / link.d) for link in chain if link.d)
+    exact = radius(one_sample(chain, C)) if len(C[0]) * sum(link.d for link in chain) <= LARGEST else rate
+    vanishing = rate < 1e-2 and exact < 0.5  # eigenvalues of a nearly nilpotent map are known to a digit at most
+    same = abs(exact - rate) <= 1e-2 * rate or vanishing
+    numbers = {"radius_of_one_sample": exact, "largest_rho_F_to_1_over_d": rate}
+    for i, link in enumerate(chain):
+        if link.d:
+            numbers |= {f"{name}{i + 1}": getattr(link, name) for name in ("d", "F", "K", "V", "W")}
+    margin = 1 - max(exact, rate) if same else float("nan")
+    return Certificate("radius of the errors' map over one sample < 1", margin, how, "computed", numbers)

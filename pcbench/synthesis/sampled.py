@@ -1,0 +1,120 @@
+"""A plant from sample to sample, for observers that work on whole samples: its map, its noise, and its gains by poles.
+
+x(k+1) = A x(k) + B u(k) + w,  y(k) = C x(k) + D u(k) + v, where k counts samples, all channels are sampled together every
+`period` ticks, and channel j arrives a whole number tau_j of samples later.
+"""
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import place_poles
+
+from pcbench.errors import DesignError, UserError
+from pcbench.synthesis import linear
+from pcbench.synthesis.certificate import NO_NOISE, Setting
+from pcbench.synthesis.linear import Matrix
+from pcbench.synthesis.observability import shown
+
+power = np.linalg.matrix_power
+UNSEEN = 1e-8  # a scaled mode is not seen where C shows less than this of it
+STAYS = 1 - 1e-9  # a mode of at least this size does not decay
+
+
+class Sampled(NamedTuple):
+    """n states, q outputs; one step is one sample."""
+
+    A: Matrix  # [n, n]
+    C: Matrix  # [q, n]
+    Q: Matrix  # [n, n] what the assumed process noise adds over a sample
+    R: Matrix  # [q, q] variance of one sample
+    tau: tuple[int, ...]  # [q] samples
+    period: int  # ticks
+    scale: Matrix  # [n] size of each state, for rank decisions
+    sizes: Matrix  # [q] size of each output
+
+
+def sampled(setting: Setting, observer: str, q: float = 0.0) -> Sampled:
+    """Return the plant at its samples; `q` adds process noise through the input, per second.
+
+    Raises UserError where channels differ in period or a delay is not a whole number of samples.
+    """
+    where, periods = f"{observer} in {setting.scenario}", set(setting.period)
+    if len(periods) > 1:
+        seconds = ", ".join(f"{p * setting.dt:g}" for p in setting.period)
+        raise UserError(
+            f"{where}: got sampling periods of {seconds} s, expected the same for all channels: it works sample by sample; "
+            "give one period, or take dkf."
+        )
+    period = periods.pop()
+    for j, delay in enumerate(setting.delay):
+        if delay % period:
+            low = delay // period * period * setting.dt
+            raise UserError(
+                f"{where}: got a delay of {delay * setting.dt:g} s in channel {j + 1} at a sampling period of "
+                f"{period * setting.dt:g} s, expected whole samples; write {low:g} or {low + period * setting.dt:g}, or "
+                "take dkf."
+            )
+    model = setting.model
+    tick = linear.input_noise(model, q, setting.dt) + setting.process_noise
+    doubled = linear.doublings(model, setting.dt, linear.bits_for(period))
+    noise = linear.noise_doublings(model, tick, setting.dt, len(doubled))
+    A, Q = linear.over(doubled, period), linear.noise_over(doubled, noise, period)
+    scale = np.sqrt(np.diag(setting.P0))
+    scale = np.where(scale > 0, scale, 1.0)
+    sizes = np.linalg.norm(model.C * scale, axis=1)
+    R = setting.noise_variance
+    sizes = np.where(R > NO_NOISE, np.sqrt(R), np.where(sizes > 0, sizes, 1.0))
+    return Sampled(A, model.C, Q, np.diag(R), tuple(d // period for d in setting.delay), period, scale, sizes)
+
+
+def noise_over(plant: Sampled, d: int) -> Matrix:
+    """Return what the process noise adds over d samples, [n, n]: the sum of A^j Q A^j'."""
+    each = [power(plant.A, j) for j in range(d)]
+    return np.asarray(sum(E @ plant.Q @ E.T for E in each))
+
+
+def invertible(C: Matrix) -> bool:
+    """Say whether the outputs give the state at once."""
+    return C.shape[0] == C.shape[1] and bool(np.linalg.matrix_rank(C) == len(C))
+
+
+def by_poles(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
+    """Return K [n, q] with A^d - K C = pole I where C is invertible; else its poles are pole (1, 0.9, 0.8, ...)."""
+    Ad, n = power(plant.A, d), len(plant.A)
+    if invertible(plant.C):
+        return np.asarray((Ad - pole * np.eye(n)) @ np.linalg.inv(plant.C))
+    require_seen(plant, d, where, least=0.0, why="placing poles")
+    wanted = pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n))
+    if pole == 0:
+        raise UserError(
+            f"{where}: got a pole of 0 with {len(plant.C)} outputs for {n} states, expected another: distinct poles are "
+            "placed there; write a small one, such as 1e-4."
+        )
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
+            placed = place_poles(Ad.T, plant.C.T, wanted)
+    except ValueError as error:
+        raise DesignError(f"{where}: the poles were not placed: SciPy said '{error}'; take another pole.") from error
+    return np.asarray(placed.gain_matrix.T, float)
+
+
+def require_seen(plant: Sampled, d: int, where: str, least: float = STAYS, why: str = "its design") -> None:
+    """Raise UserError naming a mode of A^d, of size `least` or more, that C does not show.
+
+    The test of Hautus at the scale of x(0) and of the noise; by singular values, so that it finds what a multiple mode hides:
+    two modes of A may be one of A^d.
+    """
+    Ad = power(plant.A, d) / plant.scale[:, None] * plant.scale
+    C = plant.C / plant.sizes[:, None] * plant.scale
+    for mode in np.linalg.eigvals(Ad):
+        *_, sizes, V = np.linalg.svd(np.vstack([Ad - mode * np.eye(len(Ad)), C]))
+        if abs(mode) >= least and sizes[-1] < UNSEEN:
+            v = plant.scale * V[-1].conj()
+            along = ", ".join(f"{part:.3g}" for part in np.real(v / v[np.abs(v).argmax()]))
+            kind = "detectable" if least else "observable"
+            raise UserError(
+                f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {shown(complex(mode))} of A^d (along "
+                f"[{along}]), expected a {kind} pair for {why}; measure another output or change a delay."
+            )
