@@ -47,6 +47,22 @@ STUDIES = {
         scenarios=[s for s in SCENARIOS if s.startswith("cart/") and not s.startswith("cart/variable")],
         seeds=1024,
     ),
+    "unequal-delays": Study(
+        name="unequal-delays",
+        scenarios=["csth/10s-noise"],
+        observers=["chain", "chain-slow", "chain-riccati", "equal-delay", "no-delay", "dkf", "open-loop"],
+        seeds=256,
+        axes={
+            "delay": [
+                [40.0, 40.0, 40.0],
+                [30.0, 40.0, 50.0],
+                [20.0, 40.0, 60.0],
+                [10.0, 40.0, 70.0],
+                [20.0, 50.0, 70.0],
+            ],
+            "noise_std": [[1.0, 0.1, 0.1], [0.1, 0.01, 0.01]],
+        },
+    ),
     "variable-sampling": Study(
         name="variable-sampling",
         scenarios=["cart/variable", "cart/variable-bias", "cart/variable-gain"],

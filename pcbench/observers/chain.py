@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.observers import sample_by_sample
-from pcbench.observers.sample_by_sample import Model, Place, known_input, read, ring, write
+from pcbench.observers.sample_by_sample import Model, Place, Pole, known_input, read, ring, write
 from pcbench.synthesis import chain, shared_lyapunov
 from pcbench.synthesis.certificate import Design, Setting, certified
 from pcbench.synthesis.sampled import sampled
@@ -69,10 +69,8 @@ class Options(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     gain: Literal["poles", "companion", "riccati"] = Field("poles", description="F = pole I, the paper's, or Kalman's")
-    pole: float = Field(1e-4, gt=-1, lt=1, description="of each link, but with riccati")
-    pole_per_tick: float | None = Field(
-        None, ge=0, lt=1, description="in place of pole: of each sample, r^d for a link"
-    )
+    pole: Pole = Field(1e-4, description="of each link, but with riccati")
+    pole_per_tick: Pole | None = Field(None, description="in place of pole: of each sample, r^d for a link")
     output: Literal["updated", "deadbeat"] = Field(
         "updated", description="yhat from the corrected estimate (V = C K), or V = C A^d pinv(C)"
     )

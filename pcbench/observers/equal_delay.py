@@ -19,6 +19,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.observers import output_error
+from pcbench.observers.sample_by_sample import Pole
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
 from pcbench.synthesis.late import one_sample
@@ -33,7 +34,7 @@ class Options(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     variant: Literal["held", "theorem1"] = Field("held", description="the slow one, or a single link of the chain")
     delay: int | None = Field(None, ge=1, le=10_000, description="samples; default: the shortest of the channels'")
-    pole: float = Field(1e-4, gt=-1, lt=1, description="theorem1: F = pole I")
+    pole: Pole = Field(1e-4, description="theorem1: F = pole I")
 
 
 def design(setting: Setting, options: Options) -> Design:

@@ -16,6 +16,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.observers import output_error
+from pcbench.observers.sample_by_sample import Pole
 from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
 from pcbench.synthesis.late import one_sample
@@ -31,7 +32,7 @@ class Options(BaseModel):
     variant: Literal["aligned", "plain"] = Field(
         "aligned", description="samples against their own time, or against now"
     )
-    pole: float = Field(1e-4, gt=-1, lt=1, description="A - K C = pole I")
+    pole: Pole = Field(1e-4, description="A - K C = pole I")
 
 
 def design(setting: Setting, options: Options) -> Design:

@@ -7,15 +7,25 @@ rings by sample number, zeros before the first. Over a horizon on which an unsta
 its digits.
 """
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from pydantic import AfterValidator
 
 from pcbench.synthesis import linear
 from pcbench.synthesis.certificate import Setting
 from pcbench.types import Leaf, Now
+
+
+def _inside(pole: float) -> float:
+    if not -1 < pole < 1:
+        raise ValueError("a pole inside the unit circle, between -1 and 1: at 0 errors vanish, near 1 they stay")
+    return pole
+
+
+Pole = Annotated[float, AfterValidator(_inside)]  # of an observer's error, per step
 
 
 class Model(NamedTuple):

@@ -56,17 +56,17 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     return Params(Phi, Gamma, model.A, model.B, model.C, model.feedthrough, gain, bias)
 
 
-def step(params: Params, now: Now, x: Float[Array, "n"]) -> Float[Array, "n"]:
+def step(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
     """Advance x by one tick under the held now.u."""
     return params.Phi @ x + params.Gamma @ (params.gain * now.u + params.bias)
 
 
-def output(params: Params, now: Now, x: Float[Array, "n"]) -> Float[Array, "q"]:
+def output(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " q"]:
     """Return what is measured."""
     return params.C @ x + params.D @ (params.gain * now.u + params.bias)
 
 
-def field(params: Params, now: Now, x: Float[Array, "n"]) -> Float[Array, "n"]:
+def field(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
     """Return dx/dt under the held now.u; of a continuous plant only."""
     return jnp.asarray(params.A) @ x + params.B @ (params.gain * now.u + params.bias)
 
