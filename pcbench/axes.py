@@ -108,12 +108,12 @@ def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
         raise UserError(f"{where}: got {value:g} s, expected at most the horizon of {base.name}, {base.horizon:g} s.")
 
 
-def plain(name: str, value: Any) -> Any:
-    """Return a value as the tables hold it: equal channels as one, a list of intervals as text, one interval as null."""
+def plain(name: str, value: Any, apart: bool = False) -> Any:
+    """Return a value as the tables hold it: equal channels as one unless they are to stay apart, an interval as null."""
     if name == "profile":
         return value if isinstance(value, str) else ", ".join(f"{v:g}" for v in value)
     if isinstance(value, tuple):
-        return value[0] if len(set(value)) == 1 else list(value)
+        return list(value) if apart or len(set(value)) > 1 else value[0]
     return value
 
 

@@ -27,16 +27,26 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     """Return every combination of the axes in one scenario, in the order of the axes as written."""
     base, where = scenarios_of(study)[scenario], where or study.name
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
-    choices, out = choices_of(study), []
+    choices, out, apart = choices_of(study), [], channels_apart(study)
     for index, point in enumerate(itertools.product(*axes.values())):
         given = dict(zip(axes, point, strict=True))
         fields = {k: v for k, v in given.items() if k in AXES}
         changed = base._replace(**fields, input=choices.input or base.input)
         axis.fits(changed, where if where == scenario else f"{where}: {scenario}")
-        values = {name: axis.plain(name, getattr(changed, name)) for name in AXES}
+        values = {name: axis.plain(name, getattr(changed, name), name in apart) for name in AXES}
         own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
         out.append(Cell(changed, index, values, dict(base.parameters) | own, choices))
+    return out
+
+
+def channels_apart(study: Study) -> set[str]:
+    """Return the axes in which channels differ in some cell of a study: its tables hold a list for every cell there."""
+    known, out = scenarios_of(study), set()
+    for name in axis.CHANNELS:
+        given = study.axes.get(name) or [getattr(known[s], name) for s in study.scenarios]
+        if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
+            out.add(name)
     return out
 
 

@@ -22,6 +22,7 @@ VERDICTS = {
     "misprint": "yellow",
     "does not reproduce": "yellow",
     "does not hold": "red",
+    "not determinable": "dim",
 }
 ROUNDING = 1e-11
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead

@@ -2,13 +2,17 @@
 
 from collections.abc import Callable
 
-from pcbench.reproduce import mobile_cart, pi_pco
+from pcbench.reproduce import mobile_cart, pi_pco, unequal_delays
 from pcbench.reproduce.claim import Claim
 
 PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
     "cart": (
         "Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017): PCCEBO against KFBO on a mobile cart",
         mobile_cart.claims,
+    ),
+    "chain": (
+        "Alipouri, Zhong, Actuators 10 (2021) 281: a chain of observers for unequal delays, on the stirred tank heater",
+        unequal_delays.claims,
     ),
     "pi-pco": ("Li, Wang, Tian: PI-PCO against PCO on a mobile cart, variable sampling", pi_pco.claims),
 }

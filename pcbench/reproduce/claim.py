@@ -9,7 +9,7 @@ class Claim(NamedTuple):
     claim: str
     printed: str
     reproduced: str
-    verdict: str  # reproduced | holds | misprint | does not reproduce | does not hold
+    verdict: str  # reproduced | holds | misprint | does not reproduce | does not hold | not determinable
 
 
 def digits(claim: str, printed: str, value: float, failed: str = "does not reproduce") -> Claim:

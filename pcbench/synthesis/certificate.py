@@ -70,7 +70,7 @@ def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certi
         raise DesignError(
             f"{where}: the gain is not certified: {certificate.inequality} has margin {certificate.margin:.3g}, "
             f"expected above {least:g}; solver {certificate.solver} said '{certificate.status}'; "
-            "change the weights or the sampling period."
+            "change the gains, what they are designed from, or the sampling period."
         )
     return certificate
 

@@ -67,12 +67,16 @@ def by_riccati(plant: Sampled, d: int, where: str) -> Matrix:
     Ad, C = power(plant.A, d), plant.C
     try:
         P = solve_discrete_are(Ad.T, C.T, noise_over(plant, d), plant.R)
+        K = np.asarray(np.linalg.solve(C @ P @ C.T + plant.R, C @ P @ Ad.T).T, float)
+        found = "F is stable" if radius(Ad - K @ C) < 1 else "its F is not stable"
     except (np.linalg.LinAlgError, ValueError) as error:
+        found = f"SciPy said '{error}'"
+    if found != "F is stable":
         raise DesignError(
-            f"{where}: the Riccati equation over d = {d} samples was not solved: SciPy said '{error}'; process noise must "
-            "reach every mode that does not decay: give options q."
-        ) from error
-    return np.asarray(np.linalg.solve(C @ P @ C.T + plant.R, C @ P @ Ad.T).T, float)
+            f"{where}: the Riccati equation over d = {d} samples has no stabilising solution ({found}), expected process noise "
+            "that reaches every mode which does not decay by itself; give option q, or take gain = 'poles'."
+        )
+    return K
 
 
 def companion(p: float, n: int) -> Matrix:

@@ -113,8 +113,8 @@ def require_seen(plant: Sampled, d: int, where: str, least: float = STAYS, why: 
         if abs(mode) >= least and sizes[-1] < UNSEEN:
             v = plant.scale * V[-1].conj()
             along = ", ".join(f"{part:.3g}" for part in np.real(v / v[np.abs(v).argmax()]))
-            kind = "detectable" if least else "observable"
+            kind = "a detectable" if least else "an observable"
             raise UserError(
                 f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {shown(complex(mode))} of A^d (along "
-                f"[{along}]), expected a {kind} pair for {why}; measure another output or change a delay."
+                f"[{along}]), expected {kind} pair for {why}; measure another output or change a delay."
             )
