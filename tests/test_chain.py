@@ -10,11 +10,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from reference import chain as ref
 
 import pcbench
-from pcbench import draws, machine, planning, recording, study_file
+from pcbench import draws, machine, planning, recording, sampling, study_file
 from pcbench.observers import chain
+from pcbench.sampling import NEVER
 from pcbench.synthesis import chain as synthesis
 from pcbench.synthesis import shared_lyapunov
 
@@ -163,12 +166,12 @@ def test_designs_equal_the_references(delays):
         ),
     }
     model, X, Y = ref.csth("10s"), START["tank"], np.array([15.9, 0.77, 5.0])  # sizes of states and outputs
-    for options, given in cases.values():
+    for options, other in cases.values():
         overrides = [f"options.chain.{key}={value!r}" for key, value in options.items()]
         overrides.append(f"axes.delay=[{[10.0 * d for d in delays]}]")
         gains = pcbench.design("csth/10s", "chain", overrides=overrides).gains.links
         real = np.flatnonzero(np.asarray(gains.source) > np.asarray(gains.stamp))[::-1]
-        for i, want in zip(real, ref.design(model, delays, **given), strict=True):
+        for i, want in zip(real, ref.design(model, delays, **other), strict=True):
             assert gains.source[i] - gains.stamp[i] == want.d
             for name, left, right in (("F", X, X), ("K", X, Y), ("V", Y, Y), ("W", Y, X)):
                 got, wanted = (M / left[:, None] * right for M in (getattr(gains, name)[i], getattr(want, name)))
@@ -233,3 +236,33 @@ def test_the_papers_condition_is_not_needed():
     links = [link._replace(seen=np.array([0.0])), link]
     assert synthesis.certify(links, np.eye(1), "test").margin == pytest.approx(0.1, abs=1e-6)
     assert not shared_lyapunov.check(links, np.ones(1), "test")["shared_margin"] > 0
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    delays=st.lists(st.integers(0, 9), min_size=3, max_size=3).filter(any),
+    loss=st.floats(0.0, 0.6),
+    pole=st.floats(-0.7, 0.9),
+    seed=st.integers(0, 2**16),
+)
+def test_it_equals_the_reference_for_any_delays_and_losses(delays, loss, pole, seed):
+    """Traced delays and any pattern of losses, a wrong start, D != 0; one compiled program for all examples."""
+    cells, _ = recorded("odd")
+    p, model, rng = cells[0], PLANTS["odd"], np.random.default_rng(seed)
+    N = len(p.problem.inputs) - 1
+    lost = rng.random((N + 1, 3)) < loss
+    sent = [(j, k, NEVER if lost[k, j] else k + delays[j]) for k in range(N + 1) for j in range(3)]
+    plan = sampling.schedule([sampling.Sample(j, k, k, due) for j, k, due in sent], N, 3)
+    known = planning.setting(p.cell)._replace(delay=tuple(delays), reach=9)
+    design = chain.design(known, chain.Options(pole=pole if abs(pole) > 0.05 else 0.05, gain="poles"))
+    xhat0, x0 = rng.standard_normal(4), rng.standard_normal(4)
+    changed = {"schedule": sampling.pad_slots(plan, 3), "xhat0": xhat0, "x0": x0, "noise_std": np.zeros(3)}
+    problem = p.problem._replace(gains=p.problem.gains | {"chain": design.gains}, **changed)
+    with machine.float64():
+        run = jax.tree.map(np.asarray, recording.compiled()(p.layout, problem, np.asarray(0), np.asarray(3)))
+    u = p.problem.inputs
+    _, y = ref.simulate(model, u, x0)
+    links = links_of("odd", p._replace(problem=problem), "chain", delays)
+    heard = ref.received(np.where(lost, np.nan, y), delays)
+    want = ref.chain(model, links, u, heard, delays, xhat0)
+    np.testing.assert_array_less(np.abs(run.estimates["chain"] - want).max(0), 1e-11 * np.abs(want).max(0))

@@ -8,12 +8,9 @@ import time
 
 import pandas as pd
 import pytest
+from commands import call
 
 PCBENCH = [sys.executable, "-m", "pcbench.cli"]
-
-
-def call(*words, cwd=None, **kwargs):
-    return subprocess.run([*PCBENCH, *map(str, words)], capture_output=True, text=True, cwd=cwd, timeout=300, **kwargs)
 
 
 def refused(done):

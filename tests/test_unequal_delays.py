@@ -1,11 +1,10 @@
 """Unequal delays end to end: the printed design, what is refused, and what noise does to each method."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
+from commands import call
 from reference import chain as ref
 from test_chain import START
 
@@ -77,8 +76,7 @@ def test_a_chain_that_cannot_be_is_refused_in_a_sentence(name):
 
 
 def test_the_command_line_says_so_with_exit_code_2_and_writes_nothing(tmp_path):
-    command = [sys.executable, "-m", "pcbench.cli", "run", "csth/10s", "--set", "axes.delay=[[0,0,0]]", "--out", "out"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+    done = call("run", "csth/10s", "--set", "axes.delay=[[0,0,0]]", "--out", "out", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith("pcbench: chain in csth/10s: got no delay in any channel")
     assert not list(tmp_path.iterdir())
@@ -101,8 +99,7 @@ def test_remark_2_certifies_what_grows():
 
 @pytest.mark.slow
 def test_reproduce_chain_from_the_command_line():
-    command = [sys.executable, "-m", "pcbench.cli", "reproduce", "chain", "--json"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = call("reproduce", "chain", "--json")
     verdicts = {row["claim"]: row["verdict"] for row in json.loads(done.stdout)["claims"]}
     for claim, verdict in {
         "#1 converges: consistent plant, 10 s": "holds",
