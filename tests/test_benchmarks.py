@@ -8,6 +8,7 @@ from pathlib import Path
 SCRIPT = Path(__file__).parent.parent / "benchmarks" / "throughput.py"
 
 
+@pytest.mark.slow
 def test_throughput_agrees_with_its_baselines_and_prints_every_row():
     done = subprocess.run(
         [sys.executable, str(SCRIPT), "--quick", "--json"], capture_output=True, text=True, check=False

@@ -178,18 +178,6 @@ def test_designs_equal_the_references(delays):
                 np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-9)
 
 
-def test_a_sample_that_never_arrives_is_replaced_by_the_estimate():
-    d = pcbench.trace("csth/10s-noise", "chain", seed=2, overrides=["axes.loss=0.3"])
-    model, delays = ref.csth("10s"), [2, 5, 7]
-    names = [name for name, _ in pcbench.plants.csth.SIGNALS]
-    u, got = d[["u1", "u2"]].to_numpy(), d[[f"chain.{name}" for name in names]].to_numpy()
-    held = d[["y1", "y2", "y3"]].to_numpy()
-    r = np.where(np.vstack([np.isnan(held[:1]), held[1:] == held[:-1]]), np.nan, held)  # what came is what changed
-    assert np.isnan(r[20:]).mean() > 0.2
-    want = ref.chain(model, ref.design(model, delays), u, r, delays, np.zeros(3))
-    np.testing.assert_array_less(np.abs(got - want).max(0), 1e-10 * np.abs(want).max(0))
-
-
 def test_between_samples_it_follows_the_model():
     """Ten ticks to a sample: the reference at the samples, the held model's motion between them."""
     A, B, C = [[0.0, 1.0], [-2.0, -0.3]], [[0.0], [1.5]], [[1.0, 0.0], [0.0, 1.0]]

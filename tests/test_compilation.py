@@ -7,7 +7,7 @@ import pytest
 
 from pcbench import ensemble, planning, study_file, sweep
 
-AXES = {"sampling_period": [0.1, 0.25, 0.4], "delay": [0.0, 0.2, 0.7], "noise_std": [0.0, 0.5], "drift": [0.0, 1.0]}
+AXES = {"sampling_period": [0.1, 0.25], "delay": [0.0, 0.2, 0.7], "noise_std": [0.0, 0.5], "drift": [0.0, 1.0]}
 
 
 def planned(**axes):
@@ -20,10 +20,10 @@ def test_one_compilation_for_every_period_delay_noise_and_drift():
     before = ensemble.compilations()
     chosen, cells = planned(**AXES)
     done = list(sweep.execute(chosen, cells))
-    assert len(done) == 36
+    assert len(done) == 24
     assert ensemble.compilations() - before == 1
     mae = [d.results["kfbo"]["mae"][0, 0] for d in done]
-    assert len(set(mae)) == 36, "every cell has its own numbers"
+    assert len(set(mae)) == 24, "every cell has its own numbers"
 
 
 def test_gains_are_traced():

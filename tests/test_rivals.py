@@ -5,12 +5,14 @@ The tank with sensors 2, 5 and 7 samples late; other delay vectors; a plant with
 
 from functools import cache
 
+import jax
 import numpy as np
 import pytest
 from reference import chain as ref
 from test_chain import DELAYS, START
 
 import pcbench
+from pcbench import machine, planning, recording, study_file
 from pcbench.scenarios import SCENARIOS
 
 NAMES = ["volume", "enthalpy", "jacket_temperature"]
@@ -29,15 +31,25 @@ def estimates(frame, label, names=NAMES):
     return frame[[f"{label}.{name}" for name in names]].to_numpy()
 
 
+VECTORS = [d for d in DELAYS if d != [4, 4, 4]] + [[2, 2, 2]]
+
+
 @cache
-def traced(*delays):
-    study = {
+def recorded():
+    """Every delay vector, by one compiled program: (inputs, estimates by label)."""
+    axes = {"delay": [[10.0 * d for d in delays] for delays in VECTORS]}
+    raw = {
         "name": "rivals",
         "scenarios": ["csth/10s"],
         "options": LABELS,
-        "axes": {"delay": [[10.0 * d for d in delays]]},
+        "axes": axes,
+        "observers": [*LABELS, "chain"],
     }
-    return pcbench.trace(study, list(LABELS))
+    with machine.float64():
+        cells = planning.plan(study_file.parse(raw, "rivals"))
+        runs = [recording.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)) for p in cells]
+    found = [jax.tree.map(np.asarray, run.estimates) for run in runs]
+    return {tuple(d): (p.problem.inputs, run) for d, p, run in zip(VECTORS, cells, found, strict=True)}
 
 
 def expected(label, u, r, delays):
@@ -51,13 +63,12 @@ def expected(label, u, r, delays):
 
 
 @pytest.mark.parametrize("label", LABELS)
-@pytest.mark.parametrize("delays", [d for d in DELAYS if d != [4, 4, 4]] + [[2, 2, 2]], ids=str)
+@pytest.mark.parametrize("delays", VECTORS, ids=str)
 def test_they_equal_the_reference(label, delays):
-    d = traced(*delays)
-    u = d[["u1", "u2"]].to_numpy()
+    u, found = recorded()[tuple(delays)]
     _, y = ref.simulate(TANK, u, START["tank"])
     want = expected(label, u, ref.received(y, delays), delays)
-    got = estimates(d, label)
+    got = found[label]
     size = np.maximum.accumulate(np.abs(want), 0).max(1)[:, None] * START["tank"] / 2e4  # aligned grows without bound
     assert (np.abs(got - want) < 1e-10 * np.maximum(size, 0.1 * START["tank"])).all()
 
@@ -69,17 +80,13 @@ def test_they_equal_the_reference(label, delays):
         ("equal-delay", 50, [2.4999999732, 2.7097829450e5, 4.3700995126]),
         ("no-delay-plain", 50, [2.1, 2.8633309485e5, 4.8157140620]),
         ("no-delay", 20, [-4.9909949017e-1, -3.2243678333e3, -1.1434965267e1]),
+        ("chain", 5, [1.4999999950, 4.3183484563e4, 6.2595275690e-1]),
+        ("chain", 8, [2.1, 7.9115477771e4, 5.4659753915]),
+        ("chain", 10, [2.5, 1.0126034014e5, 5.5226189110]),
     ],
 )
 def test_the_pages_trajectories_come_out(label, k, printed):
-    np.testing.assert_allclose(estimates(traced(2, 5, 7), label)[k], printed, rtol=6e-11)
-
-
-def test_the_chains_trajectory_comes_out():
-    d = estimates(pcbench.trace("csth/10s", "chain"), "chain")
-    np.testing.assert_allclose(d[5], [1.4999999950, 4.3183484563e4, 6.2595275690e-1], rtol=1e-10)
-    np.testing.assert_allclose(d[8], [2.1, 7.9115477771e4, 5.4659753915], rtol=1e-10)
-    np.testing.assert_allclose(d[10], [2.5, 1.0126034014e5, 5.5226189110], rtol=1e-10)
+    np.testing.assert_allclose(recorded()[2, 5, 7][1][label][k], printed, rtol=1e-10)
 
 
 def test_aligned_starts_perfectly_until_rounding_has_grown():
@@ -107,10 +114,9 @@ def test_those_who_pretend_one_delay_start_perfectly_where_it_is_so():
 
 
 def test_aligned_is_reported_as_diverged_with_its_time_and_the_others_stay_clean():
-    result = pcbench.run("csth/10s", seeds=2)
-    runs = result.runs.groupby("observer")
-    assert runs.diverged.all().to_dict() == {name: name == "no-delay" for name in SCENARIOS["csth/10s"].observers}
-    u = pcbench.trace("csth/10s", "open-loop")[["u1", "u2"]].to_numpy()
+    result = pcbench.run("csth/10s", observers=["chain", "no-delay"], seeds=2)
+    assert result.runs.groupby("observer").diverged.all().to_dict() == {"chain": False, "no-delay": True}
+    u = recorded()[2, 5, 7][0]
     x, y = ref.simulate(TANK, u, START["tank"])
     e = np.abs(x - ref.classic(TANK, u, ref.received(y, [2, 5, 7]), ZERO, K_NONE, [2, 5, 7]))
     first = np.flatnonzero((e > 1e6 * START["tank"]).any(1))[0]
