@@ -163,12 +163,13 @@ def works_on(label: str, s: Scenario, where: str) -> None:
             f"{where}: {label} in {s.name} got {varies}, expected one constant delay: it does not use the age of a "
             f"sample; leave {label} out, or take pccebo, pco or dkf."
         )
-    if takes == "constant delays" and (s.delay_jitter or s.jitter or s.profile != "periodic" or None in s.delay):
-        what = {"delay_jitter": s.delay_jitter, "jitter": s.jitter, "profile": plain("profile", s.profile)}
-        varies = ", ".join(f"{k} {v}" for k, v in what.items() if v and v != "periodic") or f"delay '{INTERVAL}'"
+    if takes == "constant delays" and (s.delay_jitter or s.jitter or s.profile != "periodic"):
+        times = {"a delay_jitter of": s.delay_jitter, "a jitter of": s.jitter}
+        unsteady = [f"{what} {v:g} s" for what, v in times.items() if v]
+        unsteady += [f"the profile {plain('profile', s.profile)}"] if s.profile != "periodic" else []
         raise UserError(
-            f"{where}: {label} in {s.name} got {varies}, expected regular samples of constant ages: it works sample by "
-            f"sample; leave {label} out, or take dkf."
+            f"{where}: {label} in {s.name} got {', '.join(unsteady)}, expected regular samples of constant ages: it works "
+            f"sample by sample; leave {label} out, or take dkf."
         )
     if takes == "one clock" and len(found) > 1:
         raise UserError(

@@ -67,6 +67,7 @@ def setting(cell: Cell) -> Setting:
         s.drift_intensity if s.drift else 0.0,
         irregular.overtaking(clocks, n) if _random(clocks) else sampling.overtaking(sampling.samples(clocks, n)),
         s.process_std or s.assumed_process_std,
+        round(s.assumed_delay_error / s.dt),
         max(-(-late // every) for late, every in zip(delay, period, strict=True)),
         tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )

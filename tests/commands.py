@@ -5,6 +5,7 @@ The fork happens before jax starts its devices, so a command starts as it would 
 
 import json
 import os
+import select
 import subprocess
 import sys
 import tempfile
@@ -22,13 +23,14 @@ for line in sys.stdin:
         print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), flush=True)
         continue
     os.chdir(cwd)
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, path in enumerate(outputs, 1):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
     sys.argv, code = ["pcbench", *words], 1
     try:
         cli.main()
     except SystemExit as done:
-        code = done.code or 0
+        code = done.code if isinstance(done.code, int) else int(done.code is not None)
     except BaseException:
         traceback.print_exc()
     sys.stdout.flush(), sys.stderr.flush()
@@ -48,6 +50,9 @@ def call(*words, cwd=None) -> subprocess.CompletedProcess:
         outputs = [str(Path(folder) / name) for name in ("out", "err")]
         process.stdin.write(json.dumps([given, str(cwd or os.getcwd()), outputs]) + "\n")
         process.stdin.flush()
+        if not select.select([process.stdout], [], [], 300)[0]:
+            process.kill()
+            raise TimeoutError(f"pcbench {' '.join(given)} took more than 300 s")
         code = int(process.stdout.readline())
         out, err = (Path(path).read_text() for path in outputs)
     return subprocess.CompletedProcess(given, code, out, err)

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import chain as ref
@@ -178,22 +179,93 @@ def test_designs_equal_the_references(delays):
                 np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-9)
 
 
-def test_between_samples_it_follows_the_model():
-    """Ten ticks to a sample: the reference at the samples, the held model's motion between them."""
-    A, B, C = [[0.0, 1.0], [-2.0, -0.3]], [[0.0], [1.5]], [[1.0, 0.0], [0.0, 1.0]]
-    lti = {"A": A, "B": B, "C": C, "tick": 0.01, "sampling_period": 0.1, "delay": [0.2, 0.5], "noise_std": 0.0}
-    lti |= {"input": "square", "horizon": 4.0, "x0": [1.0, -2.0]}
-    d = pcbench.trace({"name": "slow", "lti": lti, "options": {"chain": {"pole": 0.4}}}, "chain")
-    got = d[["chain.x1", "chain.x2"]].to_numpy()
-    fine = ref.discretise(np.array(A), np.array(B), 0.01)
-    model = ref.Plant(*ref.discretise(np.array(A), np.array(B), 0.1), np.array(C), np.zeros((2, 1)), 0.1)
+SLOW = ["chain", "chain-riccati", "equal-delay", "no-delay-plain"]
+
+
+def slow(**lti):
+    """Ten ticks to a sample, two sensors, D != 0."""
+    A, B, C, D = [[0.0, 1.0], [-2.0, -0.3]], [[0.0], [1.5]], [[1.0, 0.0], [0.3, 1.0]], [[0.4], [-0.2]]
+    given = {
+        "A": A,
+        "B": B,
+        "C": C,
+        "D": D,
+        "tick": 0.01,
+        "sampling_period": 0.1,
+        "delay": [0.2, 0.5],
+        "noise_std": 0.0,
+    }
+    given |= {"input": "square", "horizon": 4.0, "x0": [1.0, -2.0]}
+    options = {
+        "chain": {"pole": 0.4},
+        "chain-riccati": {"gain": "riccati", "q": 2.0},
+        "no-delay-plain": {"variant": "plain"},
+    }
+    study = {"name": "slow", "lti": given | lti, "options": options | {"no-delay": {"pole": 0.4}}, "observers": SLOW}
+    matrices = [np.array(M) for M in (A, B, C, D)]
+    fine = ref.discretise(matrices[0], matrices[1], 0.01)
+    model = ref.Plant(*ref.discretise(matrices[0], matrices[1], 0.1), *matrices[2:], 0.1)
+    return study, fine, model
+
+
+def expected(label, model, u, r, believed, xhat0):
+    if label == "equal-delay":
+        d = min(believed)
+        K = d**d / (d + 1) ** (d + 1) * model.A @ np.linalg.inv(model.C)
+        return ref.classic(model, u, r, xhat0, K, [d] * 2)
+    if label == "no-delay-plain":
+        return ref.classic(model, u, r, xhat0, (model.A - 0.4 * np.eye(2)) @ np.linalg.inv(model.C), [0, 0])
+    links = ref.design(model, believed, pole=0.4)
+    if label == "chain-riccati":
+        A, b, Q, steps = np.array([[0.0, 1.0], [-2.0, -0.3]]), np.array([[0.0], [1.5]]), np.zeros((2, 2)), 400
+        for i in range(steps):  # noise through the input over a sample, by sums at midpoints
+            E = scipy.linalg.expm(A * 0.1 * (i + 0.5) / steps)
+            Q += 2.0 * E @ b @ b.T @ E.T * 0.1 / steps
+        links = ref.design(model, believed, "riccati", Q=Q, R=1e-12 * np.eye(2))
+    return ref.chain(model, links, u, r, believed, xhat0)
+
+
+def test_between_samples_they_follow_the_model():
+    """The reference at the samples, the held model's motion between them."""
+    study, fine, model = slow()
+    d = pcbench.trace(study, SLOW)
     u = d[["u1"]].to_numpy()
     _, y = ref.simulate(model, u[::10], np.array([1.0, -2.0]))
-    want = ref.chain(model, ref.design(model, [2, 5], pole=0.4), u[::10], ref.received(y, [2, 5]), [2, 5], np.zeros(2))
-    np.testing.assert_allclose(got[::10], want, atol=1e-12)
-    for k in range(400):
-        if (k + 1) % 10:
-            np.testing.assert_allclose(got[k + 1], fine[0] @ got[k] + fine[1] @ u[k], atol=1e-12)
+    for label in SLOW:
+        got = d[[f"{label}.x1", f"{label}.x2"]].to_numpy()
+        want = expected(label, model, u[::10], ref.received(y, [2, 5]), [2, 5], np.zeros(2))
+        rough = 1e-5 if label == "chain-riccati" else 1e-12  # the reference's Q is a sum, its P an iteration
+        np.testing.assert_allclose(got[::10], want, atol=rough, err_msg=label)
+        for k in range(400):
+            if (k + 1) % 10:
+                np.testing.assert_allclose(got[k + 1], fine[0] @ got[k] + fine[1] @ u[k], atol=1e-12)
+
+
+@pytest.mark.parametrize("error", [0.1, -0.1])
+def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(error):
+    """What arrives is believed a sample older or younger than it is; none is believed taken before 0."""
+    study, _, model = slow()
+    off = round(error / 0.1)
+    study |= {"axes": {"assumed_delay_error": [error]}}
+    labels = ["chain", "equal-delay", "no-delay-plain"]
+    d = pcbench.trace(study | {"observers": labels}, labels)
+    u = d[["u1"]].to_numpy()[::10]
+    _, y = ref.simulate(model, u, np.array([1.0, -2.0]))
+    r = ref.received(y, [2, 5])
+    for label in labels:
+        want = expected(label, model, u, r, [2 + off, 5 + off], np.zeros(2))
+        np.testing.assert_allclose(d[[f"{label}.x1", f"{label}.x2"]].to_numpy()[::10], want, atol=1e-11, err_msg=label)
+
+
+def test_sensors_that_repeat_each_other_share_a_gain():
+    """A fast and a slow sensor of one quantity, and three outputs for two states."""
+    for C in ([[1.0, 0.0], [2.0, 0.0]], [[1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]):
+        lti = {"C": C, "D": None, "delay": [0.2, 0.5, 0.5][: len(C)]}
+        study, _, _ = slow(**lti)
+        gains = pcbench.design(study, "chain").gains.links
+        for F in gains.F[np.asarray(gains.source) > np.asarray(gains.stamp)]:
+            poles = np.sort(np.linalg.eigvals(F))
+            np.testing.assert_allclose(poles, [0.36, 0.4] if len(C) == 2 else [0.4, 0.4], rtol=1e-6)
 
 
 @pytest.mark.parametrize("options", [{}, {"pole_per_tick": 0.8}, {"gain": "riccati", "output": "deadbeat"}], ids=str)

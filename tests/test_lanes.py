@@ -6,12 +6,27 @@ import numpy as np
 import pytest
 from jax import lax
 
-from pcbench import lanes
+from pcbench import lanes, packing
 from pcbench.entrywise import over
 
 L, RNG = 5, np.random.default_rng(0)
 M = RNG.normal(size=(3, 3))
 BIG = RNG.normal(size=(12, 12))
+
+
+def ring_of(x, A):
+    """Rows written and read at indices that all lanes share, by loop and by hand, and as a whole afterwards."""
+    ring = jnp.zeros((5, 3)).at[1].set(1.0)
+
+    def step(i, ring):
+        old = lax.dynamic_index_in_dim(ring, (i + 3) % 5, 0, False)
+        return lax.dynamic_update_index_in_dim(ring, A @ x + 0.5 * old + i, (i * 2) % 5, 0)
+
+    ring = step(2, step(1, step(0, ring)))
+    total = lax.scan(lambda total, row: (total + row @ x, total), 0.0, ring)[0]
+    return ring[4] + ring[0] * total + lax.dynamic_index_in_dim(ring, 2, 0, False)
+
+
 FUNCTIONS = {
     "matrix": lambda x, A: A @ x + M @ x,
     "product of lanes": lambda x, A: A @ jnp.outer(x, x) @ A.T + A.T,
@@ -29,6 +44,8 @@ FUNCTIONS = {
         jnp.take(BIG[:, :6].reshape(12, 2, 3), jnp.abs(4 * x[:2]).astype(int), 0, mode="clip")[1, 1] * A[0]
     ),
     "rows of an own table": lambda x, A: jnp.take(A, jnp.abs(x[:2]).astype(int), 0, mode="clip")[1],
+    "one row, shared": lambda x, A: lax.dynamic_index_in_dim(A, jnp.argmax(BIG[0, :3]), 0, False) * x,
+    "a ring": lambda x, A: ring_of(x, A),
     "own entry": lambda x, A: lax.dynamic_index_in_dim(A, jnp.abs(x[0]).astype(int), 0, False) * x,
     "scan with rows": lambda x, A: jnp.concatenate(
         [
@@ -72,3 +89,23 @@ def test_settle_spreads_exactly_what_becomes_different():
 def test_split_and_join_are_inverse():
     x = jnp.arange(24.0).reshape(2, 3, 4)
     np.testing.assert_array_equal(lanes.join(lanes.split(x)), x)
+
+
+def test_a_table_keeps_its_rows_together_and_is_the_same_array():
+    x = jnp.arange(24.0).reshape(3, 2, 4)
+    whole = lanes.table(lanes.split(x))
+    assert (whole.rows, whole.parts.shape, whole.shape) == (3, (2,), (3, 2))
+    np.testing.assert_array_equal(lanes.join(whole), x)
+    np.testing.assert_array_equal(lanes.join(lanes.pick(whole, jnp.array([2, 0]))), x[..., jnp.array([2, 0])])
+    back = lanes.put_back(whole, lanes.pick(whole, jnp.array([1])), jnp.array([3]))
+    np.testing.assert_array_equal(lanes.join(back)[..., 3], x[..., 1])
+
+
+def test_a_packed_memory_with_a_table_is_the_memory():
+    memory = {"ring": lanes.table(lanes.split(jnp.arange(24.0).reshape(3, 2, 4))), "flag": lanes.split(jnp.ones((2, 4), bool)),
+              "moved": lanes.split(jnp.zeros((1, 4)))}  # fmt: skip
+    form = packing.packing(lambda m: m | {"moved": over(lambda v: v + 1)(m["moved"])}, memory)
+    back = form.whole(form.pack(memory))
+    assert back["ring"].rows == 3
+    for name in memory:
+        np.testing.assert_array_equal(lanes.join(back[name]), lanes.join(memory[name]))

@@ -35,7 +35,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"scenarios"},
     {"types", "errors"},
 ]
-NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov",
+NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov", "synthesis.sampled", "synthesis.late",
           "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "statistics",
           "tables", "store", "scenarios", "sampling", "signals", "errors"]  # fmt: skip
 

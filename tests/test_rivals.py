@@ -18,7 +18,7 @@ from pcbench.scenarios import SCENARIOS
 NAMES = ["volume", "enthalpy", "jacket_temperature"]
 TANK, ZERO = ref.csth("10s"), np.zeros(3)
 INV = np.linalg.inv(TANK.C)
-K_NONE, K_HELD = (TANK.A - 1e-4 * np.eye(3)) @ INV, 4 / 27 * TANK.A @ INV
+K_NONE = (TANK.A - 1e-4 * np.eye(3)) @ INV
 LABELS = {
     "equal-delay": {},
     "equal-delay-one": {"variant": "theorem1"},

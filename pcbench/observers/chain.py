@@ -1,7 +1,7 @@
 """The chain observer for unequal measurement delays: each sensor is used as soon as it comes.
 
 With theta_1 < ... < theta_q the distinct delays in samples, link i carries an estimate from its source s = k - theta_i to its
-stamp t = k - theta_(i-1), d_i samples; the links run from the latest sensor to the present, whose estimate is link 1's:
+stamp t = k - theta_(i-1), d_i samples; the links run from the latest sensor to the present, where the nearest one ends:
 
     ybar_i(s)[j] = y_j(s) where tau_j <= theta_i, else yhat_(i+1)(s)[j]
     xhat_i(t) = F_i xhat_i(s) + K_i ybar_i(s) + response to the known input                  (26), F = inv(T) G T, K = inv(T) L
@@ -68,14 +68,17 @@ class Options(BaseModel):
     """How the links' gains and outputs are found."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-    gain: Literal["poles", "companion", "riccati"] = Field("poles", description="F = pole I, the paper's, or Kalman's")
-    pole: Pole = Field(1e-4, description="of each link, but with riccati")
+    gain: Literal["poles", "companion", "riccati"] = Field(
+        "poles",
+        description="each link's: F = pole I (or distinct poles, where C is not invertible), the paper's, Kalman's",
+    )
+    pole: Pole = Field(1e-4, description="of each link, over its d samples; unused by riccati")
     pole_per_tick: Pole | None = Field(None, description="in place of pole: of each sample, r^d for a link")
     output: Literal["updated", "deadbeat"] = Field(
         "updated", description="yhat from the corrected estimate (V = C K), or V = C A^d pinv(C)"
     )
-    q: float = Field(
-        0.0, ge=0, description="riccati: process noise through the input besides the scenario's, per second"
+    q: float | None = Field(
+        None, ge=0, description="riccati: process noise through the input besides the scenario's, per second"
     )
     shared: bool = Field(False, description="also look for one P for all links, the paper's condition (29)")
 
@@ -122,7 +125,7 @@ def links(gains: Gains, memory: Memory) -> Array:
 def _sample(gains: Gains, memory: Memory, j: int, age: Array, expected: Array) -> Array:
     """Channel j's sample of so many samples ago: from its ring, or just arrived; as expected where it has not."""
     sample, new = memory.place.sample - age, age == gains.tau[j]
-    known = jnp.where(new, memory.fresh[j], read(memory.known[j], sample))
+    known = jnp.where(new, memory.fresh[j], read(memory.known[j], sample)) & (sample >= 0)
     return jnp.where(known, jnp.where(new, memory.value[j], read(memory.arrived[j], sample)), expected)
 
 
@@ -145,7 +148,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 
 def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return link 1's estimate, carried on to now, [n]."""
+    """Return the nearest link's estimate, carried on to now, [n]."""
     return memory.place.xbar + memory.place.carried @ links(gains, memory)[-1]
 
 
@@ -157,15 +160,15 @@ def design(setting: Setting, options: Options) -> Design:
     where, plant = f"chain in {setting.scenario}", sampled(setting, "chain", options.q)
     if max(plant.tau) == 0:
         raise UserError(
-            f"{where}: got no delay in any channel, expected one at least: without delays there is nothing to chain; take dkf "
-            "or pccebo."
+            f"{where}: got a (believed) delay of 0 in every channel, expected one above 0: without delays there is nothing "
+            "to chain; take dkf or pccebo."
         )
     per_sample = options.pole_per_tick is not None
     pole = options.pole if options.pole_per_tick is None else options.pole_per_tick
     found = chain.links(plant, options.gain, pole, per_sample, options.output, where)
     certificate = certified(chain.certify(found, plant.C, options.gain), where)
     if options.shared:
-        extra = shared_lyapunov.check(found, plant.scale, where)
+        extra = shared_lyapunov.check(found, plant.scale)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)
     latest_first, theta = found[::-1], np.array(chain.ages(plant.tau)[::-1])
     stacked = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}

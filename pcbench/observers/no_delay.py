@@ -17,9 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.observers import output_error
 from pcbench.observers.sample_by_sample import Pole
-from pcbench.synthesis import chain
+from pcbench.synthesis import chain, late
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
-from pcbench.synthesis.late import one_sample
 from pcbench.synthesis.sampled import by_poles, sampled
 
 OBSERVER = output_error.OBSERVER
@@ -32,7 +31,7 @@ class Options(BaseModel):
     variant: Literal["aligned", "plain"] = Field(
         "aligned", description="samples against their own time, or against now"
     )
-    pole: Pole = Field(1e-4, description="A - K C = pole I")
+    pole: Pole = Field(1e-4, description="A - K C = pole I, or distinct poles where C is not invertible")
 
 
 def design(setting: Setting, options: Options) -> Design:
@@ -40,7 +39,7 @@ def design(setting: Setting, options: Options) -> Design:
     where, plant = f"no-delay in {setting.scenario}", sampled(setting, "no-delay")
     K = by_poles(plant, 1, options.pole, where)
     ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)
-    undelayed, delayed = chain.radius(plant.A - K @ plant.C), chain.radius(one_sample(plant.A, K, plant.C, ages))
+    undelayed, delayed = chain.radius(plant.A - K @ plant.C), late.radius(plant.A, K, plant.C, ages)
     numbers = {"K": K, "radius_without_delays": undelayed, "radius_with_these": delayed}
     certificate = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)
     return Design(output_error.corrected_next(setting, plant.A, K, ages), certified(certificate, where))

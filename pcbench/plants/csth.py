@@ -5,7 +5,7 @@
 linearised, with r = c22 a21 / |a22| (what a litre more, at the same enthalpy, takes off the tank's temperature). Measured are
 the level [mm], the tank's and the jacket's temperature [degC]; inputs are the net inflow [L/s] and the heater's power [W].
 `literal` is what the paper computed with: its continuous-time numbers used as a recursion, without the terms in r and k.
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 4. Different from print: signs restored from the printed design;
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5. Different from print: signs restored from the printed design;
 A31, A32 and A23 = k follow from the balances and are not printed; "3041.5241" is 30411.5241. Ticks are exact under the held
 input.
 """

@@ -1,8 +1,9 @@
 """The chain observer's design as printed, entry by entry, and where the print contradicts itself.
 
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5. Signs were lost in print and T is printed to two or three digits,
-so magnitudes are compared, within 6 % or half a unit of the last printed digit. The design follows from the printed T by (8):
-L = (T A^d - G T) inv(C), H_i = T A^i B; Q_j = C A^(j-1) B; of V the entries that do not depend on signs, of C A^d inv(C).
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5. Signs are lost in the text at hand and T is printed to two or
+three digits, so magnitudes are compared, within 6 % or half a unit of the last printed digit. The design follows from the
+printed T by (8): L = (T A^d - G T) inv(C), H_i = T A^i B; Q_j = C A^(j-1) B; of V the entries that do not depend on signs, of
+C A^d inv(C).
 """
 
 from typing import NamedTuple
@@ -56,7 +57,7 @@ PRINTED = {
 }
 
 
-GARBLED = {(1, "H0", 0): "6.21.6e-3", (2, "L", 8): "1 x 9"}  # as they stand in print, for what is meant above
+GARBLED = {(1, "H0", 0): "6.21.6e-3", (2, "L", 8): "1 x 9"}  # as they stand in the text, for what is read above
 
 
 def claims() -> list[Claim]:
@@ -91,8 +92,8 @@ def _entries() -> list[Claim]:
             value, wide = abs(found[name].ravel()[i]), found[name].shape[1]
             if float(word) == 0 and value < 1e-12:
                 continue
-            shown = GARBLED.get((number, name, i), word)
-            verdict = "reproduced" if close(word, value) and shown == word else "misprint"
+            shown = f"{GARBLED[number, name, i]}, read {word}" if (number, name, i) in GARBLED else word
+            verdict = "reproduced" if close(word, value) else "misprint"
             digits = max(3, len(word.partition("e")[0].replace(".", "").lstrip("0")))
             place = f"chain {number}: |{name}({i // wide + 1},{i % wide + 1})|"
             out.append(Claim(place, shown, f"{value:.{digits}g}", verdict))

@@ -41,9 +41,11 @@ def _claims() -> list[Claim]:
         radius = float(bench.design(scenario, "chain").certificate.numbers["radius_of_one_sample"])
         text = f"enthalpy off by {e['chain'][0]:.0f} J at first, {e['chain'][10]:.1e} J after 10 samples (radius {radius:.4f})"
         out.append(statement(f"#1 converges: {what}", "in 10 s", text, bool(e["chain"][10] < 1e-3 * e["chain"][0])))
-        text = f"mean |e| of enthalpy {e['equal-delay'][100:].mean():.3g} J from sample 100 on"
-        biased = e["equal-delay"][100:].mean() > 1e3 * e["chain"][100:].mean()
-        out.append(statement(f"#2 (one delay of 2) is biased: {what}", "biased, slow", text, bool(biased)))
+        share = e["equal-delay"][100:].mean() / np.abs(x[100:, 1]).mean()
+        slow = float(bench.design(scenario, "equal-delay").certificate.numbers["radius"])
+        text = f"enthalpy off by {100 * share:.2g} % of its size, radius {slow:.3f} (a stand-in: [21] is not printed)"
+        claim = f"#2 (one delay of 2) is biased and slow: {what}"
+        out.append(statement(claim, "biased, slow", text, bool(share > 0.01 and slow > 0.5)))
         numbers = bench.design(scenario, "no-delay").certificate.numbers
         text = f"radius {numbers['radius_with_these']:.4f}, |e| of enthalpy {e['no-delay'][-1]:.1e} J at the end"
         out.append(
@@ -63,9 +65,8 @@ def _claims() -> list[Claim]:
 
 
 def _noise() -> list[Claim]:
-    """What the paper leaves out: noise. Least possible over actual root-mean-square error, enthalpy, samples 200 to 300."""
-    observers = ["chain", "chain-riccati", "equal-delay", "dkf"]
-    result = bench.run("csth/10s-noise", observers=observers, seeds=SEEDS)
+    """What the paper leaves out: noise. Least possible over actual root-mean-square error of enthalpy, samples 100 to 300."""
+    result = bench.run("csth/10s-noise", observers=["chain", "chain-riccati"], seeds=SEEDS)
     rows = result.stats.query("signal == 'enthalpy' and metric == 'efficiency'").set_index("observer")
     out = []
     for name, what in (("chain", "printed poles"), ("chain-riccati", "Riccati gains, deadbeat outputs")):

@@ -35,9 +35,7 @@ class Scenario(NamedTuple):
     delay_jitter: float = 0.0  # s, a sample arrives up to this much later
     loss: float = 0.0  # probability that a sample never arrives
     process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick; empty: none
-    assumed_noise_std: tuple[
-        float, ...
-    ] = ()  # [q] what designers assume of channels without noise; empty: next to none
+    assumed_noise_std: tuple[float, ...] = ()  # [q] what designers assume of channels without noise; empty: none
     assumed_process_std: tuple[float, ...] = ()  # [n] what designers assume where no noise is added; empty: none
     assumed_delay_error: float = 0.0  # s, observers believe samples to be so much older than they are
     parameters: Mapping[str, Any] = MappingProxyType({})  # of the plant, where not its own: what observers do not know

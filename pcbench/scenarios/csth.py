@@ -1,7 +1,7 @@
 """The stirred tank heater with sensors that answer after 2, 5 and 7 samples.
 
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 4. Decided where the paper is silent (the figure of the inputs is
-lost): square waves about 0 of 40 and 60 samples, x(0) = (0.5 L, 2e4 J, 5 degC) with xhat(0) = 0, 200 samples, tail from the
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5. Decided where the text has no numbers (the inputs are in a figure
+only): square waves about 0 of 40 and 60 samples, x(0) = (0.5 L, 2e4 J, 5 degC) with xhat(0) = 0, 200 samples, tail from the
 100th. `literal` is the paper's recursion of continuous-time numbers; `1s` and `10s` are the physical plant, sampled exactly.
 A run has diverged when an error exceeds a million times the initial one. The settling band is 5 % of the initial error. Where
 there is no noise, designers take that of `10s-noise`.
@@ -12,7 +12,7 @@ from typing import Any
 
 from pcbench.scenarios.base import Scenario
 
-PAPER = "Alipouri, Zhong 2021, section 4"
+PAPER = "Alipouri, Zhong 2021, section 5"
 DELAYS = (2, 5, 7)  # samples
 NOISE = (1.0, 0.1, 0.1)  # mm, degC, degC
 ROUGHNESS = (1e-3, 50.0, 5e-3)  # process noise: standard deviation over one second

@@ -43,9 +43,8 @@ class Setting(NamedTuple):
     input_intensity: float  # process noise through the input that a designer assumes, per second
     overtaking: int = 0  # K: how many newer samples may arrive before one
     process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick, as assumed; empty: none
-    reach: int = (
-        0  # the longest delay [samples] that a memory must span; with `overtaking`, the most of a study's cells
-    )
+    error: int = 0  # [ticks] the believed delay less the true one
+    reach: int = 0  # [samples] the longest delay; it and `overtaking` are the most of a study's cells
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 
     @property

@@ -24,7 +24,8 @@ from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.sampled import Sampled, by_poles, invertible, noise_over, power, require_seen
 
-LARGEST = 600  # of the map of one sample; beyond, its radius is taken from the links, which is the same
+LARGEST = 600  # rows of the map of one sample; beyond, its radius is taken from the links, which is the same
+ROUNDING = 1e-6  # the radius of an F is known to no better: it may be a multiple one
 
 
 class Link(NamedTuple):
@@ -126,13 +127,13 @@ def radius(M: Matrix) -> float:
 def certify(chain: list[Link], C: Matrix, how: str) -> Certificate:
     """Say how far inside the unit circle the map of one sample stands; NaN where its radius is not that of its links."""
     numbers: dict[str, Any]
-    rate = max(radius(link.F) ** (1 / link.d) for link in chain if link.d)
-    exact = radius(one_sample(chain, C)) if len(C[0]) * sum(link.d for link in chain) <= LARGEST else rate
-    vanishing = rate < 1e-2 and exact < 0.5  # eigenvalues of a nearly nilpotent map are known to a digit at most
-    same = abs(exact - rate) <= 1e-2 * rate or vanishing
+    real = [link for link in chain if link.d]
+    rate = max(radius(link.F) ** (1 / link.d) for link in real)
+    exact = radius(one_sample(chain, C)) if len(C[0]) * sum(link.d for link in real) <= LARGEST else rate
+    known = max(max(radius(link.F), ROUNDING) ** (1 / link.d) for link in real)  # an F of 0 is one of rounding
+    same = 0.99 * rate <= exact <= 1.01 * known
     numbers = {"radius_of_one_sample": exact, "largest_rho_F_to_1_over_d": rate}
-    for i, link in enumerate(chain):
-        if link.d:
-            numbers |= {f"{name}{i + 1}": getattr(link, name) for name in ("d", "F", "K", "V", "W")}
+    for i, link in enumerate(real):
+        numbers |= {f"{name}{i + 1}": getattr(link, name) for name in ("d", "F", "K", "V", "W")}
     margin = 1 - max(exact, rate) if same else float("nan")
     return Certificate("radius of the errors' map over one sample < 1", margin, how, "computed", numbers)

@@ -19,6 +19,7 @@ from pcbench.synthesis.observability import shown
 power = np.linalg.matrix_power
 UNSEEN = 1e-8  # a scaled mode is not seen where C shows less than this of it
 STAYS = 1 - 1e-9  # a mode of at least this size does not decay
+GROWS = 100.0  # powers of ten: what a model may grow by over a delay
 
 
 class Sampled(NamedTuple):
@@ -34,38 +35,50 @@ class Sampled(NamedTuple):
     sizes: Matrix  # [q] size of each output
 
 
-def sampled(setting: Setting, observer: str, q: float = 0.0) -> Sampled:
-    """Return the plant at its samples; `q` adds process noise through the input, per second.
+def sampled(setting: Setting, observer: str, q: float | None = None) -> Sampled:
+    """Return the plant at its samples; `q` is process noise through the input, per second (default: the setting's).
 
-    Raises UserError where channels differ in period or a delay is not a whole number of samples.
+    Raises UserError where channels differ in period, a delay is not a whole number of samples, or the model overflows over it.
     """
-    where, periods = f"{observer} in {setting.scenario}", set(setting.period)
-    if len(periods) > 1:
-        seconds = ", ".join(f"{p * setting.dt:g}" for p in setting.period)
-        raise UserError(
-            f"{where}: got sampling periods of {seconds} s, expected the same for all channels: it works sample by sample; "
-            "give one period, or take dkf."
-        )
-    period = periods.pop()
-    for j, delay in enumerate(setting.delay):
-        if delay % period:
-            low = delay // period * period * setting.dt
-            raise UserError(
-                f"{where}: got a delay of {delay * setting.dt:g} s in channel {j + 1} at a sampling period of "
-                f"{period * setting.dt:g} s, expected whole samples; write {low:g} or {low + period * setting.dt:g}, or "
-                "take dkf."
-            )
-    model = setting.model
-    tick = linear.input_noise(model, q, setting.dt) + setting.process_noise
+    where, period = f"{observer} in {setting.scenario}", _whole_samples(setting, f"{observer} in {setting.scenario}")
+    model, tau = setting.model, tuple(delay // period for delay in setting.delay)
+    tick = linear.input_noise(model, setting.input_intensity if q is None else q, setting.dt) + setting.process_noise
     doubled = linear.doublings(model, setting.dt, linear.bits_for(period))
     noise = linear.noise_doublings(model, tick, setting.dt, len(doubled))
     A, Q = linear.over(doubled, period), linear.noise_over(doubled, noise, period)
+    fastest = float(np.abs(np.linalg.eigvals(A)).max())
+    if max(tau) * np.log10(max(fastest, 1e-300)) > GROWS:
+        raise UserError(
+            f"{where}: got a model that grows by {fastest:.3g} a sample over a delay of {max(tau)} samples, expected less than "
+            f"1e{GROWS:.0f} in all; shorten the delay."
+        )
     scale = np.sqrt(np.diag(setting.P0))
     scale = np.where(scale > 0, scale, 1.0)
     sizes = np.linalg.norm(model.C * scale, axis=1)
     R = setting.noise_variance
     sizes = np.where(R > NO_NOISE, np.sqrt(R), np.where(sizes > 0, sizes, 1.0))
-    return Sampled(A, model.C, Q, np.diag(R), tuple(d // period for d in setting.delay), period, scale, sizes)
+    return Sampled(A, model.C, Q, np.diag(R), tau, period, scale, sizes)
+
+
+def _whole_samples(setting: Setting, where: str) -> int:
+    """Return the period in ticks; raise UserError where times are not whole samples."""
+    periods, dt, error = set(setting.period), setting.dt, setting.error
+    if len(periods) > 1:
+        seconds = ", ".join(f"{p * dt:g}" for p in setting.period)
+        raise UserError(
+            f"{where}: got sampling periods of {seconds} s, expected the same for all channels: it works sample by sample; "
+            "give one period, or take dkf."
+        )
+    period = periods.pop()
+    times = {f"a delay of {{}} s in channel {j + 1}": delay - error for j, delay in enumerate(setting.delay)}
+    for what, ticks in (times | {"an assumed_delay_error of {} s": error}).items():
+        if ticks % period:
+            low = ticks // period * period * dt
+            raise UserError(
+                f"{where}: got {what.format(f'{ticks * dt:g}')} at a sampling period of {period * dt:g} s, expected whole "
+                f"samples; write {low:g} or {low + period * dt:g}, or take dkf."
+            )
+    return period
 
 
 def noise_over(plant: Sampled, d: int) -> Matrix:
@@ -75,29 +88,40 @@ def noise_over(plant: Sampled, d: int) -> Matrix:
 
 
 def invertible(C: Matrix) -> bool:
-    """Say whether the outputs give the state at once."""
+    """Say whether the outputs give the state at once, without one to spare."""
     return C.shape[0] == C.shape[1] and bool(np.linalg.matrix_rank(C) == len(C))
 
 
 def by_poles(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
-    """Return K [n, q] with A^d - K C = pole I where C is invertible; else its poles are pole (1, 0.9, 0.8, ...)."""
+    """Return K [n, q] with A^d - K C = pole I where the outputs give the state; else its poles are pole (1, 0.9, 0.8, ...).
+
+    With n > 9 states they are closer together. Outputs that repeat each other share a gain.
+    """
     Ad, n = power(plant.A, d), len(plant.A)
     if invertible(plant.C):
         return np.asarray((Ad - pole * np.eye(n)) @ np.linalg.inv(plant.C))
-    require_seen(plant, d, where, least=0.0, why="placing poles")
-    wanted = pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n))
-    if pole == 0:
-        raise UserError(
-            f"{where}: got a pole of 0 with {len(plant.C)} outputs for {n} states, expected another: distinct poles are "
-            "placed there; write a small one, such as 1e-4."
-        )
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
-            placed = place_poles(Ad.T, plant.C.T, wanted)
-    except ValueError as error:
-        raise DesignError(f"{where}: the poles were not placed: SciPy said '{error}'; take another pole.") from error
-    return np.asarray(placed.gain_matrix.T, float)
+    A, C = Ad / plant.scale[:, None] * plant.scale, plant.C / plant.sizes[:, None] * plant.scale
+    _, s, V = np.linalg.svd(C, full_matrices=False)
+    M = V[s > 1e-9 * max(s[0], 1e-300)]  # independent outputs: C = C pinv(M) M
+    if len(M) == n:
+        G = (A - pole * np.eye(n)) @ np.linalg.inv(M)
+    else:
+        require_seen(plant, d, where, least=0.0, why="placing poles")
+        if pole == 0:
+            raise UserError(
+                f"{where}: got a pole of 0 with {len(M)} independent outputs for {n} states, expected another: distinct poles "
+                "are placed there; write a small one, such as 1e-4."
+            )
+        wanted = pole * (1 - min(0.1, 1 / (n + 1)) * np.arange(n))
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
+                G = np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float)
+        except ValueError as error:
+            raise DesignError(
+                f"{where}: the poles were not placed: SciPy said '{error}'; take another pole."
+            ) from error
+    return np.asarray(G @ np.linalg.pinv(C @ M.T) * plant.scale[:, None] / plant.sizes, float)
 
 
 def require_seen(plant: Sampled, d: int, where: str, least: float = STAYS, why: str = "its design") -> None:

@@ -3,7 +3,8 @@
     (1 + e) F_i' P F_i + N_i (1 + 1/e) sum_{j > i} Phi_ij' P Phi_ij - P < 0   for every link i, N_i links before it     (29)
     Phi_ij = K_i U_i V_(i+1) U_(i+1) ... W_j,   U_i picks the channels that link i takes from the link before
 
-It is sufficient at most and not needed: the cascade is block triangular, so rho(F_i) < 1 decides. Here e, which the paper
+Checked at T_i = I for every link: in print the G_i stand in the coordinates of their T_i. It is sufficient at most and not
+needed: the cascade is block triangular, so rho(F_i) < 1 decides. Here e, which the paper
 sets by norms, is searched for: the least e that (29) can have differs by units, and norms of mixed units mean nothing.
 Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 3 and Appendix B; Remark 2, which would make it necessary to use
 Theorem 2 when A_0 = 0, certifies an unstable system and is not used.
@@ -34,7 +35,7 @@ def couplings(chain: list[Link]) -> list[list[Matrix]]:
     return out
 
 
-def check(chain: list[Link], scale: Matrix, where: str, solver: str = "CLARABEL") -> dict[str, Any]:
+def check(chain: list[Link], scale: Matrix, solver: str = "CLARABEL") -> dict[str, Any]:
     """Search e for the largest t with (29) <= -t I and t I <= P <= I, at the scale of x(0); report, never refuse.
 
     Returns `shared_margin`, re-checked by eigenvalues (positive: (29) holds; NaN: no answer), `shared_epsilon`, `shared_P`.
