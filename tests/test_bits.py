@@ -47,7 +47,11 @@ def test_one_device_equals_two(alone):
     same(alone, results(SEVEN, devices=1)["cart/gaussian-fast0"], 0)
 
 
-@pytest.mark.parametrize("observers", [["pccebo"], ["kfbo"], ["dkf"], ["open-loop"], ["kfbo", "pccebo"]], ids=str)
+EACH = [["dkf"], ["kfbo", "pccebo"]]
+MORE = [pytest.param([name], marks=pytest.mark.slow) for name in ("pccebo", "kfbo", "open-loop")]
+
+
+@pytest.mark.parametrize("observers", [*EACH, *MORE], ids=str)
 def test_alone_equals_without_the_other_observers(alone, observers):
     only = results(SEVEN, observers=observers)["cart/gaussian-fast0"]
     same(only, alone, 0, observers)

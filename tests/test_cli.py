@@ -201,7 +201,7 @@ def test_reproduce_prints_every_claim_with_a_verdict():
 
 def test_ctrl_c_leaves_complete_files_only(tmp_path):
     out = tmp_path / "out"
-    words = [*PCBENCH, "run", "cart", "--seeds", "60000", "--out", str(out)]
+    words = [*PCBENCH, "run", "cart", "--seeds", "16000", "--out", str(out)]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     for _ in range(1200):
         if list(out.rglob("*.parquet")) or process.poll() is not None:
@@ -215,6 +215,6 @@ def test_ctrl_c_leaves_complete_files_only(tmp_path):
     found = list(out.rglob("*.parquet"))
     assert found
     for path in found:
-        assert len(pd.read_parquet(path)) == 2 * 60000
+        assert len(pd.read_parquet(path)) == 2 * 16000
     assert not (out / "stats.parquet").exists()
     assert not [p for p in out.rglob("*") if "partial" in p.name]

@@ -42,6 +42,7 @@ def test_the_study_runs_as_written(tmp_path):
     assert tomllib.loads(text)["name"] == "noise-map"
 
 
+@pytest.mark.slow
 def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
     (text,) = [b for b in blocks("toml") if '"motor"' in b]
     path = tmp_path / "motor.toml"
