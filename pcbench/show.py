@@ -104,10 +104,15 @@ def _scenario(
             shown += [_settled(row.loc["settling_time"], scenario.horizon)]
             if lost:
                 shown += [str(int(row.loc["mae"]["diverged"]))]
-            place = [str(cell[a].iloc[0]) if best else "" for a in axes]
+            place = [_axis(cell[a].iloc[0]) if best else "" for a in axes]
             table.add_row(*place, f"[bold]{observer}[/bold]" if best else observer, *shown)
         table.add_section()
     console.print(table)
+
+
+def _axis(value: Any) -> str:
+    """A value of an axis; one for each channel with commas."""
+    return ", ".join(f"{v:g}" for v in value) if isinstance(value, np.ndarray) else str(value)
 
 
 def _table(title: str) -> Table:

@@ -77,12 +77,10 @@ def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
     return SCENARIOS if study.lti is None else SCENARIOS | {OWN: study.lti.scenario(OWN, f"{where or study.name}: lti")}
 
 
-def named(study: Study, label: str) -> bool:
-    """Say whether a label names an observer: its own name, or name-anything with options (study's or scenario's) under it."""
-    given = {key for s in scenarios_of(study).values() if s.name in study.scenarios for key in s.options} | set(
-        study.options
-    )
-    return label in OBSERVERS or (base_of(label) is not None and label in given)
+def labels_of(study: Study) -> list[str]:
+    """Return what names an observer: its own name, or name-anything with options (study's or scenario's) under it."""
+    given = [key for s in scenarios_of(study).values() if s.name in study.scenarios for key in s.options]
+    return list(dict.fromkeys([*OBSERVERS, *(key for key in [*given, *study.options] if base_of(key) is not None)]))
 
 
 def observers_of(study: Study, scenario: str) -> list[str]:

@@ -14,7 +14,17 @@ from pcbench.cells import cells
 from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import OWN, STUDIES, Study, checked_options, named, observers_of, options_of, scenarios_of, sentence
+from pcbench.study import (
+    OWN,
+    STUDIES,
+    Study,
+    checked_options,
+    labels_of,
+    observers_of,
+    options_of,
+    scenarios_of,
+    sentence,
+)
 
 
 def load(what: str, overrides: list[str] | None = None) -> Study:
@@ -51,8 +61,8 @@ def parse(raw: dict[str, Any], where: str) -> Study:
             raise unknown(f"{where}: scenarios", "scenario", name, known)
     _unique(study.scenarios, f"{where}: scenarios")
     for name in study.observers or []:
-        if not named(study, name):
-            raise unknown(f"{where}: observers", "observer", name, OBSERVERS)
+        if name not in labels_of(study):
+            raise unknown(f"{where}: observers", "observer", name, labels_of(study))
     if study.observers is not None:
         _unique(study.observers, f"{where}: observers")
         if not study.observers:
@@ -72,7 +82,9 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         raw = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
-        raise UserError(f"{path}: cannot be read ({error}); expected a TOML file that describes a study.") from None
+        raise UserError(
+            f"{path}: cannot be read ({getattr(error, 'strerror', None) or error}); expected a TOML file that describes a study."
+        ) from None
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{path}: is not valid TOML: {error}; mend that line.") from None
     raw.pop("resolved", None)
