@@ -8,8 +8,8 @@ from functools import cache
 import jax
 import numpy as np
 import pytest
+from chains import DELAYS, START
 from reference import chain as ref
-from test_chain import DELAYS, START
 
 import pcbench
 from pcbench import machine, planning, recording, study_file

@@ -4,9 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from chains import START
 from commands import call
 from reference import chain as ref
-from test_chain import START
 
 import pcbench
 from pcbench import cells, ensemble, study_file

@@ -108,10 +108,8 @@ def links(gains: Gains, memory: Memory) -> Array:
     k, C, channels = memory.place.sample, gains.model.C, range(gains.model.C.shape[0])
 
     def link(before: tuple[Array, Array], own: Link) -> tuple[tuple[Array, Array], Array]:
-        z, there = (
-            read(memory.past, k - own.source),
-            own.source > own.stamp,
-        )  # one over no samples passes on what it is given
+        there = own.source > own.stamp  # a link over no samples passes on what it is given
+        z = read(memory.past, k - own.source)
         expected = C @ z
         y = jnp.stack([_sample(gains, memory, j, own.source, expected[j]) for j in channels])
         ybar = jnp.where(own.seen > 0, y, before[1])

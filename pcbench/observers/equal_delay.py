@@ -18,6 +18,7 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from pcbench.errors import UserError
 from pcbench.observers import output_error
 from pcbench.observers.sample_by_sample import Pole
 from pcbench.synthesis import chain, late
@@ -47,6 +48,11 @@ def design(setting: Setting, options: Options) -> Design:
     else:
         K = d**d / (d + 1) ** (d + 1) * A @ np.linalg.pinv(plant.C)
         rate = late.radius(A, K, plant.C, (d,) * len(plant.tau))
+        if np.isnan(rate):
+            raise UserError(
+                f"{where}: got a believed delay of {d} samples for {len(A)} states, expected at most "
+                f"{late.LARGEST // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
+            )
         gains = output_error.corrected_next(setting, A, K, (d,) * len(plant.tau))
     what = f"radius of the errors' map < 1, if every delay were {d} samples"
     certificate = Certificate(what, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d})

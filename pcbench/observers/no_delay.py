@@ -13,6 +13,7 @@ for `aligned` until rounding has grown by its radius.
 
 from typing import Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.observers import output_error
@@ -40,6 +41,7 @@ def design(setting: Setting, options: Options) -> Design:
     K = by_poles(plant, 1, options.pole, where)
     ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)
     undelayed, delayed = chain.radius(plant.A - K @ plant.C), late.radius(plant.A, K, plant.C, ages)
-    numbers = {"K": K, "radius_without_delays": undelayed, "radius_with_these": delayed}
+    numbers = {"K": K, "radius_without_delays": undelayed}
+    numbers |= {"radius_with_these": delayed} if np.isfinite(delayed) else {}  # too long a delay: not computed
     certificate = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)
     return Design(output_error.corrected_next(setting, plant.A, K, ages), certified(certificate, where))
