@@ -17,7 +17,7 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import matrix_balance, solve_discrete_are
 
 from pcbench.errors import DesignError
 from pcbench.synthesis.certificate import Certificate
@@ -25,7 +25,6 @@ from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.sampled import Sampled, by_poles, invertible, noise_over, power, require_seen
 
 LARGEST = 600  # rows of the map of one sample; beyond, its radius is taken from the links, which is the same
-ROUNDING = 1e-6  # the radius of an F is known to no better: it may be a multiple one
 
 
 class Link(NamedTuple):
@@ -124,14 +123,22 @@ def radius(M: Matrix) -> float:
     return float(np.abs(np.linalg.eigvals(M)).max())
 
 
+def rounding(F: Matrix) -> float:
+    """How well the radius of F is known in float64 where its n poles are one: ten times eps^(1/n) of its balanced norm."""
+    balanced, _ = matrix_balance(F)
+    return float(10 * np.finfo(float).eps ** (1 / len(F)) * np.linalg.norm(balanced, 2))
+
+
 def certify(chain: list[Link], C: Matrix, how: str) -> Certificate:
     """Say how far inside the unit circle the map of one sample stands; NaN where its radius is not that of its links."""
     numbers: dict[str, Any]
     real = [link for link in chain if link.d]
     rate = max(radius(link.F) ** (1 / link.d) for link in real)
     exact = radius(one_sample(chain, C)) if len(C[0]) * sum(link.d for link in real) <= LARGEST else rate
-    known = max(max(radius(link.F), ROUNDING) ** (1 / link.d) for link in real)  # an F of 0 is one of rounding
-    same = 0.99 * rate <= exact <= 1.01 * known
+    low, high = (
+        max(max(radius(link.F) + side * rounding(link.F), 0) ** (1 / link.d) for link in real) for side in (-1, 1)
+    )
+    same = low * (1 - 1e-6) <= exact <= high * (1 + 1e-6)
     numbers = {"radius_of_one_sample": exact, "largest_rho_F_to_1_over_d": rate}
     for i, link in enumerate(real):
         numbers |= {f"{name}{i + 1}": getattr(link, name) for name in ("d", "F", "K", "V", "W")}
