@@ -4,8 +4,9 @@ Doublings: entry b belongs to 2^b ticks. Noise over 2^b ticks follows by Q_2b = 
 never by one matrix exponential over a long interval, which overflows silently (Van Loan's at 0.6 s on the cart).
 """
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,13 +16,19 @@ Matrix = NDArray[np.float64]
 
 
 class Model(NamedTuple):
-    """A linear model with a held input: x' = A x + B u, y = C x + D u; where `discrete`, x one tick later is A x + B u."""
+    """A linear model with a held input: x' = A x + B u, y = C x + D u; where `discrete`, x one tick later is A x + B u.
+
+    What is pushed by an unknown input as well, x' = A x + B u + E f, has E; f = known(x) + input, where a part of f is a known
+    function of the state.
+    """
 
     A: Matrix  # [n, n] 1/s (discrete: per tick)
     B: Matrix  # [n, m]
     C: Matrix  # [q, n]
     D: Matrix | None = None  # [q, m]; None: zero
     discrete: bool = False
+    E: Matrix | None = None  # [n, r]; None: no unknown input
+    known: Callable[[Any], Any] | None = None  # x[n] -> [r], a jax.tree_util.Partial with its numbers; None: no part
 
     @property
     def feedthrough(self) -> Matrix:
