@@ -36,7 +36,8 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"types", "errors"},
 ]
 NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov", "synthesis.sampled", "synthesis.late",
-          "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "statistics",
+          "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "synthesis.unknown_input",
+          "synthesis.sliding_mode", "synthesis.pi_lmi", "statistics",
           "tables", "store", "scenarios", "sampling", "signals", "errors"]  # fmt: skip
 
 

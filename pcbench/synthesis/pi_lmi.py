@@ -1,0 +1,114 @@
+"""The gains of a proportional-integral observer by LMI: the least that prove a rate of decay beta.
+
+With v = KP s + w, w' = KI s + xi sgn(s), and A22s = 0 the error [ebar1; s; s'] moves by Ab - Bb K,
+
+    Ab = [A11b, 0, 0; 0, 0, I; A21 A11b, 0, 0],  Bb = [0; 0; I],  K = [0, KI, KP],  A11b = A11 - L1 A211  (37), (39), (42)
+    Q Ab' + Ab Q - LL'Bb' - Bb LL + 2 beta Q <= 0,   Q = inv(P) = blkdiag(Q1, [Q21, Q23; Q23, Q22])       (38), (40)
+    minimise g:   ||LL|| <= g,  Q >= I,   LL = K Q = [0, LI, LP]                                          (52)
+
+less xi sgn(s) and f', which enter by Bb. Q21, Q22, Q23 are diagonal and Q23 <= 0: then P has the same form with
+P23 >= 0, which Proposition 2 needs for sgn(s), element by element. The first block column of LL is zero; were it free, the
+gains would be of no use. The norm is spectral; g is printed as gamma.
+Source: Peng 2017, Proposition 2. L1 is given, by the design of the sliding-mode observer. A11b is a block of the map, so
+beta has to lie below its slowest decay: not said in print. Strict inequalities are closed, see `sliding_mode`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from pcbench.errors import UserError
+from pcbench.synthesis import cache, unknown_input
+from pcbench.synthesis.certificate import Certificate
+from pcbench.synthesis.linear import Matrix
+from pcbench.synthesis.unknown_input import Split
+
+
+class Found(NamedTuple):
+    """A solver's answer, as it came."""
+
+    KP: Matrix  # [p, p]
+    KI: Matrix  # [p, p]
+    P: Matrix  # [n+p, n+p], of [ebar1; s; s']
+    g: float  # ||K inv(P)||
+    status: str
+    solver: str
+
+
+def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLARABEL") -> Found:
+    """Find the least gains that prove beta [1/s] beside L1 [n-p, p-r]; remembered.
+
+    Raises UserError where what L1 leaves decays no faster than beta, DesignError where the solver has no answer.
+    """
+    A11b = plant.A11 - L1 @ plant.A211
+    least = -float(np.linalg.eigvals(A11b).real.max())
+    if not beta < least:
+        raise UserError(
+            f"{where}: got a rate beta of {beta:.4g} 1/s, expected less than the {least:.4g} 1/s at which A11 - L1 A211 "
+            "decays; ask for a slower beta or a faster L1."
+        )
+    name, problem = f"pi-observer-{solver.lower()}", (A11b, plant.A21, np.array([beta]))
+    return cache.remembered(Found, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))
+
+
+def closed_loop(plant: Split, L1: Matrix, KP: Matrix, KI: Matrix) -> Matrix:
+    """Return the map [n+p, n+p] of the rate of [ebar1; s; s'] where xi and f' are zero, Ab - Bb K."""
+    Ab, Bb = _open_loop(plant.A11 - L1 @ plant.A211, plant.A21)
+    return Ab - Bb @ np.hstack([np.zeros_like(plant.A21), KI, KP])
+
+
+def certify(found: Found, plant: Split, L1: Matrix) -> Certificate:
+    """Re-check the LMI at the gains themselves: the margin is the rate [1/s] that P proves; NaN where P is not of its form."""
+    KP, KI, P = (np.asarray(M, float) for M in found[:3])
+    what = "A'P + P A + 2 rate P <= 0, A = Ab - Bb K, P = blkdiag(P1, [P21, P23; P23, P22]), P23 >= 0"
+    unproven, (p, k) = Certificate(what, float("nan"), found.solver, found.status), plant.A21.shape
+    if [M.shape for M in (KP, KI, P)] != [(p, p), (p, p), (k + 2 * p, k + 2 * p)] or not _formed(P, k, p):
+        return unproven
+    margin = unknown_input.proven_rate(closed_loop(plant, L1, KP, KI), P)
+    if np.isnan(margin):
+        return unproven
+    K = np.hstack([np.zeros_like(plant.A21), KI, KP])
+    g = float(np.linalg.norm(np.linalg.solve(P, K.T), 2))
+    numbers = {"L1": L1, "KP": KP, "KI": KI, "P": P, "g": g, "rate_proven": margin}
+    return unproven._replace(margin=margin, numbers=numbers)
+
+
+def form(P1: Matrix, P21: Matrix, P23: Matrix, P22: Matrix) -> Matrix:
+    """Return P [n+p, n+p] from P1 [n-p, n-p] and the diagonals [p] of its other blocks, in the order in which they stand."""
+    zero = np.zeros((len(P1), len(P21)))
+    low = [[zero.T, np.diag(P21), np.diag(P23)], [zero.T, np.diag(P23), np.diag(P22)]]
+    return np.block([[P1, zero, zero], *low])
+
+
+def _formed(P: Matrix, k: int, p: int) -> bool:
+    """Say whether P is of the form that Proposition 2 needs, to the bit."""
+    of = [P[k + i * p : k + (i + 1) * p, k + j * p : k + (j + 1) * p].diagonal() for i, j in ((0, 0), (0, 1), (1, 1))]
+    return np.array_equal(P, form(P[:k, :k], *of)) and bool((of[1] >= 0).all())
+
+
+def _open_loop(A11b: Matrix, A21: Matrix) -> tuple[Matrix, Matrix]:
+    p, k = A21.shape
+    Ab = np.zeros((k + 2 * p, k + 2 * p))
+    Ab[:k, :k], Ab[k : k + p, k + p :], Ab[k + p :, :k] = A11b, np.eye(p), A21 @ A11b
+    return Ab, np.vstack([np.zeros((k + p, p)), np.eye(p)])
+
+
+def _solve(A11b: Matrix, A21: Matrix, beta: float, where: str, solver: str) -> Found:
+    import cvxpy as cp
+
+    (p, k), (Ab, Bb) = A21.shape, _open_loop(A11b, A21)
+    Q1, g = cp.Variable((k, k), symmetric=True), cp.Variable()
+    q21, q23, q22 = cp.Variable(p), cp.Variable(p), cp.Variable(p)
+    zero, low = np.zeros((k, p)), (cp.diag(q21), cp.diag(q23), cp.diag(q22))
+    Q = cp.bmat([[Q1, zero, zero], [zero.T, low[0], low[1]], [zero.T, low[1], low[2]]])
+    LL = cp.Variable((p, 2 * p))
+    half = Ab @ Q - Bb @ cp.hstack([zero.T, LL]) + beta * Q
+    rules = [half + half.T << 0, Q >> np.eye(k + 2 * p), q23 <= 0, cp.sigma_max(LL) <= g]
+    status, (X1, a, b, c, gains, least) = unknown_input.minimise(g, rules, (Q1, q21, q23, q22, LL, g), where, solver)
+    # The inverse channel by channel, so that its blocks are diagonal to the bit; Q23 > 0 is a solver's rounding of 0.
+    b = np.minimum(b, 0.0)
+    P = form(
+        np.asarray(np.linalg.inv(X1), dtype=np.float64), c / (a * c - b**2), -b / (a * c - b**2), a / (a * c - b**2)
+    )
+    K = gains @ P[k:, k:]  # [KI, KP]
+    return Found(K[:, p:], K[:, :p], P, float(least), status, solver)

@@ -1,0 +1,101 @@
+"""The gains of a sliding-mode observer by LMI: the least that prove a rate of decay alpha.
+
+    [ A11'P1 + P1 A11 - k1 A211 - A211'k1' + 2 alpha P1    A21'P2                     ]
+    [ P2 A21                                               -k2 - k2' + 2 alpha P2     ]  <= 0             (23), (27)
+    minimise r:   ||k1|| <= r,  ||k2|| <= r,  P1 >= I,  P2 >= I,   k1 = P1 L1,  k2 = -P2 A22s             (24), (29)
+
+so that with v = 0 and f = 0 the error [ebar1; s], x' = [A11 - L1 A211, 0; A21, A22s] x, decays as e^{-alpha t}. The observer
+adds v = rho P2 s / (||P2 s|| + eps) (21), which needs this P2. Norms are spectral.
+Source: Peng 2017, Proposition 1. In print K1 and K2 are padded with zeros to n rows and columns; where p - q > n - p the
+padding lets the two overlap, and the printed norm would be another: here each counts for itself. Strict inequalities
+are closed: the optimum lies on the boundary, and what it proves is re-checked by `certify`. Where A11 has a mode left of
+-alpha, P1 may grow along it at no cost and the printed minimum need not be attained: there, and only there, P1 <= 100 I is
+asked as well, or the first of BOUNDS that leaves an answer.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from pcbench.errors import DesignError
+from pcbench.synthesis import cache, unknown_input
+from pcbench.synthesis.certificate import Certificate
+from pcbench.synthesis.linear import Matrix
+from pcbench.synthesis.unknown_input import Split
+
+BOUNDS = (1e2, 1e4, 1e6, 1e8)  # of P1 where it would grow for ever
+
+
+class Found(NamedTuple):
+    """A solver's answer, as it came."""
+
+    L1: Matrix  # [n-p, p-r]
+    P1: Matrix  # [n-p, n-p]
+    P2: Matrix  # [p, p]
+    A22s: Matrix  # [p, p]
+    r: float  # the largest of ||P1 L1|| and ||P2 A22s||
+    status: str
+    solver: str
+
+
+def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> Found:
+    """Find the least gains that prove alpha [1/s]; remembered.
+
+    Raises UserError where modes that no gain moves are slower than alpha, DesignError where the solver has no answer.
+    """
+    unknown_input.require_movable(plant, alpha, where)
+    problem = (plant.A11, plant.A21, plant.A211, np.array([alpha]))
+    return cache.remembered(
+        Found, f"sliding-mode-{solver.lower()}", problem, lambda: _solve(plant, alpha, where, solver)
+    )
+
+
+def closed_loop(plant: Split, L1: Matrix, A22s: Matrix) -> Matrix:
+    """Return the map [n, n] of the rate of the error [ebar1; s] where f and v are zero."""
+    A11b = plant.A11 - L1 @ plant.A211
+    return np.block([[A11b, np.zeros_like(plant.A12)], [plant.A21, A22s]])
+
+
+def certify(found: Found, plant: Split) -> Certificate:
+    """Re-check the LMI at the gains themselves: the margin is the rate [1/s] that P1, P2 prove, NaN where none."""
+    L1, P1, P2, A22s = (np.asarray(M, float) for M in found[:4])
+    what = "A'P + P A + 2 rate P <= 0, A = [A11 - L1 A211, 0; A21, A22s], P = blkdiag(P1, P2)"
+    unproven = Certificate(what, float("nan"), found.solver, found.status)
+    shapes = [(len(plant.A11), len(plant.A211)), plant.A11.shape, plant.A22.shape, plant.A22.shape]
+    if [M.shape for M in (L1, P1, P2, A22s)] != shapes:
+        return unproven
+    margin = unknown_input.proven_rate(closed_loop(plant, L1, A22s), block_diag(P1, P2))
+    if np.isnan(margin):
+        return unproven
+    r = float(max(np.linalg.norm(P1 @ L1, 2), np.linalg.norm(P2 @ A22s, 2)))
+    numbers = {"L1": L1, "P1": P1, "P2": P2, "A22s": A22s, "r": r, "rate_proven": margin}
+    return unproven._replace(margin=margin, numbers=numbers)
+
+
+def _solve(plant: Split, alpha: float, where: str, solver: str) -> Found:
+    fast = np.linalg.eigvals(plant.A11).real.min() < -alpha
+    *bounds, last = BOUNDS if fast else (np.inf,)
+    for bound in bounds:
+        try:
+            return _bounded(plant, alpha, bound, where, solver)
+        except DesignError:
+            continue
+    return _bounded(plant, alpha, last, where, solver)
+
+
+def _bounded(plant: Split, alpha: float, bound: float, where: str, solver: str) -> Found:
+    import cvxpy as cp
+
+    A11, A21, A211 = plant.A11, plant.A21, plant.A211
+    k, p = len(A11), len(A21)
+    P1, P2, r = cp.Variable((k, k), symmetric=True), cp.Variable((p, p), symmetric=True), cp.Variable()
+    k1, k2 = cp.Variable((k, len(A211))), cp.Variable((p, p))
+    first, second = P1 @ A11 - k1 @ A211 + alpha * P1, alpha * P2 - k2
+    M = cp.bmat([[first + first.T, A21.T @ P2], [P2 @ A21, second + second.T]])
+    rules = [M << 0, P1 >> np.eye(k), P2 >> np.eye(p), cp.sigma_max(k1) <= r, cp.sigma_max(k2) <= r]
+    if np.isfinite(bound):
+        rules.append(P1 << bound * np.eye(k))
+    status, (X1, X2, x1, x2, least) = unknown_input.minimise(r, rules, (P1, P2, k1, k2, r), where, solver)
+    L1, A22s = (np.asarray(np.linalg.solve(X, x), dtype=np.float64) for X, x in ((X1, x1), (X2, -x2)))
+    return Found(L1, X1, X2, A22s, float(least), status, solver)

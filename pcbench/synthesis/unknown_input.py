@@ -1,0 +1,204 @@
+"""A plant seen past its unknown input: what the sliding-mode observer and the PI observer have in common.
+
+    x' = A x + B u + E f,   y = C x;      z = T x,   T E = [0; 0; E222],   C inv(T) = [0, inv(Tp)]        (1) to (4)
+    xhat' = A xhat + B u + Gx e_y + Lx v,   e_y = y - C xhat,   s = Tp e_y                                (5), (21)
+
+n states, m inputs, p outputs, r unknown inputs (q in print, where E is D, D222 our E222). Errors are x - xhat, T of them
+[e1; s], and v is subtracted from the rate of s. With ebar1 = e1 - L s, L = [L1, 0], and the gains of `injection`
+
+    ebar1' = (A11 - L1 A211) ebar1,   s' = A21 ebar1 + A22s s + [0; E222] f - v                           (13), (14), (36)
+
+whatever f and v do: what is not measured decays by itself, and v must become [0; E222] f. Feedthrough changes e_y only.
+Source: Peng, Appl. Sci. 2017, 7(1), 67. Not from print: which orthonormal bases T is built from, `split` fixes them.
+Assumptions 1 and 2 do not make an L1 possible: modes of (A11, A211) may be unmovable, `require_movable`. For the arm with
+its link angle and velocity measured, those are printed at -0.006 +- 1.9365j; they are -0.000625 +- 1.9365j.
+"""
+
+import warnings
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh
+
+from pcbench.errors import DesignError, UserError
+from pcbench.synthesis.certificate import Certificate, certified
+from pcbench.synthesis.linear import Matrix, Model
+from pcbench.synthesis.observability import RANK, shown, unobservable
+
+TIE = 1e-9  # lengths this close are equal, and entries this small are zero
+SHORT = 1e-5  # part of the rate asked for that a proof may fall short of it: an optimum lies on the boundary
+TIGHT = {  # a solver's settings
+    "CLARABEL": dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-10)
+    | dict.fromkeys(("reduced_tol_gap_abs", "reduced_tol_gap_rel", "reduced_tol_feas"), 1e-6),
+    "SCS": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 200_000},
+}
+
+
+class Split(NamedTuple):
+    """A plant in the coordinates z = T x = [z1; z2], of which z2 = Tp y is measured and its last r feel f."""
+
+    T: Matrix  # [n, n]
+    Tp: Matrix  # [p, p] orthogonal
+    A11: Matrix  # [n-p, n-p], a block of T A inv(T), as the next three
+    A12: Matrix  # [n-p, p]
+    A21: Matrix  # [p, n-p]
+    A22: Matrix  # [p, p]
+    E222: Matrix  # [r, r], the last rows of Tp C E
+
+    @property
+    def A211(self) -> Matrix:
+        """What the outputs that f does not reach see of z1, [p-r, n-p]."""
+        return self.A21[: len(self.Tp) - len(self.E222)]
+
+
+def split(model: Model, where: str) -> Split:
+    """Return the plant in coordinates where f reaches the last r outputs only; raise UserError where there are none.
+
+    T = TD [N'; C], TD = [I, -D1 pinv(D2); 0, Tp], D1 = N'E, D2 = C E, N a basis of null(C), Tp one of null(D2') and then of
+    the span of D2, each by `_basis`; the first non-zero entry of each row of T is positive. For the arm T comes out as the
+    permutation [x1, x4, x3, x2], to which the printed gains belong.
+    """
+    given = _assumed(model, where)
+    n, p, r = len(model.A), len(model.C), given.shape[1]
+    C, rows = model.C, _unit(model.C)
+    E = given / np.linalg.norm(C @ given, axis=0)  # f in units that move y by 1 each: no pseudo-inverse sees its units
+    E2, back = C @ E, np.linalg.pinv(C @ E)
+    N = _basis(np.eye(n) - np.linalg.pinv(rows) @ rows, n - p)
+    Tp = np.vstack([_basis(np.eye(p) - E2 @ back, p - r), _basis(E2 @ back, r)])
+    T = np.vstack([N - N @ E @ back @ C, Tp @ C])
+    large = np.abs(T) > TIE * np.abs(T).max(1, keepdims=True)
+    sign = np.sign(np.take_along_axis(T, large.argmax(1)[:, None], 1))
+    T, Tp = sign * T, sign[n - p :] * Tp
+    A, k = T @ model.A @ np.linalg.inv(T), n - p
+    return Split(T, Tp, A[:k, :k], A[:k, k:], A[k:, :k], A[k:, k:], Tp[p - r :] @ C @ given)
+
+
+def injection(plant: Split, L1: Matrix, A22s: Matrix) -> tuple[Matrix, Matrix]:
+    """Return Gx and Lx [n, p] in the plant's own coordinates, (12) and (35); L1 [n-p, p-r], A22s [p, p] (PI observer: 0)."""
+    L = np.hstack([L1, np.zeros((len(plant.A11), len(plant.E222)))])
+    A12b = plant.A12 - L @ plant.A22 + plant.A11 @ L - L @ plant.A21 @ L
+    G2 = (plant.A22 + plant.A21 @ L - A22s) @ plant.Tp
+    G1 = A12b @ plant.Tp + L @ G2
+    both = np.block([[G1, L], [G2, np.eye(len(G2))]])
+    Gx, Lx = np.hsplit(np.asarray(np.linalg.solve(plant.T, both), dtype=np.float64), 2)
+    return Gx, Lx
+
+
+def unmovable(plant: Split) -> list[complex]:
+    """Return the modes of A11 - L1 A211 that are the same for every L1: the plant's zeros from f to the outputs."""
+    return unobservable(plant.A11, plant.A211)
+
+
+def require_movable(plant: Split, rate: float, where: str) -> None:
+    """Raise UserError naming the modes that no L1 moves where one of them does not decay faster than `rate` [1/s]."""
+    fixed = unmovable(plant)
+    slowest = max((mode.real for mode in fixed), default=-np.inf)
+    if slowest >= -rate:
+        other = f"ask for a rate below {-slowest:.4g} 1/s or " if slowest < 0 else ""
+        raise UserError(
+            f"{where}: got modes of (A11, A211) that no gain L1 moves, {', '.join(map(shown, fixed))}, expected each left of "
+            f"{-rate:.4g} 1/s; {other}measure other outputs."
+        )
+
+
+def minimise(
+    objective: Any, rules: list[Any], unknowns: tuple[Any, ...], where: str, solver: str
+) -> tuple[str, list[Matrix]]:
+    """Solve a problem of cvxpy to the last digits a solver gives; return its status and the unknowns' values.
+
+    Raises DesignError with the status where there are none. An inaccurate answer is judged by its certificate.
+    """
+    import cvxpy as cp
+
+    problem = cp.Problem(cp.Minimize(objective), rules)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that an answer is inaccurate; the status says it too
+            problem.solve(solver=solver, **TIGHT.get(solver, {}))
+        status = str(problem.status)
+    except cp.SolverError as error:
+        status = str(error)
+    if status not in ("optimal", "optimal_inaccurate"):
+        raise DesignError(f"{where}: the LMI was not solved: {solver} said '{status}'; ask for a slower rate.")
+    return status, [np.asarray(unknown.value, dtype=np.float64) for unknown in unknowns]
+
+
+def proven_rate(closed: Matrix, P: Matrix) -> float:
+    """Return the largest rate with closed' P + P closed + 2 rate P <= 0, [1/s]; NaN where P is not positive definite."""
+    P = (P + P.T) / 2
+    try:
+        return float(-eigh(closed.T @ P + P @ closed, P, eigvals_only=True)[-1] / 2)
+    except (np.linalg.LinAlgError, ValueError):
+        return float("nan")
+
+
+def require_rate(certificate: Certificate, rate: float, where: str) -> Certificate:
+    """Return the certificate with the rate that was asked for; raise DesignError where less is proven."""
+    numbers = dict(certificate.numbers) | {"rate_asked": rate}
+    return certified(certificate._replace(numbers=numbers), where, rate * (1 - SHORT))
+
+
+def _assumed(model: Model, where: str) -> Matrix:
+    """Return E of a model that meets Assumptions 1 and 2; raise UserError naming the one it does not meet."""
+    if model.discrete:
+        raise UserError(f"{where}: got a discrete model, expected x' = A x + B u + E f; take another observer.")
+    if model.E is None or model.E.shape[1] == 0:
+        raise UserError(
+            f"{where}: the plant has no unknown input, expected a model with E [n, r], r > 0; take another observer."
+        )
+    A, C, E = model.A, model.C, model.E
+    (n, m), p, r = model.B.shape, len(C), E.shape[1]
+    ranks = (
+        ("2, rank C = p", _rank(_unit(C)), p, "leave a repeated output out"),
+        ("1, rank E = r", _rank(_unit(E.T)), r, "leave a repeated unknown input out"),
+        ("1, rank(C E) = r", _rank(_unit(_product(C, E).T)), r, "measure what the unknown input moves at once"),
+    )
+    for which, got, expected, todo in ranks:
+        if got < expected:
+            raise UserError(f"{where}: Assumption {which}, is not met: got rank {got}, expected {expected}; {todo}.")
+    counts = (
+        (n > p, "n > p", f"{n} states and {p} outputs", "leave an output out"),
+        (p >= m, "p >= m", f"{p} outputs and {m} inputs", "measure another output"),
+        (p > r, "p > r", f"{p} outputs and {r} unknown inputs", "measure another output"),
+    )
+    for holds, which, counted, todo in counts:
+        if not holds:
+            raise UserError(f"{where}: Assumption 2, {which}, is not met: got {counted}, expected {which}; {todo}.")
+    for mode in unobservable(A, C):
+        rank = _rank(np.vstack([mode * np.eye(n) - A, C]))
+        raise UserError(
+            f"{where}: Assumption 2, (C, A) observable, is not met: got rank {rank} of [lam I - A; C] at the mode "
+            f"lam = {shown(mode)}, expected {n}; measure another output."
+        )
+    return E
+
+
+def _unit(rows: Matrix) -> Matrix:
+    """Rows of length 1, so that no rank depends on units; a row of zeros stays one."""
+    return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
+
+
+def _product(C: Matrix, E: Matrix) -> Matrix:
+    """C E, less the entries that are what rounding leaves of larger terms."""
+    product = C @ E
+    return np.where(np.abs(product) > RANK * (np.abs(C) @ np.abs(E)), product, 0.0)
+
+
+def _rank(M: Any) -> int:
+    sizes = np.linalg.svd(M, compute_uv=False)
+    return int((sizes > RANK * sizes[0]).sum())
+
+
+def _basis(onto: Matrix, k: int) -> Matrix:
+    """Return an orthonormal basis, as rows [k, n], of the k-dimensional space that `onto` projects orthogonally on.
+
+    The unit vector that lies closest to the space is projected on it, and so on with what is left; of equals the first is
+    taken. So a space spanned by axes has those axes, in their order.
+    """
+    rows = np.zeros((k, len(onto)))
+    for row in rows:
+        size = np.linalg.norm(onto, axis=0)
+        first = int(np.argmax(size > (1 - TIE) * size.max()))
+        row[:] = onto[:, first] / size[first]
+        onto = onto - np.outer(row, row @ onto)
+    return rows
