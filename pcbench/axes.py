@@ -8,7 +8,7 @@ from typing import Any
 
 from pcbench import sampling
 from pcbench.errors import UserError, unknown
-from pcbench.observers import entry_of
+from pcbench.observers import OBSERVERS, entry_of
 from pcbench.plants import parameters_of
 from pcbench.sampling import PROFILES, Clock
 from pcbench.scenarios import Scenario
@@ -137,6 +137,8 @@ def clocks(s: Scenario) -> list[Clock]:
 def fits(s: Scenario, where: str) -> None:
     """Raise UserError where a scenario's times do not fit together."""
     ticks = round(s.horizon / s.dt)
+    if s.continuous:
+        _at_every_stage(s, where)
     for clock in clocks(s):
         least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:
@@ -153,8 +155,34 @@ def fits(s: Scenario, where: str) -> None:
             )
 
 
+def _at_every_stage(s: Scenario, where: str) -> None:
+    """Raise UserError where a scenario that measures continuously is given a sampler's axis."""
+    nothing = {
+        "sampling_period": (s.dt,) * len(s.delay),
+        "delay": (0.0,) * len(s.delay),
+        "noise_std": (0.0,) * len(s.delay),
+        "profile": "periodic",
+        "jitter": 0.0,
+        "delay_jitter": 0.0,
+        "loss": 0.0,
+        "assumed_delay_error": 0.0,
+    }
+    for name, value in nothing.items():
+        if getattr(s, name) != value:
+            raise UserError(
+                f"{where}: got {name} = {plain(name, getattr(s, name))} in {s.name}, which measures continuously and without "
+                f"noise, expected no such axis; leave it out, or take a scenario that samples, such as arm/sampled."
+            )
+
+
 def works_on(label: str, s: Scenario, where: str) -> None:
     """Raise UserError where an observer cannot work on a scenario's schedule."""
+    if s.continuous and entry_of(label).observer.field is None:
+        able = ", ".join(name for name, entry in OBSERVERS.items() if entry.observer.field)
+        raise UserError(
+            f"{where}: {label} in {s.name} got continuous measurements, expected samples: it is no vector field; leave {label} "
+            f"out, take one of {able}, or a scenario that samples."
+        )
     takes, found = entry_of(label).takes, clocks(s)
     follows = None in s.delay and (s.profile != "periodic" or s.jitter > 0)
     if takes == "one constant delay" and (s.delay_jitter or follows):

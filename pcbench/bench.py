@@ -126,10 +126,13 @@ def _collect(
                 kept.append((scenario.name, observer, table))
             else:
                 store.write_table(store.runs_path(folder, scenario.name, observer, done.planned.cell.number), table)
-            stats += [head | {"observer": observer} | row for row in _described(done, results, signals)]
-        units = dict(signals)
-        for row in statistics.pairs(done.results, [name for name, _ in signals], scenario.prior_std):
-            pairs.append(head | {"unit": tables.unit_of(row["metric"], units[row["signal"]])} | row)
+            who = {"observer": observer, "carries_input": done.planned.carries_input[observer]}
+            stats += [head | who | row for row in _described(done, results, signals)]
+        units, sizes, carries = dict(signals), scenario.prior_std + scenario.unknown_std, done.planned.carries_input
+        for row in statistics.pairs(done.results, [name for name, _ in signals], sizes):
+            about: dict[str, Any] = {"unit": tables.unit_of(row["metric"], units[row["signal"]])}
+            about |= {f"carries_input_{side}": carries[row[f"observer_{side}"]] for side in "ab"}
+            pairs.append(head | about | row)
     axes = tables.axes_of(stats[0])
     return (
         tables.rows_table(stats, tables.stats_order(axes)),
@@ -162,9 +165,9 @@ def _certificates(planned: list[Planned]) -> dict[str, dict[str, Any]]:
 
 def _described(done: sweep.Done, results: dict[str, Any], signals: tuple[tuple[str, str], ...]) -> list[dict[str, Any]]:
     rows = []
-    for i, (signal, unit) in enumerate(signals):
-        prior, bound = done.planned.cell.scenario.prior_std[i], done.planned.bound
-        known = None if bound is None or bound[i] < statistics.SEEN * prior else float(bound[i])
+    prior, bound = done.planned.cell.scenario.prior_std, done.planned.bound
+    for i, (signal, unit) in enumerate(signals[: len(results["mae"])]):
+        known = None if bound is None or bound[i] < statistics.SEEN * prior[i] else float(bound[i])
         for row in statistics.describe(results, i, known):
             rows.append({"signal": signal, "unit": tables.unit_of(row["metric"], unit)} | row)
     return rows
@@ -204,7 +207,9 @@ def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
 def trace(
     scenario: Described, observers: str | list[str], *, seed: int = 0, overrides: list[str] | None = None
 ) -> pd.DataFrame:
-    """Return one run tick by tick, ticks 0 .. N: t [s], each state, <observer>.<state>, u1.., y1.. (held arrivals).
+    """Return one run tick by tick, ticks 0 .. N: t [s], each signal, <observer>.<signal>, u1.., y1.. (held arrivals).
+
+    Signals are the states and, where the plant has one, the unknown input; observers have columns for what they estimate.
 
     `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.
@@ -217,11 +222,11 @@ def trace(
         (p,) = (alone(planned, study.root_seed, seed) for planned in plan(study))
         out = recording.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
-    states = [name for name, _ in signals_of(p.cell.scenario)]
+    signals = [name for name, _ in signals_of(p.cell.scenario)]
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
-    columns |= {state: out.x[:, i] for i, state in enumerate(states)}
+    columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     for name in names:
-        columns |= {f"{name}.{state}": out.estimates[name][:, i] for i, state in enumerate(states)}
+        columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[name].T)}
     columns |= {f"u{i + 1}": u for i, u in enumerate(p.problem.inputs.T)}
     columns |= {f"y{i + 1}": y for i, y in enumerate(_held(p.problem.schedule, out.samples).T)}
     return pd.DataFrame(columns)

@@ -18,16 +18,16 @@ Listed = tuple[tuple[str, ...], Rows]
 
 
 def plants() -> Listed:
-    """Return every plant with its states and units."""
+    """Return every plant with its states, unknown inputs, and their units."""
     rows: Rows = {
         name: (
             p.summary,
-            ", ".join(f"{s} [{u}]" for s, u in p.signals) or "the study's",
+            ", ".join(f"{s} [{u}]" for s, u in (*p.signals, *p.unknowns)) or "the study's",
             ", ".join(f"{k} {getattr(p.numbers, k):g}" for k in parameters_of(name)),
         )
         for name, p in PLANTS.items()
     }
-    return ("plant", "what", "states", "parameters (axes plant.*)"), rows
+    return ("plant", "what", "signals", "parameters (axes plant.*)"), rows
 
 
 def observers() -> Listed:

@@ -9,6 +9,7 @@ import tomli_w
 
 from pcbench import axes as axis
 from pcbench.axes import AXES
+from pcbench.errors import UserError
 from pcbench.scenarios import Scenario
 from pcbench.study import Choices, Study, choices_of, observers_of, options_of, scenarios_of
 
@@ -32,6 +33,13 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         given = dict(zip(axes, point, strict=True))
         fields = {k: v for k, v in given.items() if k in AXES}
         changed = base._replace(**fields, input=choices.input or base.input)
+        if choices.unknown_input:
+            if not base.unknown_input:
+                raise UserError(
+                    f"{where}: options.scenario.unknown_input: got {choices.unknown_input!r} for {scenario}, whose plant has "
+                    "no unknown input; expected a scenario such as arm/sine; leave it out."
+                )
+            changed = changed._replace(unknown_input=choices.unknown_input)
         axis.fits(changed, where if where == scenario else f"{where}: {scenario}")
         values = {name: axis.plain(name, getattr(changed, name), name in apart) for name in AXES}
         own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}

@@ -13,9 +13,11 @@ from pcbench.types import Arrival, Observer
 def check(label: str, observer: Observer, p: Problem) -> None:
     """Raise UserError, naming observer, function, what was found and what was expected, where a shape is wrong.
 
-    `estimate` must return [n], `note` a vector, and `jump` and `flow` the memory's own structure, shapes and types.
+    `estimate` must return [n], or [n + s] with the plant's unknowns, `note` a vector, and `jump` and `flow` the memory's own
+    structure, shapes and types.
     """
     n, q, k = p.x0.shape[0], p.noise_std.shape[0], jnp.asarray(1)
+    signals = len(p.band)
     state, value = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((q,), float)
 
     def jump(p: Problem, memory: Any, value: Any, note: Any) -> Any:
@@ -39,9 +41,10 @@ def check(label: str, observer: Observer, p: Problem) -> None:
             f"observer {label}: note returned shape {note.shape}, expected a vector [r]; use jnp.atleast_1d."
         )
     xhat = ask("estimate", lambda p, m: jnp.asarray(observer.estimate(p.gains[label], m)), memory)
-    if xhat.shape != (n,):
+    if xhat.shape not in ((n,), (signals,)):
+        more = f", or ({signals},) with its unknown inputs" if signals > n else ""
         raise UserError(
-            f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant."
+            f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{more}."
         )
     _same(label, "jump", ask("jump", jump, memory, value, note), memory)
     flowed = ask("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)

@@ -5,22 +5,31 @@ Powers: any whole age is written with two digits to a base R, and its map is a p
 """
 
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 from jaxtyping import Float, Int
 
-Field = Callable[[Array, Array], Array]  # (t [s], x[n]) -> dx/dt[n]
+Field = Callable[[Array, Any], Any]  # (t [s], x) -> dx/dt; x an array, or a pytree of arrays
 
 
-def rk4(field: Field, t: Array, x: Array, h: Array) -> Array:
-    """Advance x by one classical Runge-Kutta step of h seconds from time t."""
-    k1 = field(t, x)
-    k2 = field(t + h / 2, x + h / 2 * k1)
-    k3 = field(t + h / 2, x + h / 2 * k2)
-    k4 = field(t + h, x + h * k3)
-    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+def rk4(field: Field, t: Array, x: Any, h: Array) -> Any:
+    """Advance x, an array or a pytree of arrays, by one classical Runge-Kutta step of h seconds from time t."""
+
+    def ahead(by: Any, k: Any) -> Any:
+        return jax.tree.map(lambda x, k: x + by * k, x, k)
+
+    def stage(carry: tuple[Any, Any], row: tuple[Array, Array]) -> tuple[Any, None]:
+        (k, total), (part, weight) = carry, row
+        k = field(t + part * h, ahead(part * h, k))
+        return (k, jax.tree.map(lambda total, k: total + weight * k, total, k)), None
+
+    zero = jax.tree.map(jnp.zeros_like, x)
+    # A loop, not four copies: what one stage leaves is stored, where the compiler would compute it anew for every use.
+    (_, total), _ = lax.scan(stage, (zero, zero), (jnp.array([0.0, 0.5, 0.5, 1.0]), jnp.array([1.0, 2.0, 2.0, 1.0])))
+    return ahead(h / 6, total)
 
 
 def transition(field: Field, t: Array, n: int, h: Array, substeps: int = 1) -> Float[Array, "n n"]:

@@ -21,9 +21,10 @@ class Stream(NamedTuple):
 
 
 class Watch(NamedTuple):
-    """What is kept of one run over the whole horizon."""
+    """What is kept of one run over the whole horizon; n signals."""
 
     unsettled: Array  # [n] the tick after the last one at which |e| left its band
+    recovery: Array  # [n] ticks from a jump of the unknown input to the last exit before the next; the most of any jump
     first_bad: Array  # first tick at which an error was not finite or beyond the bound, or -1
 
 
@@ -34,7 +35,7 @@ def start(n: int) -> Stream:
 
 def start_watch(n: int) -> Watch:
     """Return the watch before the first tick."""
-    return Watch(jnp.zeros(n), jnp.asarray(-1.0))
+    return Watch(jnp.zeros(n), jnp.zeros(n), jnp.asarray(-1.0))
 
 
 def update(stream: Stream, e: Array) -> Stream:
@@ -43,18 +44,30 @@ def update(stream: Stream, e: Array) -> Stream:
     return Stream(stream.absolute + size, stream.square + e * e, jnp.maximum(stream.peak, size))
 
 
-def look(watch: Watch, tick: Array, e: Array, band: Array, bound: Array) -> Watch:
-    """Note when e[n] leaves its settling band [n], and when it first leaves `bound` [n] (a NaN does)."""
+def look(watch: Watch, tick: Array, e: Array, band: Array, bound: Array, jumps: Array) -> Watch:
+    """Note when e[n] leaves its settling band, also after one of the `jumps` [J, ticks], and when it first leaves its bound.
+
+    `band` and `bound` are [n] or longer; a NaN leaves the bound.
+    """
+    n = e.shape[0]
     size, now = jnp.abs(e), tick.astype(float)
-    good = jnp.all(size <= bound)
+    good = jnp.all(size <= bound[:n])
     first_bad = jnp.where(good | (watch.first_bad >= 0), watch.first_bad, now)
-    return Watch(jnp.where(size > band, now + 1, watch.unsettled), first_bad)
+    outside, recovery = size > band[:n], watch.recovery
+    if jumps.shape[0]:
+        since = jnp.min(jnp.where(jumps <= tick, tick - jumps, tick))
+        after = jnp.any(jumps <= tick)
+        recovery = jnp.where(outside & after, jnp.maximum(recovery, since + 1.0), recovery)
+    return Watch(jnp.where(outside, now + 1, watch.unsettled), recovery, first_bad)
 
 
-def read(streams: Stream, watch: Watch, final: Array, ticks: int, tail: int, dt: float) -> dict[str, NDArray]:
+def read(
+    streams: Stream, watch: Watch, final: Array, ticks: int, tail: int, dt: float, jumps: bool = False
+) -> dict[str, NDArray]:
     """Return every metric, [n, L] each, from windows [W, n, L], all but the first in the tail, the watch, and the last e.
 
     `settling_time` [s] is the time of the last exit from the band; a run still outside at the end is given the horizon.
+    Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.
     A diverged run has NaN for every metric; `diverged` [L] and `first_bad_time` [L, s] (NaN where none) tell it apart.
     """
     whole = Stream(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
@@ -67,6 +80,8 @@ def read(streams: Stream, watch: Watch, final: Array, ticks: int, tail: int, dt:
         out[prefix + "peak"] = np.asarray(s.peak)
     out["final"] = np.asarray(final)
     out["settling_time"] = np.asarray(watch.unsettled) * dt
+    if jumps:
+        out["recovery_time"] = np.asarray(watch.recovery) * dt
     bad = np.asarray(watch.first_bad) >= 0
     out = {name: np.where(bad, np.nan, values) for name, values in out.items()}
     return out | {"diverged": bad, "first_bad_time": np.where(bad, np.asarray(watch.first_bad) * dt, np.nan)}

@@ -66,7 +66,8 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
         def sense(c: Chunk, rings: Array) -> Array:
             number = _at(plan.samples[2], c.row, c.lane)
             noise = jnp.stack([_at(each, number, c.lane) for each in drawn])
-            return _write(rings, c, measure(layout, p, k, lanes.pick(state.x, c.lane), lanes.split(noise)))
+            x, own = lanes.pick((state.x, state.own), c.lane)
+            return _write(rings, c, measure(layout, p, k, x, own, lanes.split(noise)))
 
         def take_note(c: Chunk, rings: Array) -> Array:
             return _write(rings, c, note(layout, p, k, form.whole(packing.pick(state.memories, c.lane))))

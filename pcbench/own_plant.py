@@ -16,13 +16,14 @@ PerChannel = float | list[float]
 
 
 class Lti(BaseModel):
-    """x' = A x + B u, y = C x + D u, u held over a tick; with `dt`, x one tick later = A x + B u. n, m, q as usual."""
+    """x' = A x + B u + E f, y = C x + D u, u and f held over a tick; with `dt`, x one tick later. n, m, q; r unknown inputs."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     A: Rows = Field(description="[n, n]")
     B: Rows = Field(description="[n, m]")
     C: Rows = Field(description="[q, n]")
     D: Rows | None = Field(None, description="[q, m]; left out: zero")
+    E: Rows | None = Field(None, description="[n, r] how an unknown input enters; left out: there is none")
     dt: float | None = Field(None, gt=0, description="tick of a discrete plant [s]; left out: a continuous plant")
     tick: float | None = Field(None, gt=0, description="tick of the simulation [s]; default 0.001, or dt")
     states: list[str] | None = Field(None, description='names with units, such as "angle [rad]"')
@@ -30,10 +31,16 @@ class Lti(BaseModel):
     delay: PerChannel | str = Field(description="[s], one or one for each output, or 'interval'")
     noise_std: PerChannel = Field(description="of one sample, one or one for each output")
     input: str = Field("sine", description="a signal's name for all inputs, or one for each, with commas")
+    unknown_input: str = Field(
+        "sine", description="the unknown input: a signal's name for all, or one for each, with commas"
+    )
+    unknown_std: list[float] | None = Field(None, description="[r] its typical size; default: ones")
     x0: list[float] | None = Field(None, description="[n] default: ones")
     xhat0: list[float] | None = Field(None, description="[n] default: zeros")
     prior_std: list[float] | None = Field(None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1")
-    settle_band: list[float] | None = Field(None, description="[n] default: 5 % of prior_std")
+    settle_band: list[float] | None = Field(
+        None, description="[n] default: 5 % of prior_std and unknown_std; [n + r] with E"
+    )
     bound: float = Field(1e6, gt=0, description="a run has diverged when an |e| leaves it")
     horizon: float = Field(10.0, gt=0, description="[s]")
     tail: float | None = Field(None, ge=0, description="where the tail starts [s]; default: 30 % of the horizon")
@@ -51,15 +58,14 @@ class Lti(BaseModel):
                 f"{where}: got a discrete plant of dt = {self.dt:g} s and a tick of {self.tick:g} s, expected the same; "
                 f"leave tick out, or discretise the plant at {self.tick:g} s."
             )
-        signals = [part.strip() for part in self.input.split(",")]
-        for signal in signals:
-            if signal not in SIGNALS:
-                raise unknown(f"{where}.input", "input", signal, SIGNALS)
-        if len(signals) not in (1, m):
-            raise UserError(f"{where}.input: got {len(signals)} signals, expected one, or one for each of {m} inputs.")
+        r = len(self.E[0]) if self.E else 0
+        signals = _named(self.input, m, "inputs", f"{where}.input")
+        pushing = _named(self.unknown_input, r, "unknown inputs", f"{where}.unknown_input") if r else []
         x0, xhat0 = _vector(self.x0, 1.0, n, f"{where}.x0"), _vector(self.xhat0, 0.0, n, f"{where}.xhat0")
         apart = [abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=True)]
         prior = _vector(self.prior_std, apart, n, f"{where}.prior_std")
+        size = _vector(self.unknown_std, 1.0, r, f"{where}.unknown_std", "unknown input")
+        band = [0.05 * p for p in [*prior, *size]]
         tail = 0.3 * self.horizon if self.tail is None else self.tail
         tick = self.dt or self.tick or 1e-3
         base = Scenario(
@@ -76,13 +82,16 @@ class Lti(BaseModel):
             x0=tuple(x0),
             xhat0=tuple(xhat0),
             prior_std=tuple(prior),
-            settle_band=tuple(_vector(self.settle_band, [0.05 * p for p in prior], n, f"{where}.settle_band")),
+            settle_band=tuple(_vector(self.settle_band, band, n + r, f"{where}.settle_band", "signal")),
             bound=self.bound,
             dt=tick,
             horizon=round(self.horizon / tick) * tick,
             tail=round(tail / tick) * tick,
-            model={"A": self.A, "B": self.B, "C": self.C, "D": self.D, "discrete": self.dt is not None},
+            model={key: getattr(self, key) for key in "ABCDE"} | {"discrete": self.dt is not None},
             signals=_signals(self.states, n, f"{where}.states"),
+            unknowns=tuple(("input" if r == 1 else f"input{i + 1}", "1") for i in range(r)),
+            unknown_std=tuple(size),
+            unknown_input=", ".join(pushing),
         )
         if not 0 <= base.tail < base.horizon:
             raise UserError(f"{where}.tail: got {tail:g} s, expected less than the horizon of {self.horizon:g} s.")
@@ -92,8 +101,10 @@ class Lti(BaseModel):
 
 def _shapes(lti: Lti, where: str) -> tuple[int, int, int]:
     """Return n, m, q; raise UserError naming the matrix whose shape does not fit."""
-    n, m, q = len(lti.A), len((lti.B or [[]])[0]), len(lti.C)
-    for name, rows, shape in (("A", lti.A, (n, n)), ("B", lti.B, (n, m)), ("C", lti.C, (q, n)), ("D", lti.D, (q, m))):
+    n, m, q, r = len(lti.A), len((lti.B or [[]])[0]), len(lti.C), len((lti.E or [[]])[0])
+    shapes = {"A": (n, n), "B": (n, m), "C": (q, n), "D": (q, m), "E": (n, r)}
+    for name, shape in shapes.items():
+        rows = getattr(lti, name)
         if rows is None:
             continue
         widths = sorted({len(row) for row in rows})
@@ -105,11 +116,22 @@ def _shapes(lti: Lti, where: str) -> tuple[int, int, int]:
     return n, m, q
 
 
-def _vector(given: list[float] | None, default: Any, n: int, where: str) -> list[float]:
+def _named(text: str, many: int, what: str, where: str) -> list[str]:
+    """The names of signals, one or one for each of `many`."""
+    names = [part.strip() for part in text.split(",")]
+    for name in names:
+        if name not in SIGNALS:
+            raise unknown(where, "input", name, SIGNALS)
+    if len(names) not in (1, many):
+        raise UserError(f"{where}: got {len(names)} signals, expected one, or one for each of {many} {what}.")
+    return names
+
+
+def _vector(given: list[float] | None, default: Any, n: int, where: str, what: str = "state") -> list[float]:
     if given is None:
         return list(np.broadcast_to(np.asarray(default, float), n))
     if len(given) != n:
-        raise UserError(f"{where}: got {len(given)} numbers, expected {n}, one for each state.")
+        raise UserError(f"{where}: got {len(given)} numbers, expected {n}, one for each {what}.")
     return given
 
 

@@ -17,7 +17,7 @@ from pcbench.observers import entry_of
 from pcbench.plants import PLANTS
 from pcbench.rollout import Layout, Problem
 from pcbench.scenarios import Scenario
-from pcbench.signals import inputs
+from pcbench.signals import inputs, jumps
 from pcbench.study import Study, observers_of, options_of
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting
@@ -31,6 +31,7 @@ class Planned(NamedTuple):
     problem: Problem
     certificates: dict[str, Certificate]
     bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
+    carries_input: dict[str, bool | None]  # by observer, of its prediction to now
 
 
 def ticks(cell: Cell) -> int:
@@ -69,6 +70,7 @@ def setting(cell: Cell) -> Setting:
         s.process_std or s.assumed_process_std,
         round(s.assumed_delay_error / s.dt),
         max(-(-late // every) for late, every in zip(delay, period, strict=True)),
+        s.unknown_std,
         tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )
 
@@ -132,6 +134,8 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
     room = max(p.layout.ring for p in drafts)
     ring = 1 << (room - 1).bit_length()  # few sizes, few programs
     strides = any(not isinstance(p.problem.schedule, sampling.Schedule) or _sparse(p.problem.schedule) for p in drafts)
+    drifting = {p.layout.plant for p in drafts if p.layout.drifting}
+    falls = max(len(p.problem.jumps) for p in drafts)
     rows: dict[Any, int] = {}
     for p in drafts:
         for i, a in enumerate(jax.tree.leaves(p.problem.params)):
@@ -146,8 +150,11 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
             np.broadcast_to(a, (rows[p.layout.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
             for i, a in enumerate(leaves)
         ]
-        problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide))
-        out.append(p._replace(problem=problem, layout=p.layout._replace(ring=ring, strides=strides)))
+        falling = np.pad(p.problem.jumps, (0, falls - len(p.problem.jumps)), constant_values=sampling.NEVER)
+        problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide), jumps=falling)
+        light = not PLANTS[p.cell.scenario.plant].heavy
+        layout = p.layout._replace(ring=ring, strides=strides and light, drifting=p.layout.plant in drifting)
+        out.append(p._replace(problem=problem, layout=layout))
     return out
 
 
@@ -165,6 +172,9 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     plant, n = PLANTS[s.plant], ticks(cell)
     designs = {o: _design(o, known, given) for o, given in options.items()}
     truth = {"drift": s.drift, "drift_sign": float(cell.choices.drift_sign)} | cell.parameters
+    truth |= {"unknown_input": s.unknown_input} if s.unknown_input else {}
+    spread = s.prior_std if cell.choices.random_start else cell.choices.start_spread * np.abs(s.x0)
+    signals = len(s.x0) + len(s.unknown_std)
     plan, room = schedule_of(cell)
     problem = Problem(
         params=plant.prepare(_numbers(s)._replace(**truth), s.dt, n),
@@ -172,18 +182,23 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         schedule=plan,
         inputs=inputs(s.input, s.dt * np.arange(n + 1, dtype=float), known.model.B.shape[1]),
         dt=np.asarray(s.dt),
-        x0=np.array(s.x0),
+        x0=np.array(s.xhat0 if cell.choices.random_start else s.x0),
         xhat0=np.array(s.xhat0),
-        spread0=np.diag(s.prior_std),
+        spread0=np.diag(spread),
         noise_std=np.array(s.noise_std),
         band=np.array(s.settle_band),
-        bound=np.broadcast_to(np.asarray(s.bound, float), len(s.x0)),
+        bound=np.broadcast_to(np.asarray(s.bound, float), signals),
         windows=np.array([[0, tail_tick(cell)], [tail_tick(cell), n - 1], [n - 1, n]]),
         process_std=np.array(s.process_std),
+        jumps=np.array([tick for tick in jumps(s.unknown_input, s.dt, n - 1) if tick >= tail_tick(cell)], int),
     )
     observers = tuple((o, entry_of(o).observer) for o in options)
-    layout = Layout(plant.plant, observers, ensemble.WIDTH, room, cell.choices.random_start)
-    return Planned(cell, layout, problem, {o: d.certificate for o, d in designs.items()}, _bound(cell, known))
+    random = cell.choices.random_start or cell.choices.start_spread > 0
+    drifting = bool(s.drift and plant.plant.of_run)
+    width = ensemble.HEAVY if plant.heavy else ensemble.WIDTH
+    layout = Layout(plant.plant, observers, width, room, random, continuous=s.continuous, drifting=drifting)
+    proofs, carries = {o: d.certificate for o, d in designs.items()}, {o: d.carries_input for o, d in designs.items()}
+    return Planned(cell, layout, problem, proofs, _bound(cell, known), carries)
 
 
 def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, int]:
@@ -209,7 +224,7 @@ def _design(observer: str, known: Setting, options: BaseModel) -> Design:
 def _bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
     s = cell.scenario
-    exact = not s.drift and not cell.parameters and all(s.noise_std)  # no bound without noise
+    exact = not s.drift and not cell.parameters and not s.unknown_input and all(s.noise_std)  # no bound without noise
     clocks = axes.clocks(cell.scenario)
     if not exact or _random(clocks):
         return None

@@ -11,15 +11,15 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench import lanes
-from pcbench.rollout import Layout, Problem, State, advance, estimates, process_noise
+from pcbench.rollout import Layout, Problem, State, actual, advance, estimates, process_noise
 from pcbench.shared_events import prepare
 
 
 class Recording(NamedTuple):
     """Every tick 0 .. N of one run."""
 
-    x: Array  # [N+1, n]
-    estimates: dict[str, Array]  # [N+1, n], after the jump of each tick
+    x: Array  # [N+1, n + s] the state, and what the plant has of unknowns
+    estimates: dict[str, Array]  # [N+1, n or n + s], after the jump of each tick
     samples: Array  # [N+1, q] what was measured at this tick, NaN where nothing was
 
 
@@ -35,7 +35,7 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recordi
         value = jnp.stack([lanes.whole(v, 1)[place] if v.ndim == 1 else v[place, 0] for v in state.flight[0].parts])
         y = jnp.where(p.schedule.sampled[k], value, jnp.nan)
         shown = {label: lanes.whole(xhat, 1)[:, 0] for label, xhat in estimates(layout, p, state).items()}
-        row = Recording(lanes.whole(state.x, 1)[:, 0], shown, y)
+        row = Recording(lanes.whole(actual(layout, p, k, state), 1)[:, 0], shown, y)
         return lanes.like(advance(layout, p, k, state, drawn(k)), state, 1), row
 
     _, out = lax.scan(tick, state, jnp.arange(p.schedule.event.shape[0]))

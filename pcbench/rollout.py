@@ -15,6 +15,7 @@ from jax import Array
 
 from pcbench import draws, lanes, metrics
 from pcbench.entrywise import over
+from pcbench.integrate import rk4
 from pcbench.irregular import Times
 from pcbench.types import Arrival, Gains, Leaf, Now, Observer, Plant
 
@@ -26,33 +27,37 @@ class Layout(NamedTuple):
     observers: tuple[tuple[str, Observer], ...]  # (label, functions)
     width: int  # lanes
     ring: int  # packets the network can hold
-    random_start: bool  # x(0) ~ N(xhat0, P0) instead of x0
+    random_start: bool  # x(0) = x0 + spread0 @ normal instead of x0
     watch: bool = True  # settling time and divergence, besides the streams
     strides: bool = True  # flow goes by two ticks where it can; of no use where there is an event at nearly every tick
+    continuous: bool = False  # plant and observers are one field, and y is measured at each of its stages
+    drifting: bool = False  # the plant's numbers are of each run's own
 
 
 class Problem(NamedTuple):
-    """The numbers of one cell: everything traced. N ticks, n states, m inputs, q outputs."""
+    """The numbers of one cell: everything traced. N ticks, n states, s unknowns beside them, m inputs, q outputs."""
 
     params: Any  # the plant's
     gains: dict[str, Gains]  # by observer label
     schedule: Any  # a Schedule, the same for every run; or Times: then each run draws its own
     inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1)
     dt: Leaf  # [s]
-    x0: Leaf  # [n]
+    x0: Leaf  # [n] the start, or its mean
     xhat0: Leaf  # [n]
-    spread0: Leaf  # [n, n] a square root of P0: x0 = xhat0 + spread0 @ normal, where the start is random
+    spread0: Leaf  # [n, n] a square root of the start's covariance, where it is random
     noise_std: Leaf  # [q]
-    band: Leaf  # [n] settling band of |e|
-    bound: Leaf  # [n] beyond it a run has diverged
+    band: Leaf  # [n + s] settling band of |e|
+    bound: Leaf  # [n + s] beyond it a run has diverged
     windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
     process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick; [0]: none
+    jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
 
 
 class State(NamedTuple):
     """What a block of lanes carries from tick to tick."""
 
     x: Any
+    own: Any  # numbers the run has drawn for its plant; (): none
     memories: Any  # by observer label
     flight: Any  # packets on the network: measured values and notes
     streams: dict[str, metrics.Stream]
@@ -60,7 +65,7 @@ class State(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a block of lanes leaves, by observer label; every array ends in lanes [L]."""
+    """What a block of lanes leaves, by observer label; every array ends in lanes [L]. n: what the observer estimates."""
 
     streams: dict[str, metrics.Stream]  # [W, n, L]
     watches: dict[str, metrics.Watch]  # [n, L]
@@ -74,6 +79,16 @@ def present(p: Problem, k: Array, decided: bool) -> Now:
         return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
 
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
+
+
+def params_of(layout: Layout, p: Problem, own: Any) -> Any:
+    """Return the plant's numbers in the run that has drawn `own`."""
+    return layout.plant.of_run(p.params, own) if layout.drifting and layout.plant.of_run else p.params
+
+
+def truth(layout: Layout, params: Any, now: Now, x: Array) -> Array:
+    """Return what observers estimate, as it is: the state, and what the plant has of unknowns, [n + s]."""
+    return jnp.append(x, layout.plant.unknown(params, now, x)) if layout.plant.unknown else x
 
 
 class Row(NamedTuple):
@@ -94,30 +109,48 @@ def process_noise(p: Problem, root_seed: Array, seeds: Array) -> Callable[[Array
 def advance(layout: Layout, p: Problem, k: Any, state: State, drawn: Any) -> State:
     """Estimate and measure the error at tick k, then flow to tick k + 1, with the process noise that is `drawn`."""
 
-    def one_lane(k: Array, x: Array, memories: Any, streams: Any, watches: Any, w: Array) -> Any:
-        now = present(p, k, True)
-        new: tuple[dict[str, Any], dict[str, Any], dict[str, Any]] = ({}, {}, {})
+    def one_lane(k: Array, x: Array, own: Any, memories: Any, streams: Any, watches: Any, w: Array) -> Any:
+        now, params = present(p, k, True), params_of(layout, p, own)
+        actual = truth(layout, params, now, x)
+        new: tuple[dict[str, Any], dict[str, Any]] = ({}, {})
         for label, observer in layout.observers:
-            gains, memory = p.gains[label], memories[label]
-            e = x - observer.estimate(gains, memory)
-            new[0][label] = observer.flow(gains, memory, now)
-            new[1][label] = metrics.update(streams[label], e)
+            estimated = observer.estimate(p.gains[label], memories[label])
+            e = actual[: estimated.shape[0]] - estimated
+            new[0][label] = metrics.update(streams[label], e)
             if layout.watch:
-                new[2][label] = metrics.look(watches[label], k, e, p.band, p.bound)
-        moved = layout.plant.step(p.params, now, x)
-        return moved + p.process_std * w if w.size else moved, *new
+                new[1][label] = metrics.look(watches[label], k, e, p.band, p.bound, p.jumps)
+        if layout.continuous:
+            moved, flowed = together(layout, p, params, now, x, memories)
+        else:
+            moved = layout.plant.step(params, now, x)
+            flowed = {label: o.flow(p.gains[label], memories[label], now) for label, o in layout.observers}
+        return moved + p.process_std * w if w.size else moved, flowed, *new
 
-    x, *rest = over(one_lane)(k, state.x, state.memories, state.streams, state.watches, drawn)
-    return State(x, rest[0], state.flight, rest[1], rest[2])
+    x, *rest = over(one_lane)(k, state.x, state.own, state.memories, state.streams, state.watches, drawn)
+    return state._replace(x=x, memories=rest[0], streams=rest[1], watches=rest[2])
 
 
-def measure(layout: Layout, p: Problem, k: Any, x: Any, noise: Any) -> Any:
+def together(layout: Layout, p: Problem, params: Any, now: Now, x: Array, memories: Any) -> tuple[Array, Any]:
+    """Move plant and observers by one tick as one field: at every stage the observers see y of that stage."""
+    plant_field: Any = layout.plant.field
+
+    def field(t: Array, z: tuple[Array, Any]) -> tuple[Array, Any]:
+        there, (x, memories) = now._replace(t=t), z
+        y = layout.plant.output(params, there, x)
+        rates = {label: o.field(p.gains[label], memories[label], there, y) for label, o in layout.observers if o.field}
+        return plant_field(params, there, x), rates
+
+    return rk4(field, now.t, (x, memories), now.dt)
+
+
+def measure(layout: Layout, p: Problem, k: Any, x: Any, own: Any, noise: Any) -> Any:
     """Return what every channel measures at tick k: y[q] with its noise."""
 
-    def one_lane(k: Array, x: Array, v: Array) -> Array:
-        return layout.plant.output(p.params, present(p, k, True), x) + p.noise_std * v
+    def one_lane(k: Array, x: Array, own: Any, v: Array) -> Array:
+        y = layout.plant.output(params_of(layout, p, own), present(p, k, True), x)
+        return y if layout.continuous else y + p.noise_std * v
 
-    return over(one_lane)(k, x, noise)
+    return over(one_lane)(k, x, own, noise)
 
 
 def note(layout: Layout, p: Problem, k: Any, memories: Any) -> dict[str, Any]:
@@ -153,34 +186,47 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     x: Any = p.x0
     if layout.random_start:
         normal = draws.normals(draws.run_keys(root_seed, seeds, "initial", n), jnp.zeros(n, int))
-        x = over(lambda v: p.xhat0 + p.spread0 @ v)(lanes.split(normal))
-    labels = [label for label, _ in layout.observers]
+        x = over(lambda v: p.x0 + p.spread0 @ v)(lanes.split(normal))
+    own: Any = ()
+    if layout.drifting:
+        own = lanes.split(draws.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, layout.plant.drawn)[0])
     memories = {label: observer.init(p.gains[label], p.xhat0) for label, observer in layout.observers}
+    size = {label: o.estimate(p.gains[label], memories[label]).shape[0] for label, o in layout.observers}
     k = jnp.asarray(0)
     state = State(
         x,
+        own,
         memories,
         (jnp.zeros(q), note(layout, p, k, memories)),
-        {label: metrics.start(n) for label in labels},
-        {label: metrics.start_watch(n) for label in labels} if layout.watch else {},
+        {label: metrics.start(many) for label, many in size.items()},
+        {label: metrics.start_watch(many) for label, many in size.items()} if layout.watch else {},
     )
     noise = lanes.split(jnp.zeros((q, layout.width)))
-    own, drawn = isinstance(p.schedule, Times), process_noise(p, root_seed, seeds)(k)
+    random, drawn = isinstance(p.schedule, Times), process_noise(p, root_seed, seeds)(k)
     row: Any = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), k)
-    row = jax.tree.map(lambda a: lanes.spread(a, layout.width), row) if own else row
+    row = jax.tree.map(lambda a: lanes.spread(a, layout.width), row) if random else row
 
     def everything(state: State) -> State:  # one tick on which all happens: what it makes different is per lane
-        packet = measure(layout, p, k, state.x, noise), note(layout, p, k, state.memories)
+        packet = measure(layout, p, k, state.x, state.own, noise), note(layout, p, k, state.memories)
         memories = hand_over(layout, p, k, row, packet, state.memories)
-        if own:  # what a jump changes at all, it changes in some lanes only
+        if random:  # what a jump changes at all, it changes in some lanes only
             memories = lanes.unless_same(memories, state.memories, layout.width)
         return advance(layout, p, k, state._replace(memories=memories), drawn)._replace(flight=packet)
 
     return lanes.settle(everything, jax.tree.map(jnp.asarray, state), layout.width)
 
 
+def actual(layout: Layout, p: Problem, k: Array, state: State) -> Any:
+    """Return what observers estimate, as it is at tick k: [n + s]."""
+
+    def one_lane(k: Array, x: Array, own: Any) -> Array:
+        return truth(layout, params_of(layout, p, own), present(p, k, True), x)
+
+    return over(one_lane)(k, state.x, state.own)
+
+
 def estimates(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
-    """Return xhat of every observer, as the state stands."""
+    """Return what every observer estimates, as the state stands: [n] or [n + s]."""
 
     def one_lane(memories: Any) -> Any:
         return {label: o.estimate(p.gains[label], memories[label]) for label, o in layout.observers}
@@ -188,19 +234,20 @@ def estimates(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
     return over(one_lane)(state.memories)
 
 
-def errors(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
-    """Return e = x - xhat of every observer, as the state stands."""
-    subtract = over(lambda x, estimates: {label: x - xhat for label, xhat in estimates.items()})
-    return subtract(state.x, estimates(layout, p, state))
+def errors(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, Any]:
+    """Return e of every observer at tick k, of all that it estimates."""
+    subtract = over(lambda z, found: {label: z[: each.shape[0]] - each for label, each in found.items()})
+    return subtract(actual(layout, p, k, state), estimates(layout, p, state))
 
 
 def final(layout: Layout, p: Problem, k: Array, state: State) -> tuple[tuple[Any, Any], Any]:
     """Measure the error at the last tick k, after its events: its own window's streams, itself, and the watches."""
-    e = errors(layout, p, state)
+    e = errors(layout, p, k, state)
 
     def one_lane(e: Any, watches: Any) -> Any:
         streams = {label: metrics.update(metrics.start(e[label].shape[0]), e[label]) for label in e}
-        return streams, {label: metrics.look(watch, k, e[label], p.band, p.bound) for label, watch in watches.items()}
+        looked = {label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps) for label, w in watches.items()}
+        return streams, looked
 
     streams, watches = over(one_lane)(e, state.watches)
     return (streams, e), watches

@@ -57,7 +57,7 @@ def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, new)
 
     def sense() -> Any:
-        return measure(layout, p, k, state.x, lanes.split(draws.normals(keys, plan.sample[k])))
+        return measure(layout, p, k, state.x, state.own, lanes.split(draws.normals(keys, plan.sample[k])))
 
     values = put(state.flight[0], plan.sense[k], sense)
     notes = put(state.flight[1], plan.note[k], lambda: note(layout, p, k, state.memories))

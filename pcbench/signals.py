@@ -1,5 +1,6 @@
 """Inputs as functions of time, in NumPy; each is read at the start of a tick and held over it."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -51,6 +52,19 @@ def heater(t: NDArray[np.float64], tick: float, power: float) -> NDArray[np.floa
     return np.stack([np.where(k % 40 < 20, 0.02, -0.02), np.where(k % 60 < 30, power, -0.6 * power)], 1)
 
 
+def d1(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return 0.25 sin(2 pi t), [N, 1]: what pushes the arm. Source: Peng 2017, section 5."""
+    return 0.25 * np.sin(2 * np.pi * t)[:, None]
+
+
+def d2(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return 0.025 (2 |10 t - 20 floor(t/2) - 6.5| - 13), [N, 1]: the arm's saw-tooth, which falls from 0.35 to 0 every 2 s.
+
+    Right-continuous; t must be a whole number of ticks times their length, never an accumulated time. Source: Peng 2017.
+    """
+    return 0.025 * (2 * np.abs(10 * t - 20 * np.floor(0.5 * t) - 6.5) - 13)[:, None]
+
+
 SIGNALS: dict[str, Signal] = {
     "sawtooth": sawtooth,
     "rising": rising,
@@ -58,10 +72,23 @@ SIGNALS: dict[str, Signal] = {
     "square": square,
     "step": step,
     "zero": zero,
+    "arm-sine": d1,
+    "arm-sawtooth": d2,
     "heater-literal": partial(heater, tick=1.0, power=1e-3),
     "heater-1s": partial(heater, tick=1.0, power=500.0),
     "heater-10s": partial(heater, tick=10.0, power=500.0),
 }
+
+
+JUMPS = {"sawtooth": np.pi, "rising": np.pi, "square": 1.0, "arm-sawtooth": 2.0}  # [s] from one to the next
+
+
+def jumps(names: str, dt: float, ticks: int) -> NDArray[np.int64]:
+    """Return the first tick after every jump of a signal (or of one of several) after t = 0, up to `ticks`."""
+    out = set()
+    for every in (JUMPS[name.strip()] for name in names.split(",") if name.strip() in JUMPS):
+        out |= {math.ceil(i * every / dt - 1e-6) for i in range(1, int(ticks * dt / every) + 2)}
+    return np.array(sorted(tick for tick in out if tick <= ticks), int)
 
 
 def inputs(names: str, t: NDArray[np.float64], many: int) -> NDArray[np.float64]:

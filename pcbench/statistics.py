@@ -16,7 +16,10 @@ from scipy.special import stdtr, stdtrit
 
 from pcbench.errors import unknown
 
-RUN_METRICS = ("mae", "rmse", "mse", "peak", "final", "settling_time", "tail_mae", "tail_rmse", "tail_mse", "tail_peak")
+RUN_METRICS = (
+    *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
+    *("tail_mae", "tail_rmse", "tail_mse", "tail_peak"),
+)  # recovery_time where an unknown input jumps
 COMPARED = tuple(m for m in RUN_METRICS if m != "final")  # a signed error is neither better nor worse
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
 QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
@@ -70,11 +73,11 @@ def efficiency(tail_squares: Values, bound: float) -> Row:
 
 
 def describe(results: dict[str, NDArray[Any]], signal: int, bound: float | None) -> Iterable[Row]:
-    """Yield a row for every metric of one signal; results are metric -> [n, seeds], `diverged` [seeds]."""
+    """Yield a row for every metric of one signal that there is; results are metric -> [n, seeds], `diverged` [seeds]."""
     good = ~results["diverged"]
     blank = dict.fromkeys(QUANTILES, np.nan)
     common = {"diverged": int((~good).sum())}
-    for metric in RUN_METRICS:
+    for metric in (m for m in RUN_METRICS if m in results):
         values = results[metric][signal][good]
         yield {"metric": metric} | common | mean(values) | quantiles(values)
     for metric, square in POOLED.items():
@@ -117,11 +120,15 @@ def holm(p_values: Values) -> Values:
 
 
 def pairs(results: dict[str, dict[str, NDArray[Any]]], signals: list[str], sizes: tuple[float, ...]) -> Iterable[Row]:
-    """Yield a row for every pair of observers, signal and metric of one cell; `sizes` are the signals' typical sizes."""
+    """Yield a row for every pair of observers, signal and metric of one cell; `sizes` are the signals' typical sizes.
+
+    Only of signals that both estimate.
+    """
     for a, b in itertools.combinations(results, 2):
         ra, rb = results[a], results[b]
-        for i, signal in enumerate(signals):
-            for metric in COMPARED:
+        both = min(len(ra["mae"]), len(rb["mae"]))
+        for i, signal in enumerate(signals[:both]):
+            for metric in (m for m in COMPARED if m in ra):
                 floor = ZERO * sizes[i] ** (2 if metric in POOLED.values() else 1)
                 row = compare(ra[metric][i], rb[metric][i], ra["diverged"], rb["diverged"], floor)
                 yield {"observer_a": a, "observer_b": b, "signal": signal, "metric": metric} | row

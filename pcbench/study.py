@@ -22,7 +22,10 @@ class Choices(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     random_start: bool = Field(False, description="draw x(0) from N(xhat(0), P0) for each seed")
+    start_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
     input: str | None = Field(None, description="name of the input signal")
+    unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")
+    precision: Literal["float64"] = Field("float64", description="float64: no other is offered")
     drift_sign: Literal[-1, 1] = Field(1, description="the operator lost in print, in the cart's drift")
 
 
@@ -113,8 +116,12 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
         options = model.model_validate(dashes(given))
     except ValidationError as error:
         raise sentence(where, error, model) from None
-    if isinstance(options, Choices) and options.input is not None and options.input not in SIGNALS:
-        raise unknown(f"{where}.input", "input", options.input, SIGNALS)
+    if isinstance(options, Choices):
+        for key, signal in (("input", options.input), ("unknown_input", options.unknown_input)):
+            if signal is not None and signal not in SIGNALS:
+                raise unknown(f"{where}.{key}", "input", signal, SIGNALS)
+        if options.random_start and options.start_spread:
+            raise UserError(f"{where}: got random_start and start_spread, expected one of them; leave the other out.")
     return options
 
 

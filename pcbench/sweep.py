@@ -14,7 +14,7 @@ from pcbench.study import Study
 
 
 class Done(NamedTuple):
-    """A cell with what its runs left: by observer, metric -> [n, seeds] ([seeds] for divergence)."""
+    """A cell with what its runs left: by observer, metric -> [what it estimates, seeds] ([seeds] for divergence)."""
 
     planned: Planned
     seeds: NDArray[np.int64]
@@ -48,7 +48,8 @@ def execute(
         for i, ((p, _), (job, outcome)) in enumerate(zip(jobs, outcomes, strict=True)):
             for label, _ in layout.observers:
                 n, tail, dt = ticks(p.cell), tail_tick(p.cell), p.cell.scenario.dt
-                read = metrics.read(outcome.streams[label], outcome.watches[label], outcome.final[label], n, tail, dt)
+                left = outcome.streams[label], outcome.watches[label], outcome.final[label]
+                read = metrics.read(*left, n, tail, dt, bool((p.problem.jumps < n).any()))
                 collected.setdefault(label, []).append(read)
             tell("runs", len(job.seeds) * len(layout.observers))
             if i + 1 == len(jobs) or jobs[i + 1][0] is not p:

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from pcbench.statistics import QUANTILES, RUN_METRICS
 
-SCHEMA = "1"
+SCHEMA = "2"  # 2: recovery_time, carries_input
 AXIS_UNITS = {
     "sampling_period": "s",
     "delay": "s",
@@ -41,7 +41,11 @@ MEANING = {
     "loss": "probability that a sample never arrives",
     "assumed_delay_error": "observers believe every sample to be so much older than it is",
     "seed": "seed index: with the study's root seed it addresses every random number of the run",
-    "signal": "state whose error e = x - xhat is measured",
+    "signal": "state, or unknown input, whose error e = x - xhat is measured",
+    "carries_input": "whether the observer's prediction to the present carries the unknown input it has found; null: it finds "
+    "none, or predicts nothing",
+    "carries_input_a": "carries_input of the first observer",
+    "carries_input_b": "carries_input of the second observer",
     "unit": "unit of the signal; beside a metric, of that metric",
     "mae": "mean |e| over ticks 0 .. N-1",
     "rmse": "square root of the mean of e^2 over ticks 0 .. N-1",
@@ -49,6 +53,8 @@ MEANING = {
     "peak": "largest |e| over ticks 0 .. N-1",
     "final": "e at tick N-1, signed",
     "settling_time": "time [s] of the last exit of |e| from the scenario's band; the horizon where it is still outside",
+    "recovery_time": "time [s] from a jump of the unknown input to the last exit of |e| from its band before the next one, the "
+    "longest of all jumps from the scenario's tail start on; null where there is none",
     "tail_mae": "mean |e| from the scenario's tail start on",
     "tail_rmse": "square root of the mean of e^2 from the tail start on",
     "tail_mse": "mean of e^2 from the tail start on [unit squared]",
@@ -70,11 +76,13 @@ MEANING = {
 } | {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
 TEXT = {"profile", "study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
 WHOLE = {"cell", "seed", "n"}
+YES_OR_NO = {"carries_input", "carries_input_a", "carries_input_b"}
+SECONDS = {"settling_time", "recovery_time", "first_bad_time"}
 
 
 def unit_of(metric: str, unit: str) -> str:
     """Return the unit of a metric of a signal that is measured in `unit`."""
-    if metric == "settling_time":
+    if metric in SECONDS:
         return "s"
     if metric == "efficiency":
         return "1"
@@ -88,7 +96,9 @@ def keys(study: str, cell: Any) -> dict[str, Any]:
 
 def runs_table(study: str, done: Any, observer: str, signals: tuple[tuple[str, str], ...]) -> pa.Table:
     """Return the runs of one observer in one cell: a row per seed and signal."""
-    results, seeds, many = done.results[observer], done.seeds, len(signals)
+    results, seeds = done.results[observer], done.seeds
+    many = len(results["mae"])  # what this observer estimates
+    signals = signals[:many]
     columns: dict[str, Any] = {
         name: [value] * (len(seeds) * many)
         for name, value in keys(study, done.planned.cell).items()
@@ -97,8 +107,9 @@ def runs_table(study: str, done: Any, observer: str, signals: tuple[tuple[str, s
     columns["seed"] = np.repeat(seeds, many)
     columns["signal"] = [name for name, _ in signals] * len(seeds)
     columns["unit"] = [unit for _, unit in signals] * len(seeds)
+    columns["carries_input"] = [done.planned.carries_input[observer]] * (len(seeds) * many)
     for metric in RUN_METRICS:
-        columns[metric] = results[metric].T.ravel()
+        columns[metric] = results[metric].T.ravel() if metric in results else [None] * (len(seeds) * many)
     for name in ("diverged", "first_bad_time"):
         columns[name] = np.repeat(results[name], many)
     return table(columns, bools=("diverged",))
@@ -117,14 +128,14 @@ def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:
             values = [v if isinstance(v, list) else [v] for v in values]
         kind = _type(name, values, bools)
         arrays.append(pa.array(values, kind, from_pandas=True))
-        unit = AXIS_UNITS.get(name, "s" if name in ("settling_time", "first_bad_time") else "")
+        unit = AXIS_UNITS.get(name, "s" if name in SECONDS else "")
         about = {"meaning": MEANING.get(name, "the plant's parameter in this cell")} | ({"unit": unit} if unit else {})
         fields.append(pa.field(name, kind, metadata=about))
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"pcbench.schema": SCHEMA}))
 
 
 def _type(name: str, values: Any, bools: tuple[str, ...]) -> pa.DataType:
-    if name in bools:
+    if name in bools or name in YES_OR_NO:
         return pa.bool_()
     if name in TEXT:
         return pa.string()
@@ -139,7 +150,7 @@ def trace_table(frame: pd.DataFrame, signals: tuple[tuple[str, str], ...]) -> pa
     fields = []
     for name in frame.columns:
         unit = units.get(name.rpartition(".")[2], "unit of the input" if name[0] == "u" else "unit of the output")
-        meaning = "time" if name == "t" else "estimate" if "." in name else "true state" if name in units else ""
+        meaning = "time" if name == "t" else "estimate" if "." in name else "truth" if name in units else ""
         meaning = meaning or ("input held over the tick" if name[0] == "u" else "newest arrived measurement, held")
         fields.append(pa.field(name, pa.float64(), metadata={"unit": unit, "meaning": meaning}))
     schema = pa.schema(fields, metadata={"pcbench.schema": SCHEMA})
@@ -153,13 +164,24 @@ def axes_of(row: dict[str, Any]) -> list[str]:
 
 def stats_order(axes: list[str]) -> list[str]:
     """Return the columns of stats.parquet."""
-    head = ["study", "scenario", "plant", "observer", "cell", *axes, "signal", "unit", "metric"]
+    head = ["study", "scenario", "plant", "observer", "cell", *axes, "signal", "unit", "carries_input", "metric"]
     return [*head, "n", "diverged", "mean", "se", "ci_low", "ci_high", *QUANTILES]
 
 
 def pairs_order(axes: list[str]) -> list[str]:
     """Return the columns of pairs.parquet."""
-    head = ["study", "scenario", "plant", "cell", *axes, "observer_a", "observer_b", "signal", "unit", "metric"]
+    head = [
+        "study",
+        "scenario",
+        "plant",
+        "cell",
+        *axes,
+        "observer_a",
+        "observer_b",
+        "carries_input_a",
+        "carries_input_b",
+    ]
+    head += ["signal", "unit", "metric"]
     return [*head, "n", "mean_diff", "se", "ci_low", "ci_high", "prob_a_better", "p_value", "p_holm"]
 
 

@@ -44,11 +44,18 @@ class Arrival(NamedTuple):
 
 
 class Plant(NamedTuple):
-    """A plant as pure functions of its numbers `params`."""
+    """A plant as pure functions of its numbers `params`.
+
+    `unknown` is what observers are not told and may estimate beside the state: unknown inputs, parameters. A plant whose
+    numbers drift in each run differently draws `drawn` of them, uniform in [0, 1), and `of_run` makes its params of them.
+    """
 
     step: Callable[[Any, Now, Array], Array]  # x[n] -> x[n] one tick later, under the held now.u
     output: Callable[[Any, Now, Array], Array]  # x[n] -> y[q]
     field: Callable[[Any, Now, Array], Array] | None = None  # x[n] -> dx/dt[n]; now.t is the stage's time
+    unknown: Callable[[Any, Now, Array], Array] | None = None  # x[n] -> [s] at now.t
+    drawn: int = 0
+    of_run: Callable[[Any, Array], Any] | None = None  # uniform[drawn] -> params
 
 
 class Observer(NamedTuple):
@@ -58,5 +65,7 @@ class Observer(NamedTuple):
     note: Callable[[Gains, Memory, Now], Array]  # -> [r], when a sample is taken
     jump: Callable[[Gains, Memory, Now, Arrival], Memory]  # when something arrives
     flow: Callable[[Gains, Memory, Now], Memory]  # one tick later
-    estimate: Callable[[Gains, Memory], Array]  # -> xhat[n], the *current* estimate
+    estimate: Callable[
+        [Gains, Memory], Array
+    ]  # -> xhat[n], the *current* estimate; or [n + s], the plant's unknowns too
     field: Callable[[Gains, Memory, Now, Array], Memory] | None = None  # d memory / dt with y held

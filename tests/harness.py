@@ -34,6 +34,13 @@ ODD = linear.Model(
     np.array([[1.0, 0.0], [0.5, -2.0], [0.0, 3.0]]),
     np.array([[1.0, 0.2, 0.0], [0.0, -0.4, 1.5]]),
 )
+PUSHED = ODD._replace(E=np.array([[1.0], [0.3], [0.2]]))
+FIND_INPUTS = ("smo", "pio")  # they need a plant with an unknown input, and move by Runge-Kutta: see test_unknown_input
+
+
+def suitable(observer: str) -> list[linear.Model]:
+    """Models that an observer can be designed for."""
+    return [PUSHED] if observer in FIND_INPUTS else [CART, ODD]
 
 
 class Case(NamedTuple):
@@ -73,7 +80,7 @@ def setting(case: Case) -> Setting:
     prior = np.diag(np.arange(1.0, n + 1) ** 2)
     return Setting(
         "case", case.model, case.h, case.ticks, (case.te,) * q, (case.d,) * q, (case.noise_std,) * q, prior,
-        case.input_intensity,
+        case.input_intensity, unknown_std=() if case.model.E is None else (1.0,) * case.model.E.shape[1],
     )  # fmt: skip
 
 
@@ -94,7 +101,7 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[rollout.L
     n_ticks = case.ticks
     p = rollout.Problem(
         params, gains, plan, inputs(case), np.asarray(case.h), x0, xhat0, np.eye(n), np.full(q, case.noise_std),
-        np.ones(n), np.asarray(1e9), np.array([[0, n_ticks // 2], [n_ticks // 2, n_ticks - 1], [n_ticks - 1, n_ticks]]),
+        np.ones(n), np.full(n, 1e9), np.array([[0, n_ticks // 2], [n_ticks // 2, n_ticks - 1], [n_ticks - 1, n_ticks]]),
     )  # fmt: skip
     layout = rollout.Layout(LINEAR, tuple((o, OBSERVERS[o].observer) for o in observers), 8, RING, False)
     return layout, jax.tree.map(np.asarray, p)

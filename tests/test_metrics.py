@@ -44,12 +44,12 @@ def test_every_metric_equals_that_of_the_trace(trace, runs, observer, signal):
 def test_the_first_bad_tick_is_kept_whatever_made_it_bad(bad):
     watch, band = metrics.start_watch(2), np.array([1.0, 1.0])
     for tick, e in enumerate([0.5, 9.0, bad, 0.1, bad]):
-        watch = metrics.look(watch, np.asarray(tick), np.array([0.0, e]), band, np.asarray(10.0))
+        watch = metrics.look(watch, np.asarray(tick), np.array([0.0, e]), band, np.full(2, 10.0), np.zeros(0, int))
     assert watch.first_bad == 2
 
 
 def test_settling_is_the_last_exit_not_the_first_entry():
     watch, band = metrics.start_watch(1), np.array([1.0])
     for tick, e in enumerate([3.0, 0.2, -2.0, 0.5, 0.1]):
-        watch = metrics.look(watch, np.asarray(tick), np.array([e]), band, np.asarray(10.0))
+        watch = metrics.look(watch, np.asarray(tick), np.array([e]), band, np.full(1, 10.0), np.zeros(0, int))
     assert watch.unsettled[0] == 3

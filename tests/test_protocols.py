@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, ODD, Case, problem
+from harness import CART, Case, problem, suitable
 
 from pcbench import rollout
 from pcbench.integrate import rk4
 from pcbench.observers import OBSERVERS, base_of
-from pcbench.plants import PLANTS, signals_of
+from pcbench.plants import PLANTS, signals_of, states_of
 from pcbench.scenarios import SCENARIOS
 from pcbench.types import Arrival
 
@@ -37,8 +37,7 @@ def test_plant_functions_have_the_protocols_arguments(name):
         assert f is None or list(inspect.signature(f).parameters) == ["params", "now", "x"]
 
 
-@pytest.mark.parametrize("model", [CART, ODD], ids=["cart", "odd"])
-@pytest.mark.parametrize("name", OBSERVERS)
+@pytest.mark.parametrize(("name", "model"), [(o, m) for o in OBSERVERS for m in suitable(o)])
 def test_memory_keeps_its_shape_and_gains_are_arrays(name, model):
     q, n = model.C.shape
     _, p = problem(Case(model, 10, 20, ticks=50), {name: {}})
@@ -53,13 +52,17 @@ def test_memory_keeps_its_shape_and_gains_are_arrays(name, model):
     shapes = jax.tree.map(lambda a: (jnp.shape(a), jnp.result_type(a)), memory)
     for after in (observer.jump(gains, memory, now, arrival), observer.flow(gains, memory, now)):
         assert jax.tree.map(lambda a: (jnp.shape(a), jnp.result_type(a)), after) == shapes
-    assert observer.estimate(gains, memory).shape == (n,)
+    signals = n if model.E is None else n + model.E.shape[1]
+    assert observer.estimate(gains, memory).shape in ((n,), (signals,))
+    if observer.field:
+        rate = observer.field(gains, memory, now, jnp.ones(q))
+        assert jax.tree.map(lambda a: (jnp.shape(a), jnp.result_type(a)), rate) == shapes
 
 
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_a_channel_that_is_not_fresh_changes_nothing(name):
     """Whatever value stands in a channel that did not arrive, the estimate is the same."""
-    p = jax.tree.map(jnp.asarray, problem(Case(ODD, 10, 20, ticks=50), {name: {}})[1])
+    p = jax.tree.map(jnp.asarray, problem(Case(suitable(name)[-1], 10, 20, ticks=50), {name: {}})[1])
     observer, gains = OBSERVERS[name].observer, p.gains[name]
     memory, now = observer.init(gains, jnp.arange(3.0)), rollout.present(p, jnp.asarray(30), False)
     note = observer.note(gains, memory, now)
@@ -77,9 +80,10 @@ def test_a_channel_that_is_not_fresh_changes_nothing(name):
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenarios_name_what_exists(name):
     s = SCENARIOS[name]
-    states = len(signals_of(s))
     assert {base_of(label) for label in s.observers} <= set(OBSERVERS)
-    assert {len(s.x0), len(s.xhat0), len(s.prior_std), len(s.settle_band)} == {states}
+    assert {len(s.x0), len(s.xhat0), len(s.prior_std)} == {len(states_of(s))}
+    assert len(s.settle_band) == len(signals_of(s)) == len(s.x0) + len(s.unknown_std)
+    assert set(s.headline) <= {name for name, _ in signals_of(s)}
     assert 0 <= s.tail < s.horizon
     for seconds in (*s.sampling_period, *(d or 0.0 for d in s.delay), s.horizon, s.tail):
         assert abs(seconds / s.dt - round(seconds / s.dt)) < 1e-9

@@ -25,9 +25,15 @@ AXES = [
     "loss",
     "assumed_delay_error",
 ]
-RUNS = "seed signal unit mae rmse mse peak final settling_time tail_mae tail_rmse tail_mse tail_peak diverged first_bad_time"
-STATS = "signal unit metric n diverged mean se ci_low ci_high p05 p25 p50 p75 p95"
-PAIRS = "observer_a observer_b signal unit metric n mean_diff se ci_low ci_high prob_a_better p_value p_holm"
+RUNS = (
+    "seed signal unit carries_input mae rmse mse peak final settling_time recovery_time tail_mae tail_rmse tail_mse tail_peak "
+    "diverged first_bad_time"
+)
+STATS = "signal unit carries_input metric n diverged mean se ci_low ci_high p05 p25 p50 p75 p95"
+PAIRS = (
+    "observer_a observer_b carries_input_a carries_input_b signal unit metric n mean_diff se ci_low ci_high prob_a_better "
+    "p_value p_holm"
+)
 
 
 @pytest.fixture(scope="module")

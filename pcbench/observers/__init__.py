@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel
 
-from pcbench.observers import chain, dkf, equal_delay, kfbo, no_delay, open_loop, pccebo, pco
+from pcbench.observers import chain, dkf, equal_delay, kfbo, no_delay, open_loop, pccebo, pco, pio, smo
 from pcbench.synthesis.certificate import Design, Setting
 from pcbench.types import Observer
 
@@ -83,6 +83,22 @@ OBSERVERS = {
         False,
         "the classical observer, designed as if nothing were late",
         "constant delays",
+    ),
+    "smo": Entry(
+        smo.OBSERVER,
+        smo.Options,
+        smo.design,
+        True,
+        "sliding mode: injects a signal that is the unknown input; gains printed or by LMI",
+        "one constant delay",
+    ),
+    "pio": Entry(
+        pio.OBSERVER,
+        pio.Options,
+        pio.design,
+        True,
+        "PI with a sign: injects a signal that is the unknown input; gains printed or by LMI",
+        "one constant delay",
     ),
     "dkf": Entry(
         dkf.OBSERVER,

@@ -9,12 +9,14 @@ form, one channel after the other), then predict to now exactly as PCCEBO does:
 R is the variance of one sample, the prior is N(xhat(0), P0). With q = 0 and x(0) drawn from the prior, P is the Bayesian
 bound of every causal estimator, and this filter attains it. Where a scenario has no measurement noise R = 1e-12, never 0/0.
 With `bias-variance` a constant input bias b ~ N(0, that variance) is estimated beside the state: x' = A x + B (u + b).
+Where a plant has an unknown input, x' = A x + B u + E f, f is estimated too, as a random walk from N(0, size^2) on: the
+estimate of the present carries it, and the signal is f less its part that is a known function of the state.
 Time index: the estimate is of now, after the jump. Channels may have clocks and delays of their own; a sample that comes after
 a newer one is put in its place (`in_order`), so the estimate uses all that has arrived, as if it had come in order.
 Source: Kalman 1960; cart.md and variable-sampling.md of the design pages for the numbers.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -33,7 +35,7 @@ from pcbench.types import Leaf, Observer
 
 
 class Gains(NamedTuple):
-    """n states (the plant's, and the bias where it is estimated), m inputs, q outputs."""
+    """n states (the plant's, and what is estimated beside them), m inputs, q outputs."""
 
     motion: Motion
     noise: Leaf  # [2, R, n, n] process noise covariance over as many ticks as each of motion.powers
@@ -42,7 +44,9 @@ class Gains(NamedTuple):
     R: Leaf  # [q] variance of one sample
     P0: Leaf  # [n, n]
     places: Leaf  # [K] room for samples that may be overtaken
-    states: Leaf  # [the plant's n] their number is what the estimate has
+    states: Leaf  # [the plant's n] their number is what the estimate has, and
+    inputs: Leaf  # [r] the number of unknown inputs, the last states of the filter
+    known: Any  # x[n] -> [r] the known part of f, or None
 
 
 class Filtered(NamedTuple):
@@ -61,10 +65,15 @@ class Options(BaseModel):
     bias_variance: float | None = Field(
         None, gt=0, description="prior variance of a constant input bias, estimated beside the state; default: no bias"
     )
+    input_walk: float = Field(
+        1.0,
+        ge=0,
+        description="how far an unknown input walks: variance over the square of its size [1/s]; 0: not estimated",
+    )
 
 
 def init(gains: Gains, xhat0: Array) -> Memory:
-    """Start from the prior N(xhat(0), P0), the bias from 0."""
+    """Start from the prior N(xhat(0), P0), what is beside the state from 0."""
     whole = jnp.concatenate([xhat0, jnp.zeros(gains.P0.shape[0] - xhat0.shape[0])])
     return free_response.start(whole, Filtered(free_response.origin(whole), gains.P0), gains.places, gains.C.shape[0])
 
@@ -84,8 +93,13 @@ def update(gains: Gains, before: Filtered, sample: Sample) -> Filtered:
 
 
 def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return xhat of now, [n]."""
-    return memory.xhat[: gains.states.shape[0]]
+    """Return xhat of now, [n], and the unknown inputs, [n + r]."""
+    n, r = gains.states.shape[0], gains.inputs.shape[0]
+    xhat = memory.xhat[:n]
+    if not r:
+        return xhat
+    f = memory.xhat[-r:]
+    return jnp.append(xhat, f - gains.known(xhat) if gains.known else f)
 
 
 jump = free_response.jumping(update, lambda filtered: filtered.mean)
@@ -101,13 +115,20 @@ def design(setting: Setting, options: Options) -> Design:
         model, m = linear.with_input_bias(model), model.B.shape[1]
         P0 = np.block([[P0, np.zeros((n, m))], [np.zeros((m, n)), options.bias_variance * np.eye(m)]])
     q = setting.input_intensity if options.q is None else options.q
+    inputs = np.zeros(0)
+    if model.E is not None and options.input_walk:
+        size = np.square(setting.unknown_std)
+        model, inputs = linear.with_unknown_input(model), size
+        P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
     R = setting.noise_variance if options.R is None else np.full(len(model.C), options.R)
     moves = free_response.motion_of(model, setting)
-    Q = linear.input_noise(model, q, setting.dt)
+    Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
     Q[:n, :n] += setting.process_noise
     noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)
-    gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, setting.places, np.zeros(n))
-    return Design(gains, certified(_certify(gains, model, Q, setting), where))
+    sizes = (setting.places, np.zeros(n), np.zeros(len(inputs)))
+    gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, *sizes, setting.model.known if len(inputs) else None)
+    carries = True if len(inputs) else None
+    return Design(gains, certified(_certify(gains, model, Q, setting), where), carries)
 
 
 def _certify(gains: Gains, model: linear.Model, Q: Matrix, setting: Setting) -> Certificate:

@@ -19,6 +19,8 @@ class Gains(NamedTuple):
 
     Phi: Leaf  # [n, n] one tick
     Gamma: Leaf  # [n, m]
+    A: Leaf  # [n, n] of the field
+    B: Leaf  # [n, m]
 
 
 class Options(BaseModel):
@@ -52,10 +54,16 @@ def estimate(gains: Gains, memory: Array) -> Array:
     return memory
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate)
+def field(gains: Gains, memory: Array, now: Now, y: Array) -> Array:
+    """Return dxhat/dt; of a continuous plant only."""
+    return gains.A @ memory + gains.B @ now.u
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate, field)
 
 
 def design(setting: Setting, options: Options) -> Design:
     """Discretise the model exactly; there is no gain to prove."""
     Phi, Gamma = linear.one_tick(setting.model, setting.dt)
-    return Design(Gains(Phi, Gamma), Certificate("none: no gain", float("inf"), "none", "not needed", {"Phi": Phi}))
+    gains = Gains(Phi, Gamma, setting.model.A, setting.model.B)
+    return Design(gains, Certificate("none: no gain", float("inf"), "none", "not needed", {"Phi": Phi}))

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from pcbench.plants import cart, csth, lti
+from pcbench.plants import arm, cart, csth, lti
 from pcbench.scenarios import Scenario
 from pcbench.synthesis.linear import Model
 from pcbench.types import Plant
@@ -18,6 +18,8 @@ class Entry(NamedTuple):
     nominal: Callable[[Any], Model]  # the linear model that observers know
     prepare: Callable[[Any, float, int], Any]  # (numbers, dt [s], ticks) -> params
     summary: str
+    unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit)
+    heavy: bool = False  # a tick costs so much that fewer lanes a call, and one tick in a loop's body, are as fast
 
 
 PLANTS = {
@@ -32,15 +34,30 @@ PLANTS = {
         csth.prepare,
         "stirred tank heater with three slow sensors, 3 states",
     ),
+    "arm": Entry(
+        arm.PLANT,
+        arm.SIGNALS,
+        arm.Numbers(),
+        arm.nominal,
+        arm.prepare,
+        "flexible-joint arm pushed by an unknown input, 4 states",
+        arm.UNKNOWNS,
+        heavy=True,
+    ),
     "lti": Entry(
         lti.PLANT, (), lti.Numbers(), lti.nominal, lti.prepare, "any linear plant of your own: a study's table [lti]"
     ),
 }
 
 
-def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
+def states_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     """Return (state, unit) of every state of a scenario's plant."""
     return scenario.signals or PLANTS[scenario.plant].signals
+
+
+def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
+    """Return (signal, unit) of all that observers may estimate: the states, and what the plant has of unknowns."""
+    return states_of(scenario) + (scenario.unknowns or PLANTS[scenario.plant].unknowns)
 
 
 def parameters_of(plant: str) -> list[str]:

@@ -1,7 +1,8 @@
-"""Any linear plant: x' = A x + B v, or x one tick later = A x + B v where `discrete`; y = C x + D v, v = gain u + bias.
+"""Any linear plant: x' = A x + B v + E f, or x one tick later where `discrete`; y = C x + D v, v = gain u + bias.
 
-A, B, C, D are the user's and what the observers know; `input_gain` and `input_bias` are how the plant differs from that.
-The output of tick k sees the input held from t_k on. A tick is the exact exponential under that held input.
+A, B, C, D, E are the user's and what the observers know; `input_gain` and `input_bias` are how the plant differs from that, and
+nobody knows the unknown input f (left out: none). The output of tick k sees the input held from t_k on. A tick is the exact
+exponential under the held inputs, f too.
 """
 
 from typing import Any, NamedTuple
@@ -11,6 +12,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from pcbench.signals import inputs
 from pcbench.synthesis.linear import Model, one_tick
 from pcbench.types import Leaf, Now, Plant
 
@@ -27,10 +29,12 @@ class Numbers(NamedTuple):
     input_bias: float = 0.0  # unit of the input
     drift: float = 0.0  # nothing drifts here
     drift_sign: float = 1.0
+    E: Any = None  # [n, r]; None: no unknown input
+    unknown_input: str = "zero"  # f: a signal's name for all, or one for each, with commas
 
 
 class Params(NamedTuple):
-    """One tick and the output; n states, m inputs, q outputs."""
+    """One tick and the output; n states, m inputs, q outputs, r unknown inputs (0: none)."""
 
     Phi: Leaf  # [n, n]
     Gamma: Leaf  # [n, m]
@@ -40,12 +44,16 @@ class Params(NamedTuple):
     D: Leaf  # [q, m]
     gain: Leaf
     bias: Leaf
+    E: Leaf  # [n, r] of the field
+    push: Leaf  # [n, r] of one tick
+    f: Leaf  # [N+1, r]
 
 
 def nominal(numbers: Numbers) -> Model:
     """Return the model that observers know."""
     A, B, C = (np.array(M, float) for M in (numbers.A, numbers.B, numbers.C))
-    return Model(A, B, C, None if numbers.D is None else np.array(numbers.D, float), numbers.discrete)
+    D, E = (None if M is None else np.array(M, float) for M in (numbers.D, numbers.E))
+    return Model(A, B, C, D, numbers.discrete, E)
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
@@ -53,12 +61,17 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     model = nominal(numbers)
     Phi, Gamma = one_tick(model, dt)
     gain, bias = np.asarray(numbers.input_gain), np.asarray(numbers.input_bias)
-    return Params(Phi, Gamma, model.A, model.B, model.C, model.feedthrough, gain, bias)
+    E, push, f = np.zeros((len(Phi), 0)), np.zeros((len(Phi), 0)), np.zeros((1, 0))
+    if model.E is not None:
+        E, push = model.E, one_tick(model._replace(B=model.E), dt)[1]
+        f = inputs(numbers.unknown_input, dt * np.arange(ticks + 1, dtype=float), E.shape[1])
+    return Params(Phi, Gamma, model.A, model.B, model.C, model.feedthrough, gain, bias, E, push, f)
 
 
 def step(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
     """Advance x by one tick under the held now.u."""
-    return params.Phi @ x + params.Gamma @ (params.gain * now.u + params.bias)
+    moved = params.Phi @ x + params.Gamma @ (params.gain * now.u + params.bias)
+    return moved + params.push @ params.f[now.tick] if params.f.shape[1] else moved
 
 
 def output(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " q"]:
@@ -68,7 +81,13 @@ def output(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " q"
 
 def field(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
     """Return dx/dt under the held now.u; of a continuous plant only."""
-    return jnp.asarray(params.A) @ x + params.B @ (params.gain * now.u + params.bias)
+    pushed = params.E @ params.f[now.tick] if params.f.shape[1] else 0.0
+    return jnp.asarray(params.A) @ x + params.B @ (params.gain * now.u + params.bias) + pushed
 
 
-PLANT = Plant(step, output, field)
+def unknown(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " r"]:
+    """Return the unknown input held over the tick."""
+    return params.f[now.tick] if params.f.shape[1] else jnp.zeros(0)
+
+
+PLANT = Plant(step, output, field, unknown)

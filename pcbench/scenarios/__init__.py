@@ -1,7 +1,8 @@
 """The published experiments, as data: one file a plant, one dict for all. SI units; no jax."""
 
+from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.base import Scenario
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.csth import CSTH
 
-SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH)}
+SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH, *ARM)}

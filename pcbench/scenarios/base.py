@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 
 class Scenario(NamedTuple):
-    """One published experiment. n states, q outputs; the plant's own states, in its order."""
+    """One published experiment. n states, s unknowns beside them, q outputs; the plant's own states, in its order."""
 
     name: str
     summary: str
@@ -21,8 +21,8 @@ class Scenario(NamedTuple):
     x0: tuple[float, ...]  # [n]
     xhat0: tuple[float, ...]  # [n]
     prior_std: tuple[float, ...]  # [n] of x(0) about xhat(0): P0 is diagonal
-    settle_band: tuple[float, ...]  # [n] a run has settled when |e| stays within
-    bound: float | tuple[float, ...]  # a run has diverged when an |e| leaves it; one for all states, or [n]
+    settle_band: tuple[float, ...]  # [n + s] a run has settled when |e| stays within
+    bound: float | tuple[float, ...]  # a run has diverged when an |e| leaves it; one for all, or [n + s]
     dt: float = 1e-3  # s, the tick
     horizon: float = 10.0  # s
     tail: float = 3.0  # s, where the tail starts
@@ -41,3 +41,8 @@ class Scenario(NamedTuple):
     parameters: Mapping[str, Any] = MappingProxyType({})  # of the plant, where not its own: what observers do not know
     model: Mapping[str, Any] = MappingProxyType({})  # of the plant, where not its own: what observers do know
     signals: tuple[tuple[str, str], ...] = ()  # (state, unit), where not the plant's own
+    unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit), likewise
+    unknown_std: tuple[float, ...] = ()  # [s] their typical size
+    unknown_input: str = ""  # name in `signals`, or one for each with commas; empty: the plant has none
+    continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
+    headline: tuple[str, ...] = ()  # signals that a closing table shows; empty: the first

@@ -45,6 +45,7 @@ def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
         horizon=200 * tick,
         tail=100 * tick,
         options=LABELS,
+        headline=("enthalpy",),
         assumed_noise_std=NOISE,
         assumed_process_std=tuple(sqrt(tick) * s for s in ROUGHNESS),
     )

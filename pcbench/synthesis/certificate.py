@@ -27,6 +27,9 @@ class Design(NamedTuple):
 
     gains: Any
     certificate: Certificate
+    carries_input: bool | None = (
+        None  # whether its prediction to now carries the unknown input it has found; None: no such
+    )
 
 
 class Setting(NamedTuple):
@@ -45,6 +48,7 @@ class Setting(NamedTuple):
     process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick, as assumed; empty: none
     error: int = 0  # [ticks] the believed delay less the true one
     reach: int = 0  # [samples] the longest delay; it and `overtaking` are the most of a study's cells
+    unknown_std: tuple[float, ...] = ()  # [r] typical size of the unknown inputs
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 
     @property

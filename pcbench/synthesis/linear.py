@@ -86,12 +86,15 @@ def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     return (Q + Q.T) / 2
 
 
-def input_noise(model: Model, intensity: float, h: float) -> Matrix:
+def input_noise(model: Model, intensity: float, h: float, last: Matrix | None = None) -> Matrix:
     """Return the covariance [n, n] that white noise through the input adds over a tick of h seconds.
 
-    `intensity` is per second. A discrete model knows no time within a tick: there the noise is held over it.
+    `intensity` is per second, and so is `last` [r], of noise on the last r states. A discrete model knows no time within a
+    tick: there the noise is held over it.
     """
     Q = intensity * model.B @ model.B.T
+    if last is not None and len(last):
+        Q[-len(last) :, -len(last) :] += np.diag(last) * (h * h if model.discrete else 1.0)
     return Q / h if model.discrete else noise_over_tick(model.A, Q, h)
 
 
@@ -150,6 +153,18 @@ def noise_over(doubled: Matrix, noise: Matrix, ticks: int) -> Matrix:
     return Q
 
 
+def with_unknown_input(model: Model) -> Model:
+    """Return the model with its unknown inputs as the last states: x' = A x + B u + E f, f' = 0."""
+    assert model.E is not None
+    (n, r), m = model.E.shape, model.B.shape[1]
+    A = np.zeros((n + r, n + r))
+    A[:n, :n], A[:n, n:] = model.A, model.E
+    if model.discrete:
+        A[n:, n:] = np.eye(r)
+    C = np.hstack([model.C, np.zeros((len(model.C), r))])
+    return model._replace(A=A, B=np.vstack([model.B, np.zeros((r, m))]), C=C, E=None, known=None)
+
+
 def with_input_bias(model: Model) -> Model:
     """Return the model with one more state per input: a constant bias b, x' = A x + B (u + b), y = C x + D (u + b), b' = 0."""
     n, m = model.B.shape
@@ -158,4 +173,5 @@ def with_input_bias(model: Model) -> Model:
     if model.discrete:
         A[n:, n:] = np.eye(m)
     wider = np.vstack([model.B, np.zeros((m, m))])
-    return model._replace(A=A, B=wider, C=np.hstack([model.C, model.feedthrough]))
+    E = None if model.E is None else np.vstack([model.E, np.zeros((m, model.E.shape[1]))])
+    return model._replace(A=A, B=wider, C=np.hstack([model.C, model.feedthrough]), E=E)

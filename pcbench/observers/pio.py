@@ -1,0 +1,81 @@
+"""PIO: the nonlinear integral type observer, an integral and a sign in place of the sliding mode.
+
+    v = KP s + w,   w' = KI s + xi sgn(s) elementwise,   w(0) = 0,   s = Tp (y - C xhat)     (35), (37)
+
+injected as in `unknown_input` with A22s = 0; sgn(0) = 0, sgn is evaluated at every Runge-Kutta stage, so s chatters at a size
+that shrinks with the tick. The unmeasured part of the error decays as that of `smo` does, with the same L1.
+
+Source: Peng, Appl. Sci. 2017, 7(1), 67, sections 4 and 5; minus signs restored. The printed gains are for the arm.
+Not claimed: that errors vanish where the unknown input changes faster than xi. The certificate proves a decay rate without the
+unknown input, the sign and sampling.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import Field
+
+from pcbench.observers import smo, unknown_input
+from pcbench.plants import arm
+from pcbench.synthesis import pi_lmi, sliding_mode
+from pcbench.synthesis.certificate import Design, Setting, certified
+from pcbench.synthesis.linear import Matrix
+from pcbench.synthesis.unknown_input import injection, require_rate, split
+from pcbench.types import Leaf
+
+
+def _printed() -> pi_lmi.Found:
+    one = np.ones(2)
+    P = pi_lmi.form(np.array([[0.9163, -0.2602], [-0.2602, 0.1860]]), 0.8261 * one, 0.3339 * one, 0.3328 * one)
+    KP = np.array([[21.7396, 0.0278], [0.0283, 21.8043]])
+    KI = np.array([[22.2876, 0.0272], [0.0288, 22.3538]])
+    return pi_lmi.Found(KP, KI, P, float("nan"), "printed", "none")
+
+
+PRINTED = _printed()
+
+
+class Law(NamedTuple):
+    """p outputs."""
+
+    KP: Leaf  # [p, p]
+    KI: Leaf  # [p, p]
+    xi: Leaf
+
+
+class Options(unknown_input.Options):
+    """How the gains are found, and the injection."""
+
+    alpha: float = Field(1.0, gt=0, description="design: decay rate [1/s] that smo's L1 is found for")
+    beta: float = Field(1.0, gt=0, description="design: decay rate [1/s]")
+    xi: float = Field(2.0, gt=0, description="the fastest unknown input that is followed exactly, per second")
+
+
+def inject(law: Law, s: Array, w: Array) -> tuple[Array, Array]:
+    """Return v and w' (37)."""
+    return law.KP @ s + w, law.KI @ s + law.xi * jnp.sign(s)
+
+
+OBSERVER = unknown_input.observer(inject)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Take the printed gains or find them by LMI (38), (52), and certify their decay rate."""
+    where = f"pio in {setting.scenario}"
+    parts = split(setting.model, where)
+    unknown_input.one_delay(setting, where)
+    if options.gains == "paper":
+        unknown_input.of_the_arm(setting, where, arm.nominal(arm.Numbers()))
+        L1: Matrix = smo.PRINTED.L1
+        found = PRINTED
+        certificate = certified(pi_lmi.certify(found, parts, L1), where)
+    else:
+        L1 = sliding_mode.solve(parts, options.alpha, where).L1
+        found = pi_lmi.solve(parts, L1, options.beta, where)
+        certificate = require_rate(pi_lmi.certify(found, parts, L1), options.beta, where)
+    law = Law(np.asarray(found.KP), np.asarray(found.KI), np.asarray(options.xi))
+    p = len(setting.model.C)
+    gains = unknown_input.gains_of(setting, parts, injection(parts, L1, np.zeros((p, p))), law, options)
+    return Design(gains, certificate, unknown_input.carries(setting, options))

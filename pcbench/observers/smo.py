@@ -1,0 +1,78 @@
+"""SMO: the sliding-mode observer with unknown-input reconstruction.
+
+    v = rho P2 s / (||P2 s|| + eps),   s = Tp (y - C xhat)                                   (21), smoothed as in section 5
+
+injected as in `unknown_input`; fhat is v itself, so it is at most rho, and s keeps an error of about eps |f| / rho. With the
+gains of LMI (23), (24) the unmeasured part of the error decays freely, whatever the input does:
+
+    ebar1 = e1 - L1 s1,   ebar1' = (A11 - L1 A211) ebar1
+
+Source: Peng, Appl. Sci. 2017, 7(1), 67, sections 3 and 5; minus signs restored. The printed gains are for the arm.
+Not claimed: that errors vanish. The certificate proves a decay rate without the unknown input and without sampling.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import Field
+
+from pcbench.observers import unknown_input
+from pcbench.plants import arm
+from pcbench.synthesis import sliding_mode
+from pcbench.synthesis.certificate import Design, Setting, certified
+from pcbench.synthesis.unknown_input import injection, require_rate, split
+from pcbench.types import Leaf
+
+PRINTED = sliding_mode.Found(
+    L1=np.array([[0.8148], [2.4893]]),
+    P1=np.array([[13.5959, -4.2094], [-4.2094, 2.4078]]),
+    P2=np.array([[1.0070, 0.0021], [0.0021, 1.0024]]),
+    A22s=np.array([[-2.5881, 0.0141], [0.0141, -2.6187]]),
+    r=float("nan"),
+    status="printed",
+    solver="none",
+)
+
+
+class Law(NamedTuple):
+    """p outputs."""
+
+    P2: Leaf  # [p, p]
+    rho: Leaf  # the largest input that can be found
+    eps: Leaf  # of s: where v bends
+
+
+class Options(unknown_input.Options):
+    """How the gains are found, and the injection."""
+
+    alpha: float = Field(1.0, gt=0, description="design: decay rate [1/s]")
+    rho: float = Field(1.0, gt=0, description="size of the injection")
+    eps: float = Field(0.005, gt=0, description="width of the layer in which it is smooth")
+
+
+def inject(law: Law, s: Array, w: Array) -> tuple[Array, Array]:
+    """Return v (21), and no integral."""
+    direction = law.P2 @ s
+    return law.rho * direction / (jnp.sqrt(direction @ direction) + law.eps), jnp.zeros_like(w)
+
+
+OBSERVER = unknown_input.observer(inject)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Take the printed gains or find them by LMI (23), (24), and certify their decay rate."""
+    where = f"smo in {setting.scenario}"
+    parts = split(setting.model, where)
+    unknown_input.one_delay(setting, where)
+    if options.gains == "paper":
+        unknown_input.of_the_arm(setting, where, arm.nominal(arm.Numbers()))
+        found = PRINTED
+        certificate = certified(sliding_mode.certify(found, parts), where)
+    else:
+        found = sliding_mode.solve(parts, options.alpha, where)
+        certificate = require_rate(sliding_mode.certify(found, parts), options.alpha, where)
+    law = Law(np.asarray(found.P2), np.asarray(options.rho), np.asarray(options.eps))
+    gains = unknown_input.gains_of(setting, parts, injection(parts, found.L1, found.A22s), law, options)
+    return Design(gains, certificate, unknown_input.carries(setting, options))

@@ -1,0 +1,70 @@
+"""The flexible-joint arm, pushed by an unknown input.
+
+`sine` and `sawtooth` are measured continuously: plant and observer are one field. Not printed and found by fitting the paper's
+Table 2: x(0), xhat(0) = 0, u = 0, a step of 1e-4 s and the window 6 <= t <= 10 s with both ends, so the horizon ends one tick
+after 10 s. `sampled` is ours: the same arm under a sampler. A drift of size a multiplies k/J, M g l/J and F/J by
+1 + a sin(w t + phi), with w and phi of each run's own. The settling band is 5 % of the initial error, 0.1 rad/s^2 of the input;
+a run has diverged beyond 1000.
+
+Source: Peng, Appl. Sci. 2017, 7(1), 67, section 5 and Table 2.
+"""
+
+from typing import Any
+
+from pcbench.scenarios.base import Scenario
+
+PAPER = "Peng 2017, section 5, Table 2"
+PRINTED: dict[str, dict[str, Any]] = {"smo": {"gains": "paper"}, "pio": {"gains": "paper"}}
+VARIANTS: dict[str, dict[str, Any]] = {
+    "design": {"gains": "design"},
+    "hold": {"measurement": "hold"},
+    "reconstruct": {"reconstruct": True},
+}
+LABELS = {f"{name}-{what}": option for name in PRINTED for what, option in VARIANTS.items()}
+
+SINE = Scenario(
+    name="arm/sine",
+    summary="unknown input 0.25 sin(2 pi t), measured continuously",
+    source=PAPER,
+    plant="arm",
+    observers=("smo", "pio", "open-loop"),
+    sampling_period=(1e-4, 1e-4),
+    delay=(0.0, 0.0),
+    noise_std=(0.0, 0.0),
+    drift=0.0,
+    input="zero",
+    x0=(-0.5, 1.0, -1.5, -0.5),
+    xhat0=(0.0, 0.0, 0.0, 0.0),
+    prior_std=(1.0, 1.0, 1.0, 1.0),
+    settle_band=(0.025, 0.05, 0.075, 0.025, 0.1),
+    bound=1e3,
+    dt=1e-4,
+    horizon=10.0001,
+    tail=6.0,
+    options=PRINTED | LABELS,
+    unknown_std=(1.0,),
+    unknown_input="arm-sine",
+    continuous=True,
+    headline=("link_velocity", "input"),
+)
+
+ARM = (
+    SINE,
+    SINE._replace(
+        name="arm/sawtooth",
+        summary="unknown input: a saw-tooth that falls by 0.35 every 2 s, measured continuously",
+        unknown_input="arm-sawtooth",
+    ),
+    SINE._replace(
+        name="arm/sampled",
+        summary="as arm/sine, te = d = 0.02 s, noise of 1e-3",
+        source="ours, after Peng 2017",
+        observers=("smo", "smo-reconstruct", "pio", "pio-reconstruct", "dkf", "open-loop"),
+        sampling_period=(0.02, 0.02),
+        delay=(0.02, 0.02),
+        noise_std=(1e-3, 1e-3),
+        dt=5e-4,
+        horizon=10.0005,
+        continuous=False,
+    ),
+)
