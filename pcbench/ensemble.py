@@ -15,6 +15,7 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from pcbench import simulation
+from pcbench.errors import UserError
 from pcbench.rollout import Layout, Outcome, Problem
 
 WIDTH = 1024  # lanes a call and device
@@ -40,7 +41,15 @@ class Program(NamedTuple):
 
 
 def program(layout: Layout, job: Job, devices: int | None = None) -> Program:
-    """Compile the call for jobs shaped like `job` on so many devices (default all); once for each shape."""
+    """Compile the call for jobs shaped like `job` on so many devices (default all); once for each shape.
+
+    Raises UserError where jax would compute in float32.
+    """
+    if jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
+        raise UserError(
+            "simulation: got float32 (jax_enable_x64 is off), expected float64: float32 rounds at 1e-7 of a signal, which is "
+            "the size of errors compared here; call pcbench.setup(), or run inside jax.enable_x64(True)."
+        )
     count = devices or len(jax.devices())
     arguments = stack([job] * count, layout.width)
     leaves, tree = jax.tree.flatten(arguments)

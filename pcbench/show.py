@@ -19,6 +19,10 @@ from pcbench.study import scenarios_of
 VERDICTS = {
     "reproduced": "green",
     "holds": "green",
+    "digits": "green",
+    "close": "green",
+    "band": "green",
+    "differs": "red",
     "misprint": "yellow",
     "does not reproduce": "yellow",
     "does not hold": "red",
@@ -59,17 +63,28 @@ def progress(quiet: bool) -> Iterator[Any]:
 
 
 def closing(result: Any, console: Console, metric: str = "mae") -> None:
-    """Print who was better and how surely: the first signal of every scenario, the least mean `metric` first."""
+    """Print who was better and how surely: the headline signals of every scenario, the least mean `metric` first."""
     stats, pairs, known = result.stats, result.pairs, scenarios_of(result.study)
-    for scenario, part in stats.groupby("scenario", sort=False):
-        signal = part.signal.iloc[0]
-        part = part[part.signal == signal]
-        mine = pairs[(pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == metric)]
-        axes = _varying(part)
-        if part.cell.nunique() * part.observer.nunique() > LONGEST:
-            _count_wins(scenario, part[part.metric == metric], metric, console)
-        else:
-            _scenario(known[scenario], part, mine, axes, metric, console)
+    for scenario, whole in stats.groupby("scenario", sort=False):
+        for signal in known[scenario].headline or whole.signal.iloc[:1]:
+            part = whole[whole.signal == signal]
+            if part.empty:
+                continue  # no observer of this study estimates it
+            mine = pairs[(pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == metric)]
+            if part.cell.nunique() * part.observer.nunique() > LONGEST:
+                _count_wins(scenario, part[part.metric == metric], metric, console)
+            else:
+                _scenario(known[scenario], part, mine, _varying(part), metric, console)
+        _say_what_is_carried(whole, console)
+
+
+def _say_what_is_carried(stats: pd.DataFrame, console: Console) -> None:
+    """Say which predictions to the present carry the unknown input that was found."""
+    said = stats[["observer", "carries_input"]].dropna().drop_duplicates()
+    for carries, text in ((True, "carries"), (False, "does not carry")):
+        names = ", ".join(dict.fromkeys(said.observer[said.carries_input == carries]))
+        if names:
+            console.print(f"The prediction to now {text} the unknown input found: {names}.", highlight=False)
 
 
 def _varying(part: pd.DataFrame) -> list[str]:
@@ -84,7 +99,9 @@ def _scenario(
     unit, n, title = part.unit.iloc[0], int((part.n + part.diverged).max()), "MAE" if metric == "mae" else metric
     heads = [title, f"{title} - best", "RMSE", "tail RMSE"]
     bounded, lost = (part.metric == "efficiency").any(), part.diverged.any()
-    heads += [*(["efficiency"] if bounded else []), "settled [s]", *(["diverged"] if lost else [])]
+    jumps = (part.metric == "recovery_time").any()
+    heads += [*(["efficiency"] if bounded else []), "settled [s]", *(["recovery [s]"] if jumps else [])]
+    heads += ["diverged"] if lost else []
     table = _table(f"{scenario.name}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals")
     for axis in axes:
         table.add_column(axis, justify="right")
@@ -102,6 +119,8 @@ def _scenario(
             if bounded:
                 shown += [_interval(row.loc["efficiency"]) if "efficiency" in row.index else ""]
             shown += [_settled(row.loc["settling_time"], scenario.horizon)]
+            if jumps:
+                shown += [_interval(row.loc["recovery_time"])]
             if lost:
                 shown += [str(int(row.loc["mae"]["diverged"]))]
             place = [_axis(cell[a].iloc[0]) if best else "" for a in axes]

@@ -5,7 +5,7 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS, base_of, entry_of
@@ -25,7 +25,15 @@ class Choices(BaseModel):
     start_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
     input: str | None = Field(None, description="name of the input signal")
     unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")
-    precision: Literal["float64"] = Field("float64", description="float64: no other is offered")
+    precision: str = Field("float64", description="float64: no other is offered")
+
+    @field_validator("precision")
+    @classmethod
+    def _enough(cls, precision: str) -> str:
+        if precision != "float64":
+            raise ValueError("float64: float32 rounds at 1e-7 of a signal, which is the size of errors compared here")
+        return precision
+
     drift_sign: Literal[-1, 1] = Field(1, description="the operator lost in print, in the cart's drift")
 
 
@@ -64,6 +72,17 @@ STUDIES = {
                 [20.0, 50.0, 70.0],
             ],
             "noise_std": [[1.0, 0.1, 0.1], [0.1, 0.01, 0.01]],
+        },
+    ),
+    "unknown-input": Study(
+        name="unknown-input",
+        scenarios=["arm/sampled"],
+        seeds=256,
+        axes={
+            "sampling_period": [0.005, 0.02, 0.1],
+            "delay": [0.0, 0.02, 0.1],
+            "noise_std": [1e-3, 3e-3],
+            "drift": [0.0, 0.01, 0.05],
         },
     ),
     "variable-sampling": Study(

@@ -2,10 +2,14 @@
 
 from collections.abc import Callable
 
-from pcbench.reproduce import mobile_cart, pi_pco, unequal_delays
+from pcbench.reproduce import mobile_cart, pi_pco, unequal_delays, unknown_input
 from pcbench.reproduce.claim import Claim
 
 PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
+    "arm": (
+        "Peng, Appl. Sci. 7 (2017) 67: sliding-mode and PI observers with an unknown input, on a flexible-joint arm",
+        unknown_input.claims,
+    ),
     "cart": (
         "Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017): PCCEBO against KFBO on a mobile cart",
         mobile_cart.claims,

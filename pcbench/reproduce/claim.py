@@ -9,7 +9,8 @@ class Claim(NamedTuple):
     claim: str
     printed: str
     reproduced: str
-    verdict: str  # reproduced | holds | misprint | does not reproduce | does not hold | not determinable
+    verdict: str  # reproduced | holds | misprint | does not reproduce | does not hold | not determinable | finding; of a table:
+    # digits (rounds to the print) | close | band (the print lies among runs that differ by rounding) | differs
 
 
 def digits(claim: str, printed: str, value: float, failed: str = "does not reproduce") -> Claim:
