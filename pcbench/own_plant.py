@@ -68,6 +68,7 @@ class Lti(BaseModel):
         band = [0.05 * p for p in [*prior, *size]]
         tail = 0.3 * self.horizon if self.tail is None else self.tail
         tick = self.dt or self.tick or 1e-3
+        unknowns = tuple(("input" if r == 1 else f"input{i + 1}", "1") for i in range(r))
         base = Scenario(
             name=name,
             summary="a plant of one's own",
@@ -89,8 +90,9 @@ class Lti(BaseModel):
             tail=round(tail / tick) * tick,
             model={key: getattr(self, key) for key in "ABCDE"} | {"discrete": self.dt is not None},
             signals=_signals(self.states, n, f"{where}.states"),
-            unknowns=tuple(("input" if r == 1 else f"input{i + 1}", "1") for i in range(r)),
+            unknowns=unknowns,
             unknown_std=tuple(size),
+            headline=(_signals(self.states, n, f"{where}.states")[0][0], *(name for name, _ in unknowns)) if r else (),
             unknown_input=", ".join(pushing),
         )
         if not 0 <= base.tail < base.horizon:

@@ -152,8 +152,8 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
         ]
         falling = np.pad(p.problem.jumps, (0, falls - len(p.problem.jumps)), constant_values=sampling.NEVER)
         problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide), jumps=falling)
-        light = not PLANTS[p.cell.scenario.plant].heavy
-        layout = p.layout._replace(ring=ring, strides=strides and light, drifting=p.layout.plant in drifting)
+        heavy = PLANTS[p.cell.scenario.plant].heavy or any(entry_of(label).heavy for label, _ in p.layout.observers)
+        layout = p.layout._replace(ring=ring, strides=strides and not heavy, drifting=p.layout.plant in drifting)
         out.append(p._replace(problem=problem, layout=layout))
     return out
 

@@ -53,6 +53,18 @@ def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
     assert 1.5 < rms[0.0, "dkf-load"] / rms[0.0, "dkf"] < 2.5
 
 
+@pytest.mark.slow
+def test_the_pushed_cart_runs_as_written_and_its_push_is_found(tmp_path):
+    (text,) = [b for b in blocks("toml") if '"pushed"' in b]
+    path = tmp_path / "pushed.toml"
+    path.write_text(text)
+    stats = pcbench.run(str(path), seeds=8).stats.query("metric == 'tail_pooled_rmse'")
+    rms = stats.set_index(["signal", "observer"])["mean"]
+    assert set(rms["input"].index) == {"smo", "pio", "dkf"}
+    assert max(rms["input"]) < 0.5  # of a push of size 1
+    assert rms["position"].idxmax() == "open-loop"
+
+
 @pytest.mark.parametrize("first_line", ["import pcbench", "from typing import Any, NamedTuple", "import control"])
 def test_python_examples_run(first_line, capsys):
     (example,) = [b for b in blocks("python") if b.startswith(first_line)]
@@ -96,7 +108,7 @@ def test_every_observer_and_command_is_named():
         assert f"`{name}`" in README
     for command in ("list", "run", "trace", "design", "reproduce"):
         assert f"pcbench {command}" in README
-    assert set(re.findall(r"cart/[\w-]+", README)) <= set(SCENARIOS)
+    assert set(re.findall(r"(?:cart|arm|csth)/[\w-]+", README)) <= set(SCENARIOS)
 
 
 def test_the_top_level_is_as_promised():

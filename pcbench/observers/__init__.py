@@ -25,6 +25,7 @@ class Entry(NamedTuple):
     knows_schedule: bool  # perfect start is claimed: true model, true start, no noise => no error
     summary: str
     takes: Takes = "one constant delay"
+    heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
 
 
 OBSERVERS = {
@@ -91,6 +92,7 @@ OBSERVERS = {
         True,
         "sliding mode: injects a signal that is the unknown input; gains printed or by LMI",
         "one constant delay",
+        heavy=True,
     ),
     "pio": Entry(
         pio.OBSERVER,
@@ -99,6 +101,7 @@ OBSERVERS = {
         True,
         "PI with a sign: injects a signal that is the unknown input; gains printed or by LMI",
         "one constant delay",
+        heavy=True,
     ),
     "dkf": Entry(
         dkf.OBSERVER,
