@@ -1,0 +1,123 @@
+"""An unknown input is a signal like any other: in tables, traces, the closing table and `reproduce arm`."""
+
+import io
+
+import jax
+import numpy as np
+import pytest
+from rich.console import Console
+
+import pcbench
+from pcbench import ensemble, metrics, planning, show, study_file, sweep
+from pcbench.reproduce import arm_table, unknown_input
+from pcbench.scenarios import SCENARIOS
+
+STATES = {"link_angle", "link_velocity", "motor_angle", "motor_velocity"}
+NAMES = ["smo", "smo-reconstruct", "open-loop"]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    return pcbench.run("arm/sampled", observers=NAMES, seeds=3, out=tmp_path_factory.mktemp("arm") / "out")
+
+
+def test_rows_exist_for_what_an_observer_estimates(done):
+    for table in (done.runs, done.stats):
+        signals = table.groupby("observer").signal.unique()
+        assert set(signals["smo"]) == STATES | {"input"}
+        assert set(signals["open-loop"]) == STATES
+    both = done.pairs.groupby(["observer_a", "observer_b"]).signal.unique()
+    assert set(both["smo", "smo-reconstruct"]) == STATES | {"input"}
+    assert set(both["smo", "open-loop"]) == STATES
+    units = done.stats.query("metric == 'mae'").set_index(["observer", "signal"]).unit
+    assert units["smo", "input"] == "rad/s^2"
+
+
+def test_every_table_says_whether_a_prediction_carries_the_input(done):
+    for table in (done.runs, done.stats):
+        said = table.groupby("observer").carries_input.unique()
+        assert list(said["smo"]) == [False]
+        assert list(said["smo-reconstruct"]) == [True]
+        assert list(said["open-loop"]) == [None]
+    row = done.pairs.query("observer_a == 'smo' and observer_b == 'smo-reconstruct'").iloc[0]
+    assert (row.carries_input_a, row.carries_input_b) == (False, True)
+
+
+def test_the_closing_table_shows_both_headlines_and_says_what_is_carried(done):
+    console = Console(file=io.StringIO(), width=160)
+    show.closing(done, console)
+    text = console.file.getvalue()
+    assert "error of link_velocity [rad/s], 3 seeds" in text
+    assert "error of input [rad/s^2], 3 seeds" in text
+    assert "carries the unknown input found: smo-reconstruct." in text
+    assert "does not carry the unknown input found: smo." in text
+    assert "recovery" not in text  # nothing jumps here
+    assert done.runs.recovery_time.isna().all()
+
+
+@pytest.mark.slow
+def test_a_trace_has_the_input_beside_the_states():
+    frame = pcbench.trace("arm/sawtooth", ["smo", "open-loop"])
+    assert {"input", "smo.input"} <= set(frame.columns)
+    assert "open-loop.input" not in frame
+    t = np.arange(len(frame)) * 1e-4
+    d2 = 0.025 * (2 * np.abs(10 * t - 20 * np.floor(t / 2) - 6.5) - 13)
+    np.testing.assert_array_equal(frame.input, d2)
+    recorded = (frame.input - frame["smo.input"]).to_numpy()[60_000:100_001]
+    outside = np.abs(recorded) > SCENARIOS["arm/sawtooth"].settle_band[-1]
+    last = [np.flatnonzero(outside[at : at + 20_000])[-1] + 1 for at in (0, 20_000)]
+    runs = pcbench.run("arm/sawtooth", observers=["smo", "open-loop"], seeds=1).runs.query("signal == 'input'")
+    assert runs.recovery_time.item() == pytest.approx(max(last) * 1e-4, rel=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_recovery_is_the_longest_time_from_a_jump_to_the_last_exit_before_the_next(seed):
+    rng, jumps = np.random.default_rng(seed), np.array([7, 12, 30, 2**30])
+    e, band = rng.standard_normal((40, 2)), np.array([1.0, 2.5])
+    look, watch = jax.jit(metrics.look), metrics.start_watch(2)
+    for tick in range(40):
+        watch = look(watch, np.asarray(tick), e[tick], band, np.full(2, 99.0), jumps)
+    want = np.zeros(2)
+    for start, end in ((7, 12), (12, 30), (30, 40)):
+        for i in range(2):
+            after = [tick + 1 - start for tick in range(start, end) if abs(e[tick, i]) > band[i]]
+            want[i] = max([want[i], *after])
+    np.testing.assert_array_equal(watch.recovery, want)
+
+
+def test_one_compilation_for_every_period_delay_noise_and_drift():
+    axes = {"sampling_period": [0.005, 0.1], "delay": [0.0, 0.1], "noise_std": [0.0, 1e-3], "drift": [0.0, 0.05]}
+    chosen = study_file.parse({"name": "arm", "scenarios": ["arm/sampled"], "observers": ["smo"], "axes": axes}, "arm")
+    short = [p._replace(problem=p.problem._replace(windows=np.array([[0, 600], [600, 900], [900, 901]])))
+             for p in planning.plan(chosen)]  # fmt: skip
+    before = ensemble.compilations()
+    results = [d.results["smo"]["tail_peak"] for d in sweep.execute(chosen, short, seeds=np.arange(2))]
+    assert ensemble.compilations() - before == 1
+    assert len({r[0, 0].item() for r in results}) == 16, "every cell has its own numbers"
+
+
+def test_a_verdict_is_what_the_page_defines():
+    assert arm_table.judge(".0170", 0.01702, 0.01702, 0.01702) == "digits"
+    assert arm_table.judge("5.2854e-6", 5.2829e-6, 5.2829e-6, 5.2829e-6) == "close"  # within 1e-3
+    assert arm_table.judge(".0103", 0.01039, 0.01039, 0.01039) == "close"  # one unit
+    assert arm_table.judge("1.0138e-6", 1.25e-6, 0.7e-6, 1.7e-6) == "band"
+    assert arm_table.judge(".0048", 0.0028, 0.0027, 0.0035) == "differs"
+
+
+@pytest.mark.slow
+def test_reproduce_arm_prints_forty_entries_of_which_two_differ():
+    rows = unknown_input.claims()
+    table = {row.claim.removeprefix("Table 2, "): row.verdict for row in rows if row.claim.startswith("Table 2")}
+    assert len(table) == 40
+    assert [claim for claim, verdict in table.items() if verdict == "differs"] == ["d1 PIO max d", "d1 PIO mean d"]
+    assert all(verdict in ("digits", "close") for claim, verdict in table.items() if "SMO" in claim)
+    verdicts = {row.claim: row.verdict for row in rows}
+    assert verdicts["SMO gains prove alpha = 1"] == "holds"
+    assert verdicts["rho = 1 leaves eta = 0.89 (22)"] == "does not hold"
+    assert verdicts["zeta = 1.8 bounds f' under d2 (38)"] == "does not hold"
+    assert verdicts["x1, x4 of Table 2 compare the observers"] == "does not hold"
+    assert verdicts["PIO's error of x3 does not depend on the step"] == "does not hold"
+    shown = {row.claim: row.reproduced for row in rows}
+    assert "2.62456196" in shown["SMO gains: least r of (23), (24)"]
+    assert "64.455306" in shown["PIO gains: least g of (38), (52) with the printed L1"]
+    assert "10.6 ms (SMO), 42.1 ms (PIO)" in shown["under d2 SMO has the smaller largest error of d"]
