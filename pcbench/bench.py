@@ -234,13 +234,11 @@ def trace(
 
 def _held(plan: Any, samples: np.ndarray) -> np.ndarray:
     """What has arrived and is held at every tick, from what was measured at the sampling ticks; [N+1, q]."""
-    held = np.full_like(samples, np.nan)
-    now = np.full(samples.shape[1], np.nan)
-    for k in range(len(held)):
-        for slot in range(plan.arrive.shape[1]):
-            now = np.where(plan.fresh[k, slot], samples[plan.sent[k, slot]], now)
-        held[k] = now
-    return held
+    new = np.full_like(samples, np.nan)
+    for slot in range(plan.arrive.shape[1]):
+        new = np.where(plan.fresh[:, slot], samples[plan.sent[:, slot]], new)
+    last = np.maximum.accumulate(np.where(plan.fresh.any(1), np.arange(len(new))[:, None], -1))
+    return np.where(last >= 0, np.take_along_axis(new, np.maximum(last, 0), 0), np.nan)
 
 
 def design(scenario: Described, observer: str, *, overrides: list[str] | None = None) -> Design:

@@ -66,7 +66,7 @@ def setting(cell: Cell) -> Setting:
         tuple(std or spare for std, spare in zip(s.noise_std, s.assumed_noise_std or s.noise_std, strict=True)),
         np.diag(np.square(s.prior_std)),
         s.drift_intensity if s.drift else 0.0,
-        irregular.overtaking(clocks, n) if _random(clocks) else sampling.overtaking(sampling.samples(clocks, n)),
+        _overtaking(clocks, n),
         s.process_std or s.assumed_process_std,
         round(s.assumed_delay_error / s.dt),
         max(-(-late // every) for late, every in zip(delay, period, strict=True)),
@@ -78,6 +78,14 @@ def setting(cell: Cell) -> Setting:
 def _numbers(s: Scenario) -> Any:
     """The plant's numbers as observers know them."""
     return PLANTS[s.plant].numbers._replace(**s.model)
+
+
+def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:
+    """How many newer samples may arrive before one; of one clock with samples of one age, none."""
+    if _random(clocks):
+        return irregular.overtaking(clocks, ticks)
+    alone = len(clocks) == 1 and clocks[0].delay is not None
+    return 0 if alone else sampling.overtaking(sampling.samples(clocks, ticks))
 
 
 def _random(clocks: list[sampling.Clock]) -> bool:
@@ -205,6 +213,8 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, in
     """Return a cell's schedule and the packets it needs room for; of one run (root seed, seed), where it is random."""
     s, clocks, n = cell.scenario, axes.clocks(cell.scenario), ticks(cell)
     error, channels = round(s.assumed_delay_error / s.dt), len(s.delay)
+    if s.continuous:
+        return sampling.at_every_tick(n, channels), 1
     if _random(clocks) and run is None:
         return irregular.times(clocks, n, channels, error), irregular.room(clocks, n, error)
     found = irregular.realised(clocks, n, channels, *run) if run and _random(clocks) else sampling.samples(clocks, n)

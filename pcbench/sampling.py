@@ -92,6 +92,8 @@ def intervals(clock: Clock, ticks: int) -> list[int]:
     if clock.profile == "uniform":
         low, high = uniform_range(clock.period)
         due = list(range(low, high + 1))
+    elif clock.profile == "periodic":
+        due = [clock.period]
     else:
         due = sorted(
             set(np.diff(instants(clock, ticks + clock.jitter)).tolist())
@@ -184,6 +186,16 @@ def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
     """Sample channel j every period[j] ticks from tick 0 on; each sample arrives delay[j] ticks later."""
     each = [Clock((j,), every, late) for j, (every, late) in enumerate(zip(period, delay, strict=True))]
     return schedule(samples(each, ticks), ticks, len(period))
+
+
+def at_every_tick(ticks: int, channels: int) -> Schedule:
+    """Take all channels at every tick and hand them over at once: `schedule` of period 1 and delay 0, without its loops."""
+    k = np.arange(ticks + 1, dtype=np.int32)
+    row, each, yes = k[:, None], np.repeat(k[:, None], channels, 1), np.ones((ticks + 1, channels), bool)
+    since = np.minimum(row, 1)
+    return Schedule(
+        k, yes, each, k, row, row, row, yes[:, None], each[:, None], since, np.ones(len(k), bool), k + np.int32(1)
+    )
 
 
 def in_flight(plan: Schedule) -> int:

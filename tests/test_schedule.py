@@ -1,9 +1,11 @@
 """The schedule says exactly which sample is taken and which arrives at every tick."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pcbench import sampling
 from pcbench.sampling import Sample, in_flight, pad_slots, periodic, schedule
 
 channels = st.integers(1, 3)
@@ -82,3 +84,18 @@ def test_next_event_and_since_count_from_the_definition():
 def test_padding_adds_only_empty_slots():
     plan = periodic([5, 3], [4, 4], 30)
     assert arrivals(pad_slots(plan, 4)) == arrivals(plan)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
+    fast, slow = sampling.at_every_tick(50, channels), sampling.periodic([1] * channels, [0] * channels, 50)
+    for name, a, b in zip(fast._fields, fast, slow, strict=True):
+        np.testing.assert_array_equal(a, b, err_msg=name)
+        assert a.dtype == b.dtype, name
+    assert sampling.in_flight(slow) == 1
+
+
+@pytest.mark.parametrize("period", [1, 7, 50, 80])
+def test_intervals_of_a_periodic_clock_are_its_period(period):
+    clock = sampling.Clock((0,), period, 3)
+    assert sampling.intervals(clock, 50) == sorted(set(np.diff(sampling.instants(clock, 50)).tolist()))
