@@ -10,11 +10,11 @@ from pcbench.rollout import Problem, present
 from pcbench.types import Arrival, Observer
 
 
-def check(label: str, observer: Observer, p: Problem) -> None:
+def check(label: str, observer: Observer, p: Problem, continuous: bool = False) -> None:
     """Raise UserError, naming observer, function, what was found and what was expected, where a shape is wrong.
 
     `estimate` must return [n], or [n + s] with the plant's unknowns, `note` a vector, and `jump` and `flow` the memory's own
-    structure, shapes and types.
+    structure, shapes and types; and so must `field`, where measurements are `continuous`.
     """
     n, q, k = p.x0.shape[0], p.noise_std.shape[0], jnp.asarray(1)
     signals = len(p.band)
@@ -47,6 +47,14 @@ def check(label: str, observer: Observer, p: Problem) -> None:
             f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{more}."
         )
     _same(label, "jump", ask("jump", jump, memory, value, note), memory)
+    if continuous and observer.field is not None:
+        field = observer.field
+        _same(
+            label,
+            "field",
+            ask("field", lambda p, m, y: field(p.gains[label], m, present(p, k, True), y), memory, value),
+            memory,
+        )
     flowed = ask("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)
     _same(label, "flow", flowed, memory)
 

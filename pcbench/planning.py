@@ -128,7 +128,7 @@ def fit(drafts: list[Planned]) -> list[Planned]:
         for label, observer in p.layout.observers:
             if (key := (label, p.layout.plant)) not in seen:
                 seen.add(key)
-                conformance.check(label, observer, p.problem)
+                conformance.check(label, observer, p.problem, p.layout.continuous)
     return _same_shapes(drafts)
 
 

@@ -34,7 +34,7 @@ MEANING = {
     "sampling_period": "(mean) time between samples; a list where output channels differ",
     "delay": "age of a sample when it arrives; a list where output channels differ; null: one sampling interval",
     "noise_std": "standard deviation of one sample's noise; a list where output channels differ",
-    "drift": "scale of the scenario's parameter drift: 0 nominal, 1 as printed",
+    "drift": "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm its amplitude",
     "profile": "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals [s] in turn",
     "jitter": "a sample is taken up to this much early or late (uniform over whole ticks)",
     "delay_jitter": "a sample arrives up to this much later (uniform over whole ticks)",

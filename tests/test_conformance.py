@@ -39,6 +39,16 @@ def test_a_broken_observer_is_named(name):
         del OBSERVERS["mine"]
 
 
+def test_a_field_of_another_shape_than_the_memory_is_named():
+    broken = open_loop.OBSERVER._replace(field=lambda gains, memory, now, y: y)
+    OBSERVERS["mine"] = Entry(broken, open_loop.Options, open_loop.design, True, "broken")
+    try:
+        with pytest.raises(UserError, match=r"observer mine: field returned float64\[2\], expected .*float64\[4\]"):
+            pcbench.run("arm/sine", observers=["mine"], seeds=1)
+    finally:
+        del OBSERVERS["mine"]
+
+
 def test_a_design_that_returns_no_certificate_is_named():
     OBSERVERS["mine"] = Entry(open_loop.OBSERVER, open_loop.Options, lambda s, o: (1, 2), True, "broken")
     try:
