@@ -32,8 +32,8 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recordi
     def tick(state: State, k: Array) -> tuple[State, Recording]:
         state = lax.cond(p.schedule.event[k], lambda s: events.happen(k, s)[0], lambda s: s, state)
         place = p.schedule.sense[k] % layout.ring
-        rings = lanes.everywhere(state.flight[0], 1)
-        value = jnp.stack([ring[place, 0] for ring in lanes.table(rings).parts])
+        values = jax.tree.map(lambda ring: ring[place], state.flight[0])
+        value = lanes.whole(values, 1)[:, 0]
         y = jnp.where(p.schedule.sampled[k], value, jnp.nan)
         shown = {label: lanes.whole(xhat, 1)[:, 0] for label, xhat in estimates(layout, p, state).items()}
         row = Recording(lanes.whole(actual(layout, p, k, state), 1)[:, 0], shown, y)
