@@ -9,6 +9,7 @@ from reference import chain as ref
 from pcbench import machine, planning, recording, study_file
 
 DELAYS = [[2, 5, 7], [7, 2, 5], [3, 3, 6], [4, 4, 4], [0, 2, 5], [1, 9, 1]]
+SLOW = [[7, 2, 5], [4, 4, 4], [1, 9, 1]]  # by default an order, a tie and a zero are enough
 OUTPUTS = {"chain": "updated", "chain-b": "deadbeat"}
 OPTIONS = {
     "tank": {"chain": {"pole": 0.3}, "chain-b": {"gain": "riccati", "q": 1.0, "output": "deadbeat"}},

@@ -18,8 +18,13 @@ from pcbench.observers import chain
 from pcbench.sampling import NEVER
 
 
+CASES = [
+    pytest.param(i, id=str(each), marks=[pytest.mark.slow] if each in SLOW else []) for i, each in enumerate(DELAYS)
+]
+
+
 @pytest.mark.parametrize("label", OUTPUTS)
-@pytest.mark.parametrize("case", range(len(DELAYS)), ids=lambda i: str(DELAYS[i]))
+@pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("plant", PLANTS)
 def test_it_equals_the_index_based_reference(plant, case, label):
     cells, runs = recorded(plant)
@@ -37,7 +42,7 @@ def test_it_equals_the_index_based_reference(plant, case, label):
     assert np.abs(x - want)[20:].max() > 1e-3, "noise is on"
 
 
-@pytest.mark.parametrize("case", range(len(DELAYS)), ids=lambda i: str(DELAYS[i]))
+@pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("plant", PLANTS)
 def test_perfect_start_is_exact(plant, case):
     run = recorded(plant, True)[1][case]

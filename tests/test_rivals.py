@@ -8,7 +8,7 @@ from functools import cache
 import jax
 import numpy as np
 import pytest
-from chains import DELAYS, START
+from chains import DELAYS, SLOW, START
 from reference import chain as ref
 
 import pcbench
@@ -63,7 +63,9 @@ def expected(label, u, r, delays):
 
 
 @pytest.mark.parametrize("label", LABELS)
-@pytest.mark.parametrize("delays", VECTORS, ids=str)
+@pytest.mark.parametrize(
+    "delays", [pytest.param(each, id=str(each), marks=[pytest.mark.slow] if each in SLOW else []) for each in VECTORS]
+)
 def test_they_equal_the_reference(label, delays):
     u, found = recorded()[tuple(delays)]
     _, y = ref.simulate(TANK, u, START["tank"])
