@@ -229,7 +229,9 @@ def trace(
         columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[name].T)}
     columns |= {f"u{i + 1}": u for i, u in enumerate(p.problem.inputs.T)}
     columns |= {f"y{i + 1}": y for i, y in enumerate(_held(p.problem.schedule, out.samples).T)}
-    return pd.DataFrame(columns)
+    frame = pd.DataFrame(columns)
+    frame.attrs["carries_input"] = dict(p.carries_input)  # of the predictions to now, by observer
+    return frame
 
 
 def _held(plan: Any, samples: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """A study's own linear plant, `[lti]`: matrices with the experiment on them, checked and turned into a scenario."""
 
 import re
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from pcbench import axes
 from pcbench.errors import UserError, unknown
 from pcbench.scenarios import Scenario
-from pcbench.signals import SIGNALS
+from pcbench.signals import SIGNALS, SINGLE
 
 Rows = list[list[float]]
 PerChannel = float | list[float]
@@ -31,8 +32,8 @@ class Lti(BaseModel):
     delay: PerChannel | str = Field(description="[s], one or one for each output, or 'interval'")
     noise_std: PerChannel = Field(description="of one sample, one or one for each output")
     input: str = Field("sine", description="a signal's name for all inputs, or one for each, with commas")
-    unknown_input: str = Field(
-        "sine", description="the unknown input: a signal's name for all, or one for each, with commas"
+    unknown_input: str | None = Field(
+        None, description="a signal's name for all, or one for each, with commas; default: sine"
     )
     unknown_std: list[float] | None = Field(None, description="[r] its typical size; default: ones")
     x0: list[float] | None = Field(None, description="[n] default: ones")
@@ -59,8 +60,14 @@ class Lti(BaseModel):
                 f"leave tick out, or discretise the plant at {self.tick:g} s."
             )
         r = len(self.E[0]) if self.E else 0
-        signals = _named(self.input, m, "inputs", f"{where}.input")
-        pushing = _named(self.unknown_input, r, "unknown inputs", f"{where}.unknown_input") if r else []
+        signals = _named(self.input, SIGNALS, m, "inputs", f"{where}.input")
+        if self.unknown_input is not None and not r:
+            raise UserError(
+                f"{where}.unknown_input: got {self.unknown_input!r} without E, expected E [n, r] beside it."
+            )
+        pushing = (
+            _named(self.unknown_input or "sine", SINGLE, r, "unknown inputs", f"{where}.unknown_input") if r else []
+        )
         x0, xhat0 = _vector(self.x0, 1.0, n, f"{where}.x0"), _vector(self.xhat0, 0.0, n, f"{where}.xhat0")
         apart = [abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=True)]
         prior = _vector(self.prior_std, apart, n, f"{where}.prior_std")
@@ -69,6 +76,12 @@ class Lti(BaseModel):
         tail = 0.3 * self.horizon if self.tail is None else self.tail
         tick = self.dt or self.tick or 1e-3
         unknowns = tuple(("input" if r == 1 else f"input{i + 1}", "1") for i in range(r))
+        states = _signals(self.states, n, f"{where}.states")
+        for signal, _ in unknowns:
+            if signal in dict(states):
+                raise UserError(
+                    f"{where}.states: got a state called '{signal}', which is the name of the unknown input; rename the state."
+                )
         base = Scenario(
             name=name,
             summary="a plant of one's own",
@@ -89,10 +102,10 @@ class Lti(BaseModel):
             horizon=round(self.horizon / tick) * tick,
             tail=round(tail / tick) * tick,
             model={key: getattr(self, key) for key in "ABCDE"} | {"discrete": self.dt is not None},
-            signals=_signals(self.states, n, f"{where}.states"),
+            signals=states,
             unknowns=unknowns,
             unknown_std=tuple(size),
-            headline=(_signals(self.states, n, f"{where}.states")[0][0], *(name for name, _ in unknowns)) if r else (),
+            headline=(states[0][0], *(name for name, _ in unknowns)) if r else (),
             unknown_input=", ".join(pushing),
         )
         if not 0 <= base.tail < base.horizon:
@@ -104,26 +117,27 @@ class Lti(BaseModel):
 def _shapes(lti: Lti, where: str) -> tuple[int, int, int]:
     """Return n, m, q; raise UserError naming the matrix whose shape does not fit."""
     n, m, q, r = len(lti.A), len((lti.B or [[]])[0]), len(lti.C), len((lti.E or [[]])[0])
-    shapes = {"A": (n, n), "B": (n, m), "C": (q, n), "D": (q, m), "E": (n, r)}
+    shapes = {"A": (n, n), "B": (n, m), "C": (q, n), "D": (q, m), "E": (n, max(r, 1))}
     for name, shape in shapes.items():
         rows = getattr(lti, name)
         if rows is None:
             continue
-        widths = sorted({len(row) for row in rows})
+        widths = sorted({len(row) for row in rows}) or [0]
         if 0 in shape or len(rows) != shape[0] or widths != [shape[1]]:
             got = f"{len(rows)} x {widths[0]}" if len(widths) == 1 else f"rows of lengths {[len(row) for row in rows]}"
             raise UserError(
-                f"{where}.{name}: got {got}, expected {shape[0]} x {shape[1]} ({n} states, {m} inputs, {q} outputs)."
+                f"{where}.{name}: got {got}, expected {shape[0]} x {shape[1]} ({n} states, {m} inputs, {q} outputs"
+                + (f", {r} unknown inputs)." if lti.E is not None else ").")
             )
     return n, m, q
 
 
-def _named(text: str, many: int, what: str, where: str) -> list[str]:
+def _named(text: str, valid: Iterable[str], many: int, what: str, where: str) -> list[str]:
     """The names of signals, one or one for each of `many`."""
     names = [part.strip() for part in text.split(",")]
     for name in names:
-        if name not in SIGNALS:
-            raise unknown(where, "input", name, SIGNALS)
+        if name not in valid:
+            raise unknown(where, "input", name, valid)
     if len(names) not in (1, many):
         raise UserError(f"{where}: got {len(names)} signals, expected one, or one for each of {many} {what}.")
     return names

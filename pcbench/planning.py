@@ -126,7 +126,7 @@ def fit(drafts: list[Planned]) -> list[Planned]:
     seen: set[Any] = set()
     for p in drafts:
         for label, observer in p.layout.observers:
-            if (key := (label, p.layout.plant)) not in seen:
+            if (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
                 seen.add(key)
                 conformance.check(label, observer, p.problem, p.layout.continuous)
     return _same_shapes(drafts)

@@ -80,6 +80,8 @@ SIGNALS: dict[str, Signal] = {
 }
 
 
+SINGLE = [name for name in SIGNALS if not name.startswith("heater")]  # of one column: what may push a plant unknown
+
 JUMPS = {"sawtooth": np.pi, "rising": np.pi, "square": 1.0, "arm-sawtooth": 2.0}  # [s] from one to the next
 
 

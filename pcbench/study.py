@@ -11,7 +11,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS, base_of, entry_of
 from pcbench.own_plant import Lti
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.signals import SIGNALS
+from pcbench.signals import SIGNALS, SINGLE
 
 Values = list[Any]
 OWN = "lti"  # the scenario of a study's own plant
@@ -79,8 +79,8 @@ STUDIES = {
         scenarios=["arm/sampled"],
         seeds=256,
         axes={
-            "sampling_period": [0.005, 0.02, 0.1],
-            "delay": [0.0, 0.02, 0.1],
+            "sampling_period": [0.001, 0.02, 0.2],
+            "delay": [0.001, 0.02, 0.2],
             "noise_std": [1e-3, 3e-3],
             "drift": [0.0, 0.01, 0.05],
         },
@@ -136,9 +136,9 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
     except ValidationError as error:
         raise sentence(where, error, model) from None
     if isinstance(options, Choices):
-        for key, signal in (("input", options.input), ("unknown_input", options.unknown_input)):
-            if signal is not None and signal not in SIGNALS:
-                raise unknown(f"{where}.{key}", "input", signal, SIGNALS)
+        for key, signal, valid in (("input", options.input, SIGNALS), ("unknown_input", options.unknown_input, SINGLE)):
+            if signal is not None and signal not in valid:
+                raise unknown(f"{where}.{key}", "input", signal, valid)
         if options.random_start and options.start_spread:
             raise UserError(f"{where}: got random_start and start_spread, expected one of them; leave the other out.")
     return options

@@ -53,8 +53,8 @@ MEANING = {
     "peak": "largest |e| over ticks 0 .. N-1",
     "final": "e at tick N-1, signed",
     "settling_time": "time [s] of the last exit of |e| from the scenario's band; the horizon where it is still outside",
-    "recovery_time": "time [s] from a jump of the unknown input to the last exit of |e| from its band before the next one, the "
-    "longest of all jumps from the scenario's tail start on; null where there is none",
+    "recovery_time": "time [s] from a jump of the unknown input to the last exit of |e| from its band before the next one or "
+    "the horizon, the longest of all jumps from the scenario's tail start on; null where there is none",
     "tail_mae": "mean |e| from the scenario's tail start on",
     "tail_rmse": "square root of the mean of e^2 from the tail start on",
     "tail_mse": "mean of e^2 from the tail start on [unit squared]",
@@ -152,7 +152,10 @@ def trace_table(frame: pd.DataFrame, signals: tuple[tuple[str, str], ...]) -> pa
         unit = units.get(name.rpartition(".")[2], "unit of the input" if name[0] == "u" else "unit of the output")
         meaning = "time" if name == "t" else "estimate" if "." in name else "truth" if name in units else ""
         meaning = meaning or ("input held over the tick" if name[0] == "u" else "newest arrived measurement, held")
-        fields.append(pa.field(name, pa.float64(), metadata={"unit": unit, "meaning": meaning}))
+        about = {"unit": unit, "meaning": meaning}
+        carries = frame.attrs.get("carries_input", {}).get(name.partition(".")[0])
+        about |= {} if carries is None or "." not in name else {"carries_input": str(carries).lower()}
+        fields.append(pa.field(name, pa.float64(), metadata=about))
     schema = pa.schema(fields, metadata={"pcbench.schema": SCHEMA})
     return pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
 

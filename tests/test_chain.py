@@ -17,7 +17,6 @@ from pcbench import draws, machine, planning, recording, sampling
 from pcbench.observers import chain
 from pcbench.sampling import NEVER
 
-
 CASES = [
     pytest.param(i, id=str(each), marks=[pytest.mark.slow] if each in SLOW else []) for i, each in enumerate(DELAYS)
 ]

@@ -11,6 +11,7 @@ bound of every causal estimator, and this filter attains it. Where a scenario ha
 With `bias-variance` a constant input bias b ~ N(0, that variance) is estimated beside the state: x' = A x + B (u + b).
 Where a plant has an unknown input, x' = A x + B u + E f, f is estimated too, as a random walk from N(0, size^2) on: the
 estimate of the present carries it, and the signal is f less its part that is a known function of the state.
+Not claimed: that every unknown input can be found; its variance then grows.
 Time index: the estimate is of now, after the jump. Channels may have clocks and delays of their own; a sample that comes after
 a newer one is put in its place (`in_order`), so the estimate uses all that has arrived, as if it had come in order.
 Source: Kalman 1960; cart.md and variable-sampling.md of the design pages for the numbers.

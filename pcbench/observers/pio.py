@@ -50,7 +50,7 @@ class Options(unknown_input.Options):
 
     alpha: float = Field(1.0, gt=0, description="design: decay rate [1/s] that smo's L1 is found for")
     beta: float = Field(1.0, gt=0, description="design: decay rate [1/s]")
-    xi: float = Field(2.0, gt=0, description="the fastest unknown input that is followed exactly, per second")
+    xi: float = Field(2.0, gt=0, description="bounds each entry of E222 f' that is followed, per second")
 
 
 def inject(law: Law, s: Array, w: Array) -> tuple[Array, Array]:
@@ -75,6 +75,7 @@ def design(setting: Setting, options: Options) -> Design:
         L1 = sliding_mode.solve(parts, options.alpha, where).L1
         found = pi_lmi.solve(parts, L1, options.beta, where)
         certificate = require_rate(pi_lmi.certify(found, parts, L1), options.beta, where)
+    unknown_input.short_tick(setting, float(np.linalg.norm(found.KP, 2)), "|KP|", where)
     law = Law(np.asarray(found.KP), np.asarray(found.KI), np.asarray(options.xi))
     p = len(setting.model.C)
     gains = unknown_input.gains_of(setting, parts, injection(parts, L1, np.zeros((p, p))), law, options)

@@ -2,8 +2,8 @@
 
     v = rho P2 s / (||P2 s|| + eps),   s = Tp (y - C xhat)                                   (21), smoothed as in section 5
 
-injected as in `unknown_input`; fhat is v itself, so it is at most rho, and s keeps an error of about eps |f| / rho. With the
-gains of LMI (23), (24) the unmeasured part of the error decays freely, whatever the input does:
+injected as in `unknown_input`; v becomes [0; E222 f] (on the arm E222 = 1), so rho bounds |E222 f|, and s keeps an error of
+about eps |E222 f| / rho. With the gains of LMI (23), (24) the unmeasured part of the error decays freely, whatever f does:
 
     ebar1 = e1 - L1 s1,   ebar1' = (A11 - L1 A211) ebar1
 
@@ -40,7 +40,7 @@ class Law(NamedTuple):
     """p outputs."""
 
     P2: Leaf  # [p, p]
-    rho: Leaf  # the largest input that can be found
+    rho: Leaf  # the largest |E222 f| that can be found
     eps: Leaf  # of s: where v bends
 
 
@@ -48,7 +48,7 @@ class Options(unknown_input.Options):
     """How the gains are found, and the injection."""
 
     alpha: float = Field(1.0, gt=0, description="design: decay rate [1/s]")
-    rho: float = Field(1.0, gt=0, description="size of the injection")
+    rho: float = Field(1.0, gt=0, description="size of the injection: the largest |E222 f| found")
     eps: float = Field(0.005, gt=0, description="width of the layer in which it is smooth")
 
 
@@ -73,6 +73,8 @@ def design(setting: Setting, options: Options) -> Design:
     else:
         found = sliding_mode.solve(parts, options.alpha, where)
         certificate = require_rate(sliding_mode.certify(found, parts), options.alpha, where)
+    gain = options.rho * float(np.linalg.norm(found.P2, 2)) / options.eps
+    unknown_input.short_tick(setting, gain, "rho |P2| / eps", where)
     law = Law(np.asarray(found.P2), np.asarray(options.rho), np.asarray(options.eps))
     gains = unknown_input.gains_of(setting, parts, injection(parts, found.L1, found.A22s), law, options)
     return Design(gains, certificate, unknown_input.carries(setting, options))

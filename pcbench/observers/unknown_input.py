@@ -14,8 +14,8 @@ wy' = C (A xd + B u(t - d)), wy := y at arrivals. A tick is one Runge-Kutta step
 
 Source: Peng, Appl. Sci. 2017, 7(1), 67; sampling and delay are ours. E is the paper's D. Time index: the estimate is of now,
 the value at tick k is read after the arrival there; fhat is of d ago and taken for that of now. `hold` does not know the
-schedule. Not claimed: an error of zero with an unknown input, or that the certificates, which are for continuous measurement,
-hold on samples.
+schedule. Perfect start is exact where the plant moves by the same Runge-Kutta steps. Not claimed: an error of zero with an
+unknown input, or that the certificates, which are for continuous measurement, hold on samples.
 """
 
 from collections.abc import Callable
@@ -34,6 +34,7 @@ from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.unknown_input import Split
 from pcbench.types import Arrival, Leaf, Now, Observer
 
+STABLE = 2.5  # gain times tick; a Runge-Kutta step follows e^{-a t} up to a h = 2.78
 Law = Callable[[Any, Array, Array], tuple[Array, Array]]  # (its numbers, s[p], w[p]) -> v[p], w'[p]
 
 
@@ -100,7 +101,7 @@ def observer(law: Law) -> Observer:
         return gains.pick @ v
 
     def field(gains: Gains, memory: Memory, now: Now, y: Array) -> Memory:
-        """Return d memory/dt with y measured; what the tick moves exactly stands still."""
+        """Return d memory/dt with y measured, less D u; what the tick moves exactly stands still."""
         z, n = jnp.append(memory.xd, y), memory.xd.shape[0]
         v, w_rate = law(gains.law, gains.S @ z, memory.w)
         rate = gains.F @ z + gains.H @ now.past_u(gains.lag)
@@ -152,6 +153,15 @@ def one_delay(setting: Setting, where: str) -> None:
         raise UserError(
             f"{where}: got channels with delays {setting.delay} (ticks), expected one for all: it runs on the state of one "
             "delay ago; give equal delays, or take dkf."
+        )
+
+
+def short_tick(setting: Setting, gain: float, of: str, where: str) -> None:
+    """Raise UserError where a Runge-Kutta step of one tick cannot follow a gain [1/s]."""
+    if gain * setting.dt > STABLE:
+        raise UserError(
+            f"{where}: got a gain {of} of {gain:.3g} 1/s with a tick of {setting.dt:g} s, expected their product below "
+            f"{STABLE:g}, as a Runge-Kutta step needs; take a tick of at most {STABLE / gain:.2g} s, or other options."
         )
 
 

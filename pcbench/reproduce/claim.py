@@ -10,7 +10,7 @@ class Claim(NamedTuple):
     printed: str
     reproduced: str
     verdict: str  # reproduced | holds | misprint | does not reproduce | does not hold | not determinable | finding; of a table:
-    # digits (rounds to the print) | close | band (the print lies among runs that differ by rounding) | differs
+    # digits (rounds to the print) | close | band (the print lies among runs from starts nearby) | differs
 
 
 def digits(claim: str, printed: str, value: float, failed: str = "does not reproduce") -> Claim:

@@ -155,10 +155,10 @@ def noise_over(doubled: Matrix, noise: Matrix, ticks: int) -> Matrix:
 
 def with_unknown_input(model: Model) -> Model:
     """Return the model with its unknown inputs as the last states: x' = A x + B u + E f, f' = 0."""
-    assert model.E is not None
-    (n, r), m = model.E.shape, model.B.shape[1]
+    E: Matrix = np.asarray(model.E, float)
+    (n, r), m = E.shape, model.B.shape[1]
     A = np.zeros((n + r, n + r))
-    A[:n, :n], A[:n, n:] = model.A, model.E
+    A[:n, :n], A[:n, n:] = model.A, E
     if model.discrete:
         A[n:, n:] = np.eye(r)
     C = np.hstack([model.C, np.zeros((len(model.C), r))])
