@@ -122,6 +122,7 @@ def test_plant_matches_an_adaptive_solver_under_drift():
     assert np.allclose(x[-1, 0], expected, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_joint_run_carries_the_plant():
     d = ui.d2(ui.stage_times(3000, 1e-3))[:, None]
     assert np.allclose(ui.joint(ui.PIO, d, ui.X0[None], 1e-3).x, ui.plant(d, ui.X0[None], 1e-3), rtol=0, atol=1e-13)
@@ -239,6 +240,7 @@ def test_reduced_error_decays_freely(name):
         assert np.allclose(ebar[i], ebar[0] @ expm(A11B * i * ui.DT).T, rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_reduced_error_decays_freely_whatever_d_and_v_do():
     rng = np.random.default_rng(2)
     steps, h = 2000, 1e-3
