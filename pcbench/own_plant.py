@@ -72,9 +72,10 @@ class Lti(BaseModel):
         apart = [abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=True)]
         prior = _vector(self.prior_std, apart, n, f"{where}.prior_std")
         size = _vector(self.unknown_std, 1.0, r, f"{where}.unknown_std", "unknown input")
-        for i, one in enumerate(size):
-            if one <= 0:
-                raise UserError(f"{where}.unknown_std[{i}]: got {one:g}, expected greater than 0: the size of what pushes.")
+        if any(one <= 0 for one in size):
+            raise UserError(
+                f"{where}.unknown_std: got {size}, expected sizes greater than 0; write how large the input is."
+            )
         band = [0.05 * p for p in [*prior, *size]]
         tail = 0.3 * self.horizon if self.tail is None else self.tail
         tick = self.dt or self.tick or 1e-3
