@@ -24,6 +24,13 @@ ARM = {
 STIFFER = [ARM["A"][0], [-3.76, -0.0015, 3.76, 0], *ARM["A"][2:]]
 SEEN_NOWHERE = [*ARM["A"][:2], [0.0, 0, 0, 0], ARM["A"][3]]  # the motor's velocity moves nothing
 
+THREE = {
+    "A": [[-1.0, 0.5, 0], [0, -2, 1], [1, 0, -3]],
+    "B": [[1.0], [0], [0]],
+    "C": [[1.0, 0, 0], [0, 1, 0]],
+    "E": [[0.0], [1], [0]],
+}
+
 
 def own(observer="smo", options=None, **changes):
     """The arm as a linear plant of one's own, with some keys changed, None: left out."""
@@ -84,6 +91,7 @@ REFUSED = {
         own("pio", {"gains": "paper"}, C=np.eye(2, 4).tolist()),
         "printed for the arm, on another plant",
     ),
+    "paper gains, three states": (own("pio", {"gains": "paper"}, **THREE), "printed for the arm, on another plant"),
     # options
     **{
         f"{name} = {value}": (
