@@ -85,6 +85,7 @@ def test_recovery_is_the_longest_time_from_a_jump_to_the_last_exit_before_the_ne
     np.testing.assert_array_equal(watch.recovery, want)
 
 
+@pytest.mark.slow
 def test_one_compilation_for_every_period_delay_noise_and_drift():
     axes = {"sampling_period": [0.005, 0.1], "delay": [0.0, 0.1], "noise_std": [0.0, 1e-3], "drift": [0.0, 0.05]}
     chosen = study_file.parse({"name": "arm", "scenarios": ["arm/sampled"], "observers": ["smo"], "axes": axes}, "arm")
