@@ -6,8 +6,9 @@ injected as in `unknown_input` with A22s = 0; sgn(0) = 0, sgn is evaluated at ev
 that shrinks with the tick. The unmeasured part of the error decays as that of `smo` does, with the same L1.
 
 Source: Peng, Appl. Sci. 2017, 7(1), 67, sections 4 and 5; minus signs restored. The printed gains are for the arm.
-Not claimed: that errors vanish where the unknown input changes faster than xi. The certificate proves a decay rate without the
-unknown input, the sign and sampling.
+Not claimed: that errors vanish where the unknown input changes faster than xi, or that nothing moves from a perfect start: the
+sign of a rounding error moves w by xi a tick, so the input errs by about that, the states by its square. The certificate
+proves a decay rate without the unknown input, the sign and sampling.
 """
 
 from typing import NamedTuple
