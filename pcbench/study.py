@@ -25,6 +25,7 @@ class Choices(BaseModel):
     start_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
     input: str | None = Field(None, description="name of the input signal")
     unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")
+    drift_sign: Literal[-1, 1] = Field(1, description="the operator lost in print, in the cart's drift")
     precision: str = Field("float64", description="float64: no other is offered")
 
     @field_validator("precision")
@@ -33,8 +34,6 @@ class Choices(BaseModel):
         if precision != "float64":
             raise ValueError("float64: float32 rounds at 1e-7 of a signal, which is the size of errors compared here")
         return precision
-
-    drift_sign: Literal[-1, 1] = Field(1, description="the operator lost in print, in the cart's drift")
 
 
 class Study(BaseModel):
