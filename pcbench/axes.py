@@ -4,20 +4,24 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pcbench import sampling
 from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS, entry_of
-from pcbench.plants import parameters_of
+from pcbench.plants import nonlinear, parameters_of
 from pcbench.sampling import PROFILES, Clock
 from pcbench.scenarios import Scenario
 
 SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
-TIMES = ("sampling_period", "delay", "jitter", "delay_jitter", "assumed_delay_error")  # whole ticks
-AXES = (*CHANNELS, "drift", "profile", "jitter", "delay_jitter", "loss", "assumed_delay_error")
+TIMES = ("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error")  # whole ticks
+AXES = (*CHANNELS, "drift", "profile", "jitter", "delay_jitter", "loss", "assumed_delay_error", "actuator_delay")
 INTERVAL = "interval"  # a delay of one interval, in a study
 
 
@@ -127,11 +131,18 @@ def clocks(s: Scenario) -> list[Clock]:
     for j, times in enumerate(zip(s.sampling_period, s.delay, strict=True)):
         groups.setdefault(times, []).append(j)
     profile = s.profile if isinstance(s.profile, str) else tuple(whole(v) for v in s.profile)
-    rest = (profile, whole(s.jitter), whole(s.delay_jitter), s.loss)
+    swing = (s.delay_swing[0] / s.dt, s.delay_swing[1] * s.dt)
+    rest = (profile, whole(s.jitter), whole(s.delay_jitter), s.loss, s.early, swing)
     return [
         Clock(tuple(channels), whole(period), None if delay is None else whole(delay), *rest)
         for (period, delay), channels in groups.items()
     ]
+
+
+def actuator_delay(s: Scenario) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return the delay from command to plant [s] as a function of time [s]."""
+    mean, (swing, pace) = s.delay[0] if s.actuator_delay is None else s.actuator_delay, s.delay_swing
+    return lambda t: (mean or 0.0) + swing * np.sin(pace * t)
 
 
 def fits(s: Scenario, where: str) -> None:
@@ -139,6 +150,7 @@ def fits(s: Scenario, where: str) -> None:
     ticks = round(s.horizon / s.dt)
     if s.continuous:
         _at_every_stage(s, where)
+    _loop(s, where)
     for clock in clocks(s):
         least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:
@@ -175,8 +187,45 @@ def _at_every_stage(s: Scenario, where: str) -> None:
             )
 
 
+def _loop(s: Scenario, where: str) -> None:
+    """Raise UserError where the delays of a closed loop cannot be, or what stands open is asked for its actuator."""
+    if not s.controller:
+        if s.actuator_delay is not None:
+            raise UserError(
+                f"{where}: got actuator_delay = {s.actuator_delay:g} s in {s.name}, where no controller gives commands, expected a "
+                "closed loop such as helicopter/constant; leave it out."
+            )
+        return
+    if s.jitter or s.delay_jitter or s.loss or s.profile == "uniform":
+        raise UserError(
+            f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not offered "
+            "with times of each run's own; leave jitter, delay_jitter, loss and the profile 'uniform' out."
+        )
+    if len(set(s.delay)) > 1 or None in s.delay:
+        raise UserError(
+            f"{where}: got delays {s.delay} s in {s.name}, expected one for all channels; write one number of seconds."
+        )
+    t = np.arange(round(s.horizon / s.dt) + 1) * s.dt
+    swing = s.delay_swing[0] * np.sin(s.delay_swing[1] * t)
+    for name, mean, smallest in (("delay", s.delay[0] or 0.0, 0.0), ("actuator delay", actuator_delay(s)(t[:1])[0], s.dt / 2)):
+        least = float(np.min(mean + swing))
+        still = not s.delay_swing[0] and least == 0
+        if not still and least < smallest - 1e-12:
+            raise UserError(
+                f"{where}: got a {name} that falls to {least:g} s in {s.name}, expected "
+                + ("0, or at least half a tick" if smallest else "0 or more")
+                + f"; write at least {mean - least + smallest:g}."
+            )
+
+
 def works_on(label: str, s: Scenario, where: str) -> None:
     """Raise UserError where an observer cannot work on a scenario's schedule."""
+    if nonlinear(s.plant) and not entry_of(label).nonlinear:
+        able = ", ".join(name for name, entry in OBSERVERS.items() if entry.nonlinear)
+        raise UserError(
+            f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} out, or "
+            f"take one of {able}."
+        )
     if s.continuous and entry_of(label).observer.field is None:
         able = ", ".join(name for name, entry in OBSERVERS.items() if entry.observer.field)
         raise UserError(

@@ -227,20 +227,18 @@ def trace(
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     for name in names:
         columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[name].T)}
-    columns |= {f"u{i + 1}": u for i, u in enumerate(p.problem.inputs.T)}
-    columns |= {f"y{i + 1}": y for i, y in enumerate(_held(p.problem.schedule, out.samples).T)}
+    columns |= {f"target.{signals[i]}": each for i, each in enumerate(out.target.T)}
+    columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
+    columns |= {f"y{i + 1}": y for i, y in enumerate(_held(out.arrived).T)}
     frame = pd.DataFrame(columns)
     frame.attrs["carries_input"] = dict(p.carries_input)  # of the predictions to now, by observer
     return frame
 
 
-def _held(plan: Any, samples: np.ndarray) -> np.ndarray:
-    """What has arrived and is held at every tick, from what was measured at the sampling ticks; [N+1, q]."""
-    new = np.full_like(samples, np.nan)
-    for slot in range(plan.arrive.shape[1]):
-        new = np.where(plan.fresh[:, slot], samples[plan.sent[:, slot]], new)
-    last = np.maximum.accumulate(np.where(plan.fresh.any(1), np.arange(len(new))[:, None], -1))
-    return np.where(last >= 0, np.take_along_axis(new, np.maximum(last, 0), 0), np.nan)
+def _held(arrived: np.ndarray) -> np.ndarray:
+    """What has arrived and is held at every tick, [N+1, q], from what arrives at each; NaN before the first."""
+    last = np.maximum.accumulate(np.where(np.isnan(arrived), -1, np.arange(len(arrived))[:, None]))
+    return np.where(last >= 0, np.take_along_axis(arrived, np.maximum(last, 0), 0), np.nan)
 
 
 def design(scenario: Described, observer: str, *, overrides: list[str] | None = None) -> Design:

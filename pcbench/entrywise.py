@@ -73,6 +73,8 @@ def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
         return [ROWS[name](eqn, args)]
     if differs and name == "scan" and eqn.params["length"]:
         return _scan(eqn, args)
+    if differs and name == "while" and (found := _while(eqn, args)) is not None:
+        return found
     args = [entries(a) for a in args]
     if differs and name == "gather" and _takes_rows(eqn, args):
         return [_rows_of_table(eqn, args)]
@@ -98,6 +100,26 @@ def _scan(eqn: Any, args: list[Any]) -> list[Any]:
     end, out = jax.lax.scan(step, start, rows, **how)
     length = eqn.params["length"]
     return [*end, *(entries(Lanes(a.parts, length)) if is_lanes(a) else a for a in out)]
+
+
+def _while(eqn: Any, args: list[Any]) -> list[Any] | None:
+    """Apply a while loop that ends for all lanes at once by one loop, its body evaluated entry by entry; else None."""
+    cond, body = eqn.params["cond_jaxpr"], eqn.params["body_jaxpr"]
+    split_at = eqn.params["cond_nconsts"], eqn.params["cond_nconsts"] + eqn.params["body_nconsts"]
+    asked, given, state = args[: split_at[0]], args[slice(*split_at)], args[split_at[1] :]
+    width = next(jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a))
+
+    def step(state: list[Any]) -> list[Any]:
+        return like(_evaluate(body.jaxpr, body.consts, [*given, *state]), state, width)
+
+    def goes_on(state: list[Any]) -> Any:
+        return _evaluate(cond.jaxpr, cond.consts, [*asked, *state])[0]
+
+    start = [entries(a) if is_lanes(a) else jnp.asarray(a) for a in state]
+    start = settle(lambda s: _evaluate(body.jaxpr, body.consts, [*given, *s]), start, width)
+    if is_lanes(jax.eval_shape(goes_on, start)):
+        return None
+    return jax.lax.while_loop(goes_on, step, start)
 
 
 def _without_rows(x: Any) -> Any:

@@ -62,17 +62,30 @@ def look(watch: Watch, tick: Array, e: Array, band: Array, bound: Array, jumps: 
 
 
 def read(
-    streams: Stream, watch: Watch, final: Array, ticks: int, tail: int, dt: float, jumps: bool = False
+    streams: Stream,
+    watch: Watch,
+    final: Array,
+    ticks: int,
+    tail: int,
+    dt: float,
+    jumps: bool = False,
+    tracking: Stream | None = None,
 ) -> dict[str, NDArray]:
     """Return every metric, [n, L] each, from windows [W, n, L], all but the first in the tail, the watch, and the last e.
 
     `settling_time` [s] is the time of the last exit from the band; a run still outside at the end is given the horizon.
     Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.
+    Of a closed loop `tracking` [W, r, L] gives the set point less the state, of its first r states; NaN for the others.
     A diverged run has NaN for every metric; `diverged` [L] and `first_bad_time` [L, s] (NaN where none) tell it apart.
     """
     whole = Stream(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
     late = Stream(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
-    out = {}
+    out: dict[str, NDArray] = {}
+    if tracking is not None:
+        for prefix, first, count in (("", 0, ticks), ("tail_", 1, ticks - tail)):
+            rms = np.sqrt(np.asarray(tracking.square)[first:].sum(0) / count)
+            out[prefix + "tracking_rmse"] = np.full(np.shape(final), np.nan)
+            out[prefix + "tracking_rmse"][: len(rms)] = rms
     for prefix, s, count in (("", whole, ticks), ("tail_", late, ticks - tail)):
         out[prefix + "mae"] = np.asarray(s.absolute) / count
         out[prefix + "mse"] = np.asarray(s.square) / count

@@ -7,20 +7,23 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.tree_util import Partial
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from pcbench import axes, conformance, ensemble, irregular, sampling
+from pcbench import actuator, axes, conformance, ensemble, irregular, sampling
 from pcbench.cells import Cell, cells
+from pcbench.controllers import CONTROLLERS
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
 from pcbench.plants import PLANTS
 from pcbench.rollout import Layout, Problem
 from pcbench.scenarios import Scenario
-from pcbench.signals import inputs, jumps
+from pcbench.signals import SINGLE, inputs, jumps
 from pcbench.study import Study, observers_of, options_of
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting
+from pcbench.types import Controller
 
 
 class Planned(NamedTuple):
@@ -48,6 +51,8 @@ def setting(cell: Cell) -> Setting:
     """Return what a designer is told: the nominal model and the believed delay, whatever is true of the plant."""
     s, clocks, n = cell.scenario, axes.clocks(cell.scenario), ticks(cell)
     period, delay = [0] * len(s.delay), [0] * len(s.delay)
+    plant, many = PLANTS[s.plant], len(s.unknown_std)
+    params = plant.prepare(_numbers(s), s.dt, n) if plant.model else None
     for clock in clocks:
         for j in clock.channels:
             if isinstance(clock.profile, tuple):
@@ -58,7 +63,7 @@ def setting(cell: Cell) -> Setting:
             delay[j] = late + clock.spread // 2 + round(s.assumed_delay_error / s.dt)
     return Setting(
         s.name,
-        PLANTS[s.plant].nominal(_numbers(s)),
+        plant.nominal(_numbers(s)),
         s.dt,
         n,
         tuple(period),
@@ -71,6 +76,10 @@ def setting(cell: Cell) -> Setting:
         round(s.assumed_delay_error / s.dt),
         max(-(-late // every) for late, every in zip(delay, period, strict=True)),
         s.unknown_std,
+        s.unknown0 or (0.0,) * many,
+        plant.ranges or ((-np.inf, np.inf),) * many,
+        Partial(plant.model, params) if plant.model else None,
+        Partial(plant.parts, params) if plant.parts else None,
         tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )
 
@@ -84,7 +93,7 @@ def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:
     """How many newer samples may arrive before one; of one clock with samples of one age, none."""
     if _random(clocks):
         return irregular.overtaking(clocks, ticks)
-    alone = len(clocks) == 1 and clocks[0].delay is not None
+    alone = len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing)
     return 0 if alone else sampling.overtaking(sampling.samples(clocks, ticks))
 
 
@@ -98,7 +107,8 @@ def plan(study: Study) -> list[Planned]:
     drafts = []
     for cell, known in zip(every, _one_room([(cell, setting(cell)) for cell in every]), strict=True):
         options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, cell.scenario.name)}
-        drafts.append(draft(cell, options, known))
+        loops = [{o: given} for o, given in options.items()] if cell.scenario.controller else [options]
+        drafts += [draft(cell, each, known) for each in loops]  # in a closed loop every observer has its own plant
     return fit(drafts)
 
 
@@ -140,9 +150,12 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
         (_times(p).due.shape[1] for p in drafts if not isinstance(p.problem.schedule, sampling.Schedule)), default=0
     )
     room = max(p.layout.ring for p in drafts)
+    early = max((len(plan.early) for plan in shared), default=0)
     ring = 1 << (room - 1).bit_length()  # few sizes, few programs
     strides = any(not isinstance(p.problem.schedule, sampling.Schedule) or _sparse(p.problem.schedule) for p in drafts)
     drifting = {p.layout.plant for p in drafts if p.layout.drifting}
+    loops = [_reach(p.cell, setting(p.cell)) for p in drafts if p.layout.controller]
+    commands, on = (max(each) for each in zip(*loops, strict=True)) if loops else (0, 0)
     falls = max(len(p.problem.jumps) for p in drafts)
     rows: dict[Any, int] = {}
     for p in drafts:
@@ -152,7 +165,10 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
     out = []
     for p in drafts:
         plan = p.problem.schedule
-        plan = sampling.pad_slots(plan, slots) if isinstance(plan, sampling.Schedule) else irregular.padded(plan, most)
+        if isinstance(plan, sampling.Schedule):
+            plan = sampling.pad_early(sampling.pad_slots(plan, slots), early)
+        else:
+            plan = irregular.padded(plan, most)
         leaves, tree = jax.tree.flatten(p.problem.params)
         wide = [
             np.broadcast_to(a, (rows[p.layout.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
@@ -160,8 +176,12 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
         ]
         falling = np.pad(p.problem.jumps, (0, falls - len(p.problem.jumps)), constant_values=sampling.NEVER)
         problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide), jumps=falling)
+        if p.layout.controller:
+            loop = _loop(p.cell, commands, on)
+            problem = problem._replace(control=loop.params, line=loop.line)
         heavy = PLANTS[p.cell.scenario.plant].heavy or any(entry_of(label).heavy for label, _ in p.layout.observers)
         layout = p.layout._replace(ring=ring, strides=strides and not heavy, drifting=p.layout.plant in drifting)
+        layout = layout._replace(commands=commands if layout.controller else 0)
         out.append(p._replace(problem=problem, layout=layout))
     return out
 
@@ -181,17 +201,20 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     designs = {o: _design(o, known, given) for o, given in options.items()}
     truth = {"drift": s.drift, "drift_sign": float(cell.choices.drift_sign)} | cell.parameters
     truth |= {"unknown_input": s.unknown_input} if s.unknown_input else {}
-    spread = s.prior_std if cell.choices.random_start else cell.choices.start_spread * np.abs(s.x0)
+    scattered = cell.choices.random_start and bool(s.start_box)
+    drawn = cell.choices.random_start and not scattered
+    spread = s.prior_std if drawn else cell.choices.start_spread * np.abs(s.x0)
     signals = len(s.x0) + len(s.unknown_std)
     plan, room = schedule_of(cell)
+    loop = _loop(cell, *_reach(cell, known)) if s.controller else Loop(None, (), actuator.NONE)
     problem = Problem(
         params=plant.prepare(_numbers(s)._replace(**truth), s.dt, n),
         gains={o: d.gains for o, d in designs.items()},
         schedule=plan,
-        inputs=inputs(s.input, s.dt * np.arange(n + 1, dtype=float), known.model.B.shape[1]),
+        inputs=_inputs(cell, known),
         dt=np.asarray(s.dt),
-        x0=np.array(s.xhat0 if cell.choices.random_start else s.x0),
-        xhat0=np.array(s.xhat0),
+        x0=np.array(s.xhat0 if drawn else s.x0),
+        xhat0=np.array(s.x0 if scattered else s.xhat0),
         spread0=np.diag(spread),
         noise_std=np.array(s.noise_std),
         band=np.array(s.settle_band),
@@ -199,14 +222,73 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         windows=np.array([[0, tail_tick(cell)], [tail_tick(cell), n - 1], [n - 1, n]]),
         process_std=np.array(s.process_std),
         jumps=np.array([tick for tick in jumps(s.unknown_input, s.dt, n - 1) if tick >= tail_tick(cell)], int),
+        control=loop.params,
+        line=loop.line,
+        scatter=np.array(s.start_box) if scattered else np.zeros(0),
     )
     observers = tuple((o, entry_of(o).observer) for o in options)
-    random = cell.choices.random_start or cell.choices.start_spread > 0
+    random = drawn or cell.choices.start_spread > 0
     drifting = bool(s.drift and plant.plant.of_run)
     width = ensemble.HEAVY if plant.heavy else ensemble.WIDTH
-    layout = Layout(plant.plant, observers, width, room, random, continuous=s.continuous, drifting=drifting)
+    layout = Layout(
+        plant.plant,
+        observers,
+        width,
+        room,
+        random,
+        continuous=s.continuous,
+        drifting=drifting,
+        controller=loop.controller,
+        commands=_reach(cell, known)[0] if s.controller else 0,
+        scattered=scattered,
+    )
     proofs, carries = {o: d.certificate for o, d in designs.items()}, {o: d.carries_input for o, d in designs.items()}
     return Planned(cell, layout, problem, proofs, _bound(cell, known), carries)
+
+
+def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
+    """The input of an open loop, [N+1, m]; where a controller gives it, one row of NaN: nothing may read it."""
+    s, m = cell.scenario, known.model.B.shape[1]
+    if s.controller:
+        return np.full((1, m), np.nan)
+    u = inputs(s.input, s.dt * np.arange(ticks(cell) + 1, dtype=float), m)
+    if u.shape[1] != m:
+        raise UserError(
+            f"{s.name}: got the input '{s.input}', which has {u.shape[1]} columns, expected one signal, or one for each of the "
+            f"plant's {m} inputs with commas between; take one of {', '.join(SINGLE)}."
+        )
+    return u
+
+
+class Loop(NamedTuple):
+    """What closes a loop."""
+
+    controller: Controller | None
+    params: Any
+    line: actuator.Line
+
+
+def _loop(cell: Cell, rows: int, on: int) -> Loop:
+    """The controller of a closed loop, its numbers, and the line to the plant from tick -`rows` to `on` ticks past the end."""
+    s, n, plant = cell.scenario, ticks(cell), PLANTS[cell.scenario.plant]
+    entry = CONTROLLERS[s.controller]
+    chosen = {k: v for k, v in cell.choices.loop().items() if v is not None}
+    options = entry.options.model_validate(dict(s.control) | chosen)
+    delay, params = axes.actuator_delay(s), plant.prepare(_numbers(s), s.dt, n)
+    model, inverse = Partial(plant.model, params), Partial(plant.inverse, params)
+    law = entry.prepare(options, delay, s.dt, rows, n, model, inverse)
+    return Loop(entry.controller(options), law, actuator.line(delay, s.dt, rows, n + on))
+
+
+def _reach(cell: Cell, known: Setting) -> tuple[int, int]:
+    """How many commands a loop keeps, and how many ticks ahead it looks.
+
+    Observers ask for inputs since the sample before those that may still be overtaken; the controller, until its command acts.
+    """
+    s, n = cell.scenario, ticks(cell)
+    found, delay = sampling.samples(axes.clocks(s), n), axes.actuator_delay(s)
+    rows = actuator.rows_needed(delay, s.dt, n, sampling.oldest(found, known.overtaking) + 1)
+    return rows, round(float(np.max(delay(np.arange(n + 1) * s.dt))) / s.dt) + 2
 
 
 def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, int]:
@@ -234,7 +316,7 @@ def _design(observer: str, known: Setting, options: BaseModel) -> Design:
 def _bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
     s = cell.scenario
-    exact = not s.drift and not cell.parameters and not s.unknown_input and all(s.noise_std)  # no bound without noise
+    exact = PLANTS[s.plant].model is None and not s.drift and not cell.parameters and not s.unknown_input and all(s.noise_std)  # no bound without noise
     clocks = axes.clocks(cell.scenario)
     if not exact or _random(clocks):
         return None

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench import lanes
-from pcbench.rollout import Layout, Problem, State, actual, advance, estimates, process_noise
+from pcbench.rollout import Layout, Problem, State, actual, advance, aims, decide, estimates, held, process_noise
 from pcbench.shared_events import prepare
 
 
@@ -20,7 +20,9 @@ class Recording(NamedTuple):
 
     x: Array  # [N+1, n + s] the state, and what the plant has of unknowns
     estimates: dict[str, Array]  # [N+1, n or n + s], after the jump of each tick
-    samples: Array  # [N+1, q] what was measured at this tick, NaN where nothing was
+    u: Array  # [N+1, m] the input held over the tick
+    arrived: Array  # [N+1, q] what arrived at this tick, NaN where nothing did
+    target: Array  # [N+1, r] the set point of a closed loop
 
 
 def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recording:
@@ -29,14 +31,23 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recordi
     events, state = prepare(layout, p, root_seed, seed[None])
     drawn = process_noise(p, root_seed, seed[None])
 
+    def whole(a: Any) -> Array:
+        return lanes.whole(a, 1)[:, 0]
+
+    def arrivals(k: Array, rings: Any) -> Array:
+        y = jnp.full(p.noise_std.shape, jnp.nan)
+        for slot in range(p.schedule.arrive.shape[1]):
+            place = p.schedule.arrive[k, slot] % layout.ring
+            value = whole(jax.tree.map(lambda ring, place=place: ring[place], rings))
+            y = jnp.where(p.schedule.fresh[k, slot], value, y)
+        return y
+
     def tick(state: State, k: Array) -> tuple[State, Recording]:
         state = lax.cond(p.schedule.event[k], lambda s: events.happen(k, s)[0], lambda s: s, state)
-        place = p.schedule.sense[k] % layout.ring
-        values = jax.tree.map(lambda ring: ring[place], state.flight[0])
-        value = lanes.whole(values, 1)[:, 0]
-        y = jnp.where(p.schedule.sampled[k], value, jnp.nan)
-        shown = {label: lanes.whole(xhat, 1)[:, 0] for label, xhat in estimates(layout, p, state).items()}
-        row = Recording(lanes.whole(actual(layout, p, k, state), 1)[:, 0], shown, y)
+        state = lanes.like(decide(layout, p, k, state), state, 1)
+        shown = {label: whole(xhat) for label, xhat in estimates(layout, p, state).items()}
+        u, y = whole(held(layout, p, k, state)), arrivals(k, state.flight[0])
+        row = Recording(whole(actual(layout, p, k, state)), shown, u, y, aims(layout, p, k))
         return lanes.like(advance(layout, p, k, state, drawn(k)), state, 1), row
 
     _, out = lax.scan(tick, state, jnp.arange(p.schedule.event.shape[0]))

@@ -24,13 +24,14 @@ class Schedule(NamedTuple):
     sample: Ints  # [N+1, q] which sample of its channel, from 0
     note: Ints  # [N+1] the packet for which observers note what they will need
     arrive: Ints  # [N+1, S] the packets that arrive
-    sent: Ints  # [N+1, S] the tick at which each was taken
+    sent: Ints  # [N+1, S] the tick at which each was taken; below 0 where measuring began earlier
     believed: Ints  # [N+1, S] the tick at which the observers believe it was taken
     fresh: Bools  # [N+1, S, q] the channels that arrive with it
     number: Ints  # [N+1, S, q] which sample of its channel
     since: Ints  # [N+1, S] ticks since the last tick at which anything arrived (from 0 before the first)
     event: Bools  # [N+1] anything taken or arriving
     next_event: Ints  # [N+1] the first later tick with an event, or N + 1
+    early: Ints  # [E, q] which sample of each channel, of the packets taken before tick 0
 
 
 class Sample(NamedTuple):
@@ -52,6 +53,8 @@ class Clock(NamedTuple):
     jitter: int = 0  # a sample (but the first) is taken up to this much early or late
     spread: int = 0  # jitter of the delay: a sample arrives up to this much later
     loss: float = 0.0  # probability that a sample never arrives
+    early: bool = False  # measuring began before tick 0: `period` is between arrivals, the first of them at tick 0
+    swing: tuple[float, float] = (0.0, 0.0)  # (a [ticks], w [rad a tick]) of an age delay + a sin(w k), at arrival k
 
     @property
     def random(self) -> bool:
@@ -102,19 +105,30 @@ def intervals(clock: Clock, ticks: int) -> list[int]:
     return list(range(max(due[0] - j, 1), due[-1] + j + 1)) if j else due
 
 
+def age(clock: Clock, arrives: int) -> int:
+    """Return the age, in whole ticks, of the sample that arrives at a tick, of a clock with a delay of the time."""
+    swing, pace = clock.swing
+    return round((clock.delay or 0) + swing * np.sin(pace * arrives))
+
+
 def ages(clock: Clock, ticks: int) -> tuple[int, int]:
     """Return the least and the largest age of a sample when it arrives."""
-    found = intervals(clock, ticks) if clock.delay is None else [clock.delay]
+    if any(clock.swing):
+        found = sorted(age(clock, arrives) for arrives in instants(clock, ticks)[:-1])
+    else:
+        found = intervals(clock, ticks) if clock.delay is None else [clock.delay]
     return found[0], found[-1] + clock.spread
 
 
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
-    """Return every sample of clocks without randomness, taken at tick 0 .. `ticks`."""
+    """Return every sample of clocks without randomness, taken up to tick `ticks`; from 0 on, or for the first to arrive at 0."""
     out = []
     for clock in clocks:
         due = instants(clock, ticks)
         for i, taken in enumerate(due[:-1]):
             arrives = due[i + 1] if clock.delay is None else taken + clock.delay
+            if clock.early:
+                taken, arrives = taken - age(clock, taken), taken
             out += [Sample(channel, i, taken, arrives) for channel in clock.channels]
     return out
 
@@ -134,7 +148,8 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     """Lay samples out over ticks 0 .. `ticks`; what is taken or arrives later is left out.
 
     The observers believe that every sample is `error` ticks older than it is, but that none was taken before tick 0: they
-    note what they need where they believe it to be taken. An error below 0 must leave every age at 0 or more.
+    note what they need where they believe it to be taken. An error below 0 must leave every age at 0 or more. A sample taken
+    before tick 0 has measured the start, as if at tick 0.
     """
     instants = sorted({s.taken for s in samples if s.taken <= ticks})
     packet = {tick: i for i, tick in enumerate(instants)}
@@ -157,14 +172,17 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
         since=np.zeros((n, slots), np.int32),
         event=np.zeros(n, bool),
         next_event=np.full(n, n, np.int32),
+        early=np.full((sum(tick < 0 for tick in instants), q), -1, np.int32),
     )
     for s in samples:
-        if s.taken <= ticks:
+        if s.taken < 0:
+            out.early[packet[s.taken], s.channel] = s.number
+        elif s.taken <= ticks:
             out.sense[s.taken] = packet[s.taken]
             out.sampled[s.taken, s.channel] = True
             out.sample[s.taken, s.channel] = s.number
-            if 0 <= s.taken - error <= ticks:
-                out.note[s.taken - error] = packet[s.taken]
+        if s.taken <= ticks and 0 <= s.taken - error <= ticks:
+            out.note[s.taken - error] = packet[s.taken]
     last = 0
     for tick in sorted(by_arrival):
         for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
@@ -194,15 +212,29 @@ def at_every_tick(ticks: int, channels: int) -> Schedule:
     row, each, yes = k[:, None], np.repeat(k[:, None], channels, 1), np.ones((ticks + 1, channels), bool)
     since = np.minimum(row, 1)
     return Schedule(
-        k, yes, each, k, row, row, row, yes[:, None], each[:, None], since, np.ones(len(k), bool), k + np.int32(1)
+        k, yes, each, k, row, row, row, yes[:, None], each[:, None], since, np.ones(len(k), bool), k + np.int32(1), each[:0]
     )
+
+
+def oldest(found: list[Sample], overtaking: int) -> int:
+    """Return the age, at the latest arrival, of the sample before the newest and before all that it may still overtake."""
+    each = np.array(sorted({(max(s.taken, 0), s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
+    taken, arrives = each.T
+    back = 2 * overtaking + 1
+    before = np.concatenate([np.zeros(back, int), taken])[: len(taken)]
+    return int((np.maximum.accumulate(arrives) - before).max(initial=0))
 
 
 def in_flight(plan: Schedule) -> int:
     """Return how many packets the network must be able to hold so that none is overwritten before it arrives."""
-    latest = np.maximum.accumulate(np.maximum(plan.sense, plan.note))
+    latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, plan.note)), len(plan.early) - 1)
     waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
     return int(waiting.max())
+
+
+def pad_early(plan: Schedule, packets: int) -> Schedule:
+    """Add packets from before tick 0 that nothing reads, so that schedules of one study share a shape."""
+    return plan._replace(early=np.pad(plan.early, [(0, packets - len(plan.early)), (0, 0)], constant_values=-1))
 
 
 def pad_slots(plan: Schedule, slots: int) -> Schedule:

@@ -29,17 +29,21 @@ class Events(NamedTuple):
 def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """Return the events of a block of runs, and the state before tick 0."""
     keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
-    state = rings(layout, begin(layout, p, root_seed, seeds))
+    state = rings(layout, p, keys, begin(layout, p, root_seed, seeds))
     return Events(lambda k, state: (happen(layout, p, keys, k, state), p.schedule.next_event[k])), state
 
 
-def rings(layout: Layout, state: State) -> State:
-    """Give the network its room; a packet that nothing was noted for carries the note of the start.
+def rings(layout: Layout, p: Problem, keys: list[Array], state: State) -> State:
+    """Give the network its room, with the packets on it that were taken before tick 0: they have measured the start.
 
-    (Such a packet is believed to be from before tick 0.)
+    A packet that nothing was noted for carries the note of the start (it is believed to be from before tick 0).
     """
-    flight = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
-    return state._replace(flight=flight)
+    values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
+    for packet, numbers in enumerate(p.schedule.early):
+        noise = lanes.split(draws.normals(keys, numbers))
+        y = lanes.like(measure(layout, p, jnp.asarray(0), state.x, state.own, noise), state.flight[0], layout.width)
+        values = jax.tree.map(lambda ring, v, i=packet: ring.at[i].set(v), values, y)
+    return state._replace(flight=(values, notes))
 
 
 def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State) -> State:
@@ -60,7 +64,7 @@ def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State
         return measure(layout, p, k, state.x, state.own, lanes.split(draws.normals(keys, plan.sample[k])))
 
     values = put(state.flight[0], plan.sense[k], sense)
-    notes = put(state.flight[1], plan.note[k], lambda: note(layout, p, k, state.memories))
+    notes = put(state.flight[1], plan.note[k], lambda: note(layout, p, k, state.memories, state.commands))
     flight = (values, notes)
 
     def deliver(slot: Array, memories: Any) -> Any:
@@ -70,7 +74,8 @@ def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State
         row = Row(fresh, age, plan.number[k, slot], plan.since[k, slot])
 
         def jump(memories: Any) -> Any:
-            return lanes.like(hand_over(layout, p, k, row, packet, memories), memories, layout.width)
+            handed = hand_over(layout, p, k, row, packet, memories, state.commands, state.watches)
+            return lanes.like(handed, memories, layout.width)
 
         return lax.cond(number >= 0, jump, lambda memories: memories, memories)
 

@@ -65,6 +65,21 @@ def d2(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return 0.025 * (2 * np.abs(10 * t - 20 * np.floor(0.5 * t) - 6.5) - 13)[:, None]
 
 
+def circle(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (1 + 0.5 sin t, 1 - 0.5 cos t) [rad] with its first two derivatives, [N, 3, 2]. Source: Hernandez-Gonzalez 2024."""
+    s, c = 0.5 * np.sin(t), 0.5 * np.cos(t)
+    return np.stack([np.stack([1 + s, 1 - c], -1), np.stack([c, s], -1), np.stack([-s, c], -1)], 1)
+
+
+def still(t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the point (1, 1) rad, at rest, [N, 3, 2]."""
+    out = np.zeros((len(t), 3, 2))
+    out[:, 0] = 1.0
+    return out
+
+
+PATHS: dict[str, Signal] = {"circle": circle, "still": still}  # what a controller follows: set point and derivatives
+
 SIGNALS: dict[str, Signal] = {
     "sawtooth": sawtooth,
     "rising": rising,

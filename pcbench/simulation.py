@@ -1,4 +1,4 @@
-"""One run, tick by tick: sense, deliver, estimate, flow; thousands of lanes at once.
+"""One run, tick by tick: sense, deliver, estimate, control, flow; thousands of lanes at once.
 
 The loop is shaped like the hybrid system it simulates: at an event it *jumps* (samples are taken, packets arrive), then
 it *flows* tick after tick to the next event, so nothing is asked at a tick where nothing happens. Time is the same in
@@ -13,19 +13,19 @@ from jax import Array, lax
 
 from pcbench import lanes, own_events, shared_events
 from pcbench.irregular import Times
-from pcbench.rollout import Layout, Outcome, Problem, State, advance, final, process_noise
+from pcbench.rollout import Layout, Outcome, Problem, State, advance, decide, final, process_noise
 
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
     """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`."""
     kind = own_events if isinstance(p.schedule, Times) else shared_events
     events, state = kind.prepare(layout, p, root_seed, seeds)
-    empty, end = state.streams, p.windows[-1, 0]
+    empty, end = {"streams": state.streams, "tracking": state.tracking}, p.windows[-1, 0]
     drawn = process_noise(p, root_seed, seeds)
 
     def tick(k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))
-        new = lanes.like(advance(layout, p, k, full, drawn(k)), full, layout.width)
+        new = lanes.like(advance(layout, p, k, decide(layout, p, k, full), drawn(k)), full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
 
     def flow(start: Array, stop: Array, state: State) -> State:
@@ -45,12 +45,10 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
 
     def window(state: State, edges: Array) -> tuple[State, Any]:
         _, state = lax.while_loop(lambda c: c[0] < edges[1], lambda c: segment(edges[1], *c), (edges[0], state))
-        return state._replace(streams=empty), state.streams
+        return state._replace(**empty), (state.streams, state.tracking)
 
-    state, streams = lax.scan(window, state, p.windows)
-    state = state._replace(memories=events.whole(state.memories))
-    last, watches = final(layout, p, end, state)
-    out = jax.tree.map(lambda a: lanes.whole(a, layout.width), (streams, last, watches), is_leaf=lanes.is_lanes)
-    streams, (streams_last, error), watches = out
-    streams = jax.tree.map(lambda a, b: a.at[-1].set(b), streams, streams_last)
-    return Outcome(streams, watches, error)
+    state, sums = lax.scan(window, state, p.windows)
+    last = final(layout, p, end, state._replace(memories=events.whole(state.memories)))
+    sums, last = jax.tree.map(lambda a: lanes.whole(a, layout.width), (sums, last), is_leaf=lanes.is_lanes)
+    streams, tracking = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, (last.streams, last.tracking))
+    return Outcome(streams, last.watches, last.error, tracking)

@@ -11,7 +11,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS, base_of, entry_of
 from pcbench.own_plant import Lti
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.signals import SIGNALS, SINGLE
+from pcbench.signals import PATHS, SIGNALS, SINGLE
 
 Values = list[Any]
 OWN = "lti"  # the scenario of a study's own plant
@@ -25,8 +25,15 @@ class Choices(BaseModel):
     start_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
     input: str | None = Field(None, description="name of the input signal")
     unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")
+    feedforward: bool | None = Field(None, description="a controller knows the input that its path needs")
+    predictor: bool | None = Field(None, description="a controller acts on the state predicted to when its command arrives")
+    path: str | None = Field(None, description="what a controller follows: " + ", ".join(PATHS))
     drift_sign: Literal[-1, 1] = Field(1, description="the operator lost in print, in the cart's drift")
     precision: str = Field("float64", description="float64: no other is offered")
+
+    def loop(self) -> dict[str, Any]:
+        """Return what is chosen of a closed loop, None where it is the scenario's."""
+        return {"feedforward": self.feedforward, "predictor": self.predictor, "path": self.path}
 
     @field_validator("precision")
     @classmethod
@@ -138,6 +145,8 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
         for key, signal, valid in (("input", options.input, SIGNALS), ("unknown_input", options.unknown_input, SINGLE)):
             if signal is not None and signal not in valid:
                 raise unknown(f"{where}.{key}", "input", signal, valid)
+        if options.path is not None and options.path not in PATHS:
+            raise unknown(f"{where}.path", "path", options.path, PATHS)
         if options.random_start and options.start_spread:
             raise UserError(f"{where}: got random_start and start_spread, expected one of them; leave the other out.")
     return options

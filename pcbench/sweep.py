@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcbench import ensemble, metrics
 from pcbench.planning import Planned, tail_tick, ticks
 from pcbench.rollout import Layout
-from pcbench.study import Study
+from pcbench.study import Study, observers_of
 
 
 class Done(NamedTuple):
@@ -39,6 +39,7 @@ def execute(
     `seeds` are seed indices, by default 0 .. study.seeds - 1. `tell` hears ("compiled", seconds) and ("runs", how many).
     """
     chosen = np.arange(study.seeds) if seeds is None else np.asarray(seeds)
+    waiting: dict[tuple[str, int], list[Done]] = {}
     for layout, group in _by_layout(planned):
         jobs = [(p, job) for p in group for job in blocks(p, study.root_seed, chosen)]
         collected: dict[str, list[dict[str, NDArray[Any]]]] = {}
@@ -49,12 +50,30 @@ def execute(
             for label, _ in layout.observers:
                 n, tail, dt = ticks(p.cell), tail_tick(p.cell), p.cell.scenario.dt
                 left = outcome.streams[label], outcome.watches[label], outcome.final[label]
-                read = metrics.read(*left, n, tail, dt, bool((p.problem.jumps < n).any()))
+                read = metrics.read(*left, n, tail, dt, bool((p.problem.jumps < n).any()), outcome.tracking or None)
                 collected.setdefault(label, []).append(read)
             tell("runs", len(job.seeds) * len(layout.observers))
             if i + 1 == len(jobs) or jobs[i + 1][0] is not p:
-                yield Done(p, chosen, {label: _concatenate(parts) for label, parts in collected.items()})
+                done = Done(p, chosen, {label: _concatenate(parts) for label, parts in collected.items()})
                 collected = {}
+                if whole := _whole(study, done, waiting):
+                    yield whole
+
+
+def _whole(study: Study, done: Done, waiting: dict[tuple[str, int], list[Done]]) -> Done | None:
+    """A cell with all of its observers: in a closed loop each has a program of its own, and the cell waits for the last."""
+    cell = done.planned.cell
+    labels = observers_of(study, cell.scenario.name)
+    mine = waiting.setdefault((cell.scenario.name, cell.number), [])
+    mine.append(done)
+    results = {label: found for part in mine for label, found in part.results.items()}
+    if not all(label in results for label in labels):
+        return None
+    proofs = {label: c for part in mine for label, c in part.planned.certificates.items()}
+    carries = {label: c for part in mine for label, c in part.planned.carries_input.items()}
+    del waiting[cell.scenario.name, cell.number]
+    planned = done.planned._replace(certificates=proofs, carries_input=carries)
+    return Done(planned, done.seeds, {label: results[label] for label in labels})
 
 
 def _by_layout(planned: list[Planned]) -> Iterator[tuple[Layout, list[Planned]]]:

@@ -15,6 +15,7 @@ SCHEMA = "2"  # 2: recovery_time, carries_input
 AXIS_UNITS = {
     "sampling_period": "s",
     "delay": "s",
+    "actuator_delay": "s",
     "noise_std": "unit of the output",
     "drift": "1",
     "profile": "",
@@ -33,6 +34,7 @@ MEANING = {
     "cell": "number of the combination of axis values, from 0, within its scenario",
     "sampling_period": "(mean) time between samples; a list where output channels differ",
     "delay": "age of a sample when it arrives; a list where output channels differ; null: one sampling interval",
+    "actuator_delay": "from command to plant, in a closed loop; null: that of the samples, or no loop",
     "noise_std": "standard deviation of one sample's noise; a list where output channels differ",
     "drift": "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm its amplitude",
     "profile": "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals [s] in turn",

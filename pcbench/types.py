@@ -3,8 +3,9 @@
 Every function here is written for ONE run (a *lane*); `pcbench.entrywise` carries it over thousands. Arrays have the
 shapes named below; n states, m inputs, q outputs, r numbers in a note. Time is counted in ticks of `dt` seconds.
 
-Order of events at tick k (design: "one run, tick by tick"): sense, deliver, estimate, flow. Values are
-right-continuous: the estimate of tick k is read after the jump of tick k.
+Order of events at tick k (design: "one run, tick by tick"): sense, deliver, estimate, control, flow. Values are
+right-continuous: the estimate of tick k is read after the jump of tick k, and in a closed loop the command of tick k is made
+of it.
 """
 
 from collections.abc import Callable
@@ -22,7 +23,8 @@ class Now(NamedTuple):
 
     `u` and `past_u` are the input *applied* to the plant, held over [t_k, t_k+1). In `flow` and `step`, `u` is u_k,
     which equals `past_u(0)`. In `note` and `jump` u_k is not yet decided: `u` is u_(k-1) and `past_u` needs age >= 1.
-    Before t = 0 the input is 0.
+    Before t = 0 the input is 0; in a closed loop it is what the commands of that time make it. A loop keeps the inputs that
+    its schedule can ask for: beyond them `past_u` is NaN.
     """
 
     t: Array  # [s], scalar
@@ -56,6 +58,15 @@ class Plant(NamedTuple):
     unknown: Callable[[Any, Now, Array], Array] | None = None  # x[n] -> [s] at now.t
     drawn: int = 0
     of_run: Callable[[Any, Array], Any] | None = None  # uniform[drawn] -> params
+
+
+class Controller(NamedTuple):
+    """A control law as pure functions of its numbers `params`; m inputs, r outputs that are to follow a set point."""
+
+    target: Callable[[Any, Array], Array]  # tick -> set point [r], of the first r states
+    before: Callable[[Any, Array, Array], Array]  # (tick below 0, estimate at 0) -> command [m] of the time before 0
+    command: Callable[[Any, Now, Array, Callable[[Array], Array]], Array]
+    # (now, estimate, coming) -> command [m] of now; coming(i): the input applied i ticks on, as far as it is decided
 
 
 class Observer(NamedTuple):

@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel
 
-from pcbench.observers import chain, dkf, equal_delay, kfbo, no_delay, open_loop, pccebo, pco, pio, smo
+from pcbench.observers import chain, dkf, ekf, equal_delay, high_gain, kfbo, no_delay, open_loop, pccebo, pco, pio, smo
 from pcbench.synthesis.certificate import Design, Setting
 from pcbench.types import Observer
 
@@ -26,6 +26,7 @@ class Entry(NamedTuple):
     summary: str
     takes: Takes = "one constant delay"
     heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
+    nonlinear: bool = False  # it is designed for plants without a linear model
 
 
 OBSERVERS = {
@@ -102,6 +103,26 @@ OBSERVERS = {
         "PI with a sign: injects a signal that is the unknown input; gains printed or by LMI",
         "one constant delay",
         heavy=True,
+    ),
+    "high-gain": Entry(
+        high_gain.OBSERVER,
+        high_gain.Options,
+        high_gain.design,
+        True,
+        "of positions, rates and parameters, with a predictor of the output; printed or robust",
+        "any schedule",
+        heavy=True,
+        nonlinear=True,
+    ),
+    "ekf": Entry(
+        ekf.OBSERVER,
+        ekf.Options,
+        ekf.design,
+        True,
+        "extended Kalman filter, re-propagated from the measurement's own time; parameters estimated",
+        "any schedule",
+        heavy=True,
+        nonlinear=True,
     ),
     "dkf": Entry(
         dkf.OBSERVER,

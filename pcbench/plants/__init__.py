@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from pcbench.plants import arm, cart, csth, lti
+from pcbench.plants import arm, cart, csth, helicopter, lti
 from pcbench.scenarios import Scenario
 from pcbench.synthesis.linear import Model
 from pcbench.types import Plant
@@ -20,6 +20,10 @@ class Entry(NamedTuple):
     summary: str
     unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit)
     heavy: bool = False  # a tick costs so much that fewer lanes a call, and one tick in a loop's body, are as fast
+    model: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> dx/dt; None: `nominal` is the model
+    parts: Callable[..., Any] | None = None  # (params, u, x) -> a, phi of accelerations a p + phi with parameters p
+    inverse: Callable[..., Any] | None = None  # (params, unknowns, path, rates, accelerations) -> u
+    ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
 
 
 PLANTS = {
@@ -44,6 +48,20 @@ PLANTS = {
         arm.UNKNOWNS,
         heavy=True,
     ),
+    "helicopter": Entry(
+        helicopter.PLANT,
+        helicopter.SIGNALS,
+        helicopter.Numbers(),
+        helicopter.nominal,
+        helicopter.prepare,
+        "helicopter with two degrees of freedom and unknown viscosities, 4 states",
+        helicopter.UNKNOWNS,
+        heavy=True,
+        model=helicopter.model,
+        parts=helicopter.parts,
+        inverse=helicopter.inverse,
+        ranges=helicopter.RANGE,
+    ),
     "lti": Entry(
         lti.PLANT, (), lti.Numbers(), lti.nominal, lti.prepare, "any linear plant of your own: a study's table [lti]"
     ),
@@ -58,6 +76,11 @@ def states_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
 def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     """Return (signal, unit) of all that observers may estimate: the states, and what the plant has of unknowns."""
     return states_of(scenario) + (scenario.unknowns or PLANTS[scenario.plant].unknowns)
+
+
+def nonlinear(plant: str) -> bool:
+    """Say whether observers are told a nonlinear model of a plant."""
+    return PLANTS[plant].model is not None
 
 
 def parameters_of(plant: str) -> list[str]:

@@ -4,5 +4,6 @@ from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.base import Scenario
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.csth import CSTH
+from pcbench.scenarios.helicopter import HELICOPTER
 
-SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH, *ARM)}
+SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH, *ARM, *HELICOPTER)}

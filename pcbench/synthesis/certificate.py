@@ -48,7 +48,11 @@ class Setting(NamedTuple):
     process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick, as assumed; empty: none
     error: int = 0  # [ticks] the believed delay less the true one
     reach: int = 0  # [samples] the longest delay; it and `overtaking` are the most of a study's cells
-    unknown_std: tuple[float, ...] = ()  # [r] typical size of the unknown inputs
+    unknown_std: tuple[float, ...] = ()  # [s] typical size of the unknown inputs or parameters
+    unknown0: tuple[float, ...] = ()  # [s] what observers take for the unknowns at the start
+    unknown_range: tuple[tuple[float, float], ...] = ()  # [s] where they look for them
+    field: Any = None  # (now, x[n], unknowns[s]) -> dx/dt[n], where the model is not linear
+    parts: Any = None  # (u[m], x[2d]) -> a[d], phi[d] of accelerations a p + phi, where the plant is such a chain
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 
     @property

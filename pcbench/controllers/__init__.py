@@ -1,0 +1,21 @@
+"""The controllers of closed loops, one file each, and the dict that names them."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from pydantic import BaseModel
+
+from pcbench.controllers import pd
+from pcbench.types import Controller
+
+
+class Entry(NamedTuple):
+    """A controller, its options, and how its numbers are made."""
+
+    controller: Callable[[Any], Controller]  # options ->
+    options: type[BaseModel]
+    prepare: Callable[..., Any]  # (options, delay, dt [s], rows, ticks, model, inverse) -> params
+    summary: str
+
+
+CONTROLLERS = {"pd": Entry(pd.controller, pd.Options, pd.prepare, "PD from the estimate, clipped")}

@@ -1,0 +1,196 @@
+"""ekf: the extended Kalman filter by re-propagation from the measurement's own time.
+
+State z = (x, p): the plant's state and what is unknown beside it (parameters, unknown inputs), which walk at random. At the
+arrival of a sample taken at t_m: tick by tick from the posterior of the sample before it,
+
+    P <- F P F' + Q,  F = I + h J(z, u),  J the Jacobian (jax),    z <- one Runge-Kutta step under the tick's input
+
+then the update at t_m in Joseph form, one channel after the other, then the mean alone rolls forward to now under the stored
+inputs, and flows on. p is clipped to the plant's range after every update and tick. Where the model is linear the tick is its
+exact map, F its matrix, and the filter is `dkf` done tick by tick.
+
+R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states, and
+walk unknown_std^2 h for p. Time index: the estimate is of now, after the jump. A sample from before t = 0 has measured
+the start. One that comes after a newer one is put in its place (`in_order`).
+Not claimed: optimality, nor that a parameter can be found where the motion does not show it.
+Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.integrate import rk4
+from pcbench.observers import in_order
+from pcbench.observers.in_order import Line, Sample
+from pcbench.synthesis import linear
+from pcbench.synthesis.certificate import Certificate, Design, Setting
+from pcbench.types import Arrival, Leaf, Now, Observer
+
+
+class Gains(NamedTuple):
+    """n states, s unknowns, N = n + s, q outputs."""
+
+    motion: Any  # (now, z[N]) -> z[N] one tick later
+    slope: Any  # (now, z[N]) -> F[N, N]
+    C: Leaf  # [q, n]
+    D: Leaf  # [q, m]
+    R: Leaf  # [q] variance of one sample
+    Q: Leaf  # [N, N] a tick
+    P0: Leaf  # [N, N]
+    start: Leaf  # [s] p at t = 0
+    low: Leaf  # [s]
+    high: Leaf  # [s]
+    places: Leaf  # [K] room for samples that may be overtaken
+
+
+class Filtered(NamedTuple):
+    """The posterior of a sample, at its own time."""
+
+    z: Array  # [N]
+    P: Array  # [N, N]
+    taken: Array  # tick
+
+
+class Memory(NamedTuple):
+    """The samples that may be overtaken with the posterior before them, and the mean of now."""
+
+    line: Line
+    z: Array  # [N]
+
+
+class Options(BaseModel):
+    """What the filter assumes."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    R: float | None = Field(None, gt=0, description="assumed variance of one sample; default: the scenario's")
+    q: float | None = Field(None, ge=0, description="assumed intensity of process noise through the input")
+    walk: float = Field(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")
+
+
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start from the prior: xhat(0), p at its start, P0."""
+    z, q = jnp.concatenate([xhat0, gains.start]), gains.C.shape[0]
+    return Memory(in_order.start(Filtered(z, gains.P0, jnp.asarray(0)), gains.places, q, 0), z)
+
+
+def note(gains: Gains, memory: Memory, now: Now) -> Array:
+    """Note nothing: the inputs are stored."""
+    return jnp.zeros(0)
+
+
+def within(gains: Gains, z: Array) -> Array:
+    """Return z with p clipped to its range."""
+    s = gains.start.shape[0]
+    return jnp.concatenate([z[: z.shape[0] - s], jnp.clip(z[z.shape[0] - s :], gains.low, gains.high)]) if s else z
+
+
+def at(now: Now, tick: Array) -> Now:
+    """Return the present as it was at an earlier tick, with the input held from there."""
+    return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(now.tick - tick))
+
+
+def update(gains: Gains, now: Now, before: Filtered, sample: Sample) -> Filtered:
+    """Carry mean and covariance to the sample's own time and update there, channel by channel."""
+
+    def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        (z, P), there = carry, at(now, k)
+        F = gains.slope(there, z)
+        return within(gains, gains.motion(there, z)), F @ P @ F.T + gains.Q
+
+    z, P = lax.fori_loop(before.taken, sample.taken, tick, (before.z, before.P))
+    n, identity = gains.C.shape[1], jnp.eye(P.shape[0])
+    for channel in range(gains.C.shape[0]):
+        c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
+        Pc = P[:, :n] @ c
+        K = jnp.where(fresh, Pc / (c @ Pc[:n] + r), 0.0)
+        z = z + K * (sample.value[channel] - c @ z[:n])
+        keep = identity - K[:, None] * jnp.concatenate([c, jnp.zeros(P.shape[0] - n)])
+        P = keep @ P @ keep.T + r * (K[:, None] * K[None, :])
+    return Filtered(within(gains, z), P, sample.taken)
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Put what arrived in its place, and roll the mean forward to now."""
+    sample = in_order.sample_of(now, arrival, gains.D)
+    line, newest = in_order.replay(lambda state, sample: update(gains, now, state, sample), memory.line, sample)
+    z = lax.fori_loop(newest.taken, now.tick, lambda k, z: within(gains, gains.motion(at(now, k), z)), newest.z)
+    return Memory(line, z)
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Move the mean by one tick."""
+    return memory._replace(z=within(gains, gains.motion(now, memory.z)))
+
+
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " n+s"]:
+    """Return xhat of now, and the unknowns."""
+    return memory.z
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate)
+
+
+def affine(Phi: Array, Gamma: Array, now: Now, z: Array) -> Array:
+    """Move a linear model by one tick."""
+    return Phi @ z + Gamma @ now.u
+
+
+def constant(Phi: Array, now: Now, z: Array) -> Array:
+    """Return the slope of a linear model."""
+    return Phi
+
+
+def rate(model: Any, low: Array, now: Now, z: Array) -> Array:
+    """Return dz/dt: the model's field with the unknowns p, which stand still; `low` [s] tells their number."""
+    n = z.shape[0] - low.shape[0]
+    return jnp.concatenate([model(now, z[:n], z[n:]), jnp.zeros(low.shape[0])])
+
+
+def step(model: Any, low: Array, now: Now, z: Array) -> Array:
+    """Move a model by one Runge-Kutta step."""
+    return rk4(lambda t, z: rate(model, low, now._replace(t=t), z), now.t, z, now.dt)
+
+
+def slope(model: Any, low: Array, now: Now, z: Array) -> Array:
+    """Return I + h J."""
+    return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, low, now, z))(z)
+
+
+def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Array) -> Array:
+    """Return dx/dt of a linear model pushed by f = known(x) + p."""
+    return A @ x + B @ now.u + E @ (known(x) + p)
+
+
+def motion_of(setting: Setting) -> tuple[Any, Any]:
+    """Return how a tick moves z, and its slope: exactly where the model is linear."""
+    model, low = setting.model, np.zeros(len(setting.unknown_std))
+    if setting.field is None and (model.E is None or model.known is None):
+        whole = linear.with_unknown_input(model) if model.E is not None else model
+        Phi, Gamma = linear.one_tick(whole, setting.dt)
+        return jax.tree_util.Partial(affine, Phi, Gamma), jax.tree_util.Partial(constant, Phi)
+    field = setting.field or jax.tree_util.Partial(pushed, model.A, model.B, model.E, model.known)
+    return jax.tree_util.Partial(step, field, low), jax.tree_util.Partial(slope, field, low)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather what the filter assumes; there is no certificate for a nonlinear model."""
+    n, s = len(setting.model.A), len(setting.unknown_std)
+    motion, tangent = motion_of(setting)
+    size = np.square(setting.unknown_std)
+    P0, Q = np.zeros((n + s, n + s)), np.zeros((n + s, n + s))
+    P0[:n, :n], P0[n:, n:] = setting.P0, np.diag(size)
+    q = setting.input_intensity if options.q is None else options.q
+    Q[:n, :n] = setting.process_noise + linear.input_noise(setting.model, q, setting.dt)
+    Q[n:, n:] = np.diag(options.walk * size * setting.dt)
+    R = setting.noise_variance if options.R is None else np.full(len(setting.model.C), options.R)
+    low, high = np.array(setting.unknown_range).T.reshape(2, s)
+    start, places = np.array(setting.unknown0, float), setting.places
+    gains = Gains(motion, tangent, setting.model.C, setting.model.feedthrough, R, Q, P0, start, low, high, places)
+    proof = Certificate("none: the slope at the estimate is no proof", float("inf"), "none", "not needed", {"Q": Q, "R": R})
+    return Design(gains, proof, True if setting.model.E is not None else None)

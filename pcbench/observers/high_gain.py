@@ -1,0 +1,156 @@
+"""The high-gain observer of positions, rates and parameters, on late samples.
+
+    z = [positions, rates, parameters], d of each:   z1' = z2,   z2' = a z3 + phi,   z3' = 0            (50)
+
+with a, phi functions of the estimate and the delayed input, `parts` of the plant; Th the tuning, D^-1 = diag(1, Th, Th^2):
+
+    z'  = A(z) z + phi(u_tau, z) - Th D^-1 S^-1 C' g,        al' = -Th C S^-1 C' g                       (6)
+    S'  = Th (-S - A(z)' S - S A(z) + C' C),                 S(0) = 1e-3 I
+    g(t) = al(t) + c_k on [t_k, t_k+1),   c_k = C z(t_s) - al(t_s) - y_k   of the newest sample, taken at t_s
+
+al is never reset; what a sample needs of the past, C z - al when it was taken, is its note. (C z - al)' = z2: al predicts the
+output between samples. S falls into one 3 x 3 block for each position; its six numbers stand in rows 11 12 13 22 23 33, and
+S^-1 C' is the first column of each inverse. The gain of the parameters is Th^3 / a: singular where a speed is estimated as zero.
+
+`robust`: speeds in a and phi clipped to +-5, parameters to the plant's range in the product and after each tick, and Th rho added
+to S33'. Why: the printed observer blows up from many starts.
+
+Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, (6), (50). Different from print: signs restored, and the innovation
+(as printed, the newest C z and al of t_k - tau(t_k) would be compared with nothing of now). A tick is one Runge-Kutta step of
+(z, al, S) with c_k and u held. Time index: the estimate is of now, after the arrival.
+Not claimed: that it converges; the certificate says how far Th Ts is from the linear limit.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.errors import UserError
+from pcbench.integrate import rk4
+from pcbench.synthesis import high_gain
+from pcbench.synthesis.certificate import Design, Setting
+from pcbench.types import Arrival, Leaf, Now, Observer
+
+S0 = 1e-3
+FASTEST = 5.0  # rad/s, of the robust observer
+
+
+class Gains(NamedTuple):
+    """d positions."""
+
+    parts: Any  # (u, x[2d]) -> a[d], phi[d]
+    theta: Leaf  # [1/s] Th
+    rho: Leaf  # 0: as printed
+    fastest: Leaf  # the largest speed in a and phi; inf: as printed
+    low: Leaf  # [d] the parameters' range; -inf, inf: as printed
+    high: Leaf
+    start: Leaf  # [d] parameters at t = 0
+
+
+class Memory(NamedTuple):
+    """What stands between ticks."""
+
+    z: Array  # [3d]
+    al: Array  # [d]
+    S: Array  # [6, d] rows 11 12 13 22 23 33
+    c: Array  # [d]
+    newest: Array  # [d] the number of the sample that c is of; -1: none
+
+
+class Options(BaseModel):
+    """The tuning."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    theta: float = Field(4.0, gt=0, description="tuning [1/s]")
+    robust: bool = Field(False, description="speeds and parameters clipped, a leak in S")
+    rho: float = Field(0.1, gt=0, description="robust: the leak")
+
+
+def init(gains: Gains, xhat0: Float[Array, " 2d"]) -> Memory:
+    """Start from xhat(0), the parameters' start, al = 0 and S(0)."""
+    d = gains.start.shape[0]
+    S = S0 * jnp.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])[:, None] * jnp.ones(d)
+    return Memory(jnp.concatenate([xhat0, gains.start]), jnp.zeros(d), S, jnp.zeros(d), jnp.full(d, -1))
+
+
+def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, " d"]:
+    """Note C z - al."""
+    return memory.z[: memory.al.shape[0]] - memory.al
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Take c of what arrived, unless it is older than what has come."""
+    newer = arrival.fresh & (arrival.index > memory.newest)
+    c = jnp.where(newer, arrival.note - arrival.value, memory.c)
+    return memory._replace(c=c, newest=jnp.where(newer, arrival.index, memory.newest))
+
+
+def column(S: Float[Array, "6 d"]) -> Float[Array, "3 d"]:
+    """Return the first column of every block's inverse."""
+    s11, s12, s13, s22, s23, s33 = S
+    first = jnp.stack([s22 * s33 - s23**2, s13 * s23 - s12 * s33, s12 * s23 - s13 * s22])
+    return first / (s11 * first[0] + s12 * first[1] + s13 * first[2])
+
+
+def rates(gains: Gains, memory: Memory, now: Now, g: Float[Array, " d"]) -> Memory:
+    """Return d memory/dt under an innovation g; c stands still."""
+    d, th = memory.al.shape[0], gains.theta
+    z1, z2, z3 = memory.z[:d], memory.z[d : 2 * d], memory.z[2 * d :]
+    a, phi = gains.parts(now.u, jnp.concatenate([z1, jnp.clip(z2, -gains.fastest, gains.fastest)]))
+    k1, k2, k3 = column(memory.S) * th * g
+    z = jnp.concatenate([z2 - k1, a * jnp.clip(z3, gains.low, gains.high) + phi - th * k2, -(th**2) * k3])
+    s11, s12, s13, s22, s23, s33 = memory.S
+    S = th * jnp.stack(
+        [
+            1 - s11,
+            -s12 - s11,
+            -s13 - a * s12,
+            -s22 - 2 * s12,
+            -s23 - s13 - a * s22,
+            -s33 - 2 * a * s23 + gains.rho,
+        ]
+    )
+    return Memory(z, -k1, S, jnp.zeros(d), jnp.zeros_like(memory.newest))
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Move by one tick, c and u held."""
+    moved = rk4(lambda t, m: rates(gains, memory._replace(z=m[0], al=m[1], S=m[2]), now, m[1] + memory.c)[:3],
+                now.t, tuple(memory[:3]), now.dt)  # fmt: skip
+    z, d = moved[0], memory.al.shape[0]
+    z = jnp.concatenate([z[: 2 * d], jnp.clip(z[2 * d :], gains.low, gains.high)])
+    return memory._replace(z=z, al=moved[1], S=moved[2])
+
+
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " 3d"]:
+    """Return z: positions, rates and parameters of now."""
+    return memory.z
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather the tuning; the certificate shows how far it is from the linear limit of the sampling period."""
+    if setting.parts is None:
+        raise UserError(
+            f"high-gain in {setting.scenario}: got a plant that is not a chain of positions, rates and parameters, expected the "
+            "helicopter; take ekf, or an observer for linear plants."
+        )
+    low, high = np.array(setting.unknown_range).T
+    free = np.full_like(low, np.inf)
+    robust = options.robust
+    gains = Gains(
+        setting.parts,
+        np.asarray(options.theta),
+        np.asarray(options.rho if robust else 0.0),
+        np.asarray(FASTEST if robust else np.inf),
+        low if robust else -free,
+        high if robust else free,
+        np.array(setting.unknown0),
+    )
+    return Design(gains, high_gain.certificate(options.theta, max(setting.period) * setting.dt))
