@@ -8,7 +8,6 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pcbench import sampling
 from pcbench.errors import UserError, unknown
@@ -139,7 +138,7 @@ def clocks(s: Scenario) -> list[Clock]:
     ]
 
 
-def actuator_delay(s: Scenario) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+def actuator_delay(s: Scenario) -> Callable[[Any], Any]:
     """Return the delay from command to plant [s] as a function of time [s]."""
     mean, (swing, pace) = s.delay[0] if s.actuator_delay is None else s.actuator_delay, s.delay_swing
     return lambda t: (mean or 0.0) + swing * np.sin(pace * t)
@@ -192,14 +191,14 @@ def _loop(s: Scenario, where: str) -> None:
     if not s.controller:
         if s.actuator_delay is not None:
             raise UserError(
-                f"{where}: got actuator_delay = {s.actuator_delay:g} s in {s.name}, where no controller gives commands, expected a "
-                "closed loop such as helicopter/constant; leave it out."
+                f"{where}: got actuator_delay = {s.actuator_delay:g} s in {s.name}, where no controller gives commands, "
+                "expected a closed loop such as helicopter/constant; leave it out."
             )
         return
     if s.jitter or s.delay_jitter or s.loss or s.profile == "uniform":
         raise UserError(
-            f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not offered "
-            "with times of each run's own; leave jitter, delay_jitter, loss and the profile 'uniform' out."
+            f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
+            "offered with times of each run's own; leave jitter, delay_jitter, loss and the profile 'uniform' out."
         )
     if len(set(s.delay)) > 1 or None in s.delay:
         raise UserError(
@@ -207,7 +206,8 @@ def _loop(s: Scenario, where: str) -> None:
         )
     t = np.arange(round(s.horizon / s.dt) + 1) * s.dt
     swing = s.delay_swing[0] * np.sin(s.delay_swing[1] * t)
-    for name, mean, smallest in (("delay", s.delay[0] or 0.0, 0.0), ("actuator delay", actuator_delay(s)(t[:1])[0], s.dt / 2)):
+    sent = s.delay[0] if s.actuator_delay is None else s.actuator_delay
+    for name, mean, smallest in (("delay", s.delay[0] or 0.0, 0.0), ("actuator delay", sent or 0.0, s.dt / 2)):
         least = float(np.min(mean + swing))
         still = not s.delay_swing[0] and least == 0
         if not still and least < smallest - 1e-12:
@@ -223,8 +223,8 @@ def works_on(label: str, s: Scenario, where: str) -> None:
     if nonlinear(s.plant) and not entry_of(label).nonlinear:
         able = ", ".join(name for name, entry in OBSERVERS.items() if entry.nonlinear)
         raise UserError(
-            f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} out, or "
-            f"take one of {able}."
+            f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} "
+            f"out, or take one of {able}."
         )
     if s.continuous and entry_of(label).observer.field is None:
         able = ", ".join(name for name, entry in OBSERVERS.items() if entry.observer.field)

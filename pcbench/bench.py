@@ -218,15 +218,20 @@ def trace(
     if not 0 <= seed < 2**32:
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
     with machine.float64():
-        study, _ = _one_cell(scenario, names, overrides or [])
+        study, cell = _one_cell(scenario, names, overrides or [])
+        if cell.scenario.controller and len(names) > 1:
+            raise UserError(
+                f"{study.name}: got {len(names)} observers in a closed loop, expected one: each drives a plant of its own; "
+                "trace them one at a time."
+            )
         (p,) = (alone(planned, study.root_seed, seed) for planned in plan(study))
         out = recording.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
     signals = [name for name, _ in signals_of(p.cell.scenario)]
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
-    for name in names:
-        columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[name].T)}
+    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
+        columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[called].T)}
     columns |= {f"target.{signals[i]}": each for i, each in enumerate(out.target.T)}
     columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
     columns |= {f"y{i + 1}": y for i, y in enumerate(_held(out.arrived).T)}

@@ -40,12 +40,28 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
                     "no unknown input; expected a scenario such as arm/sine; leave it out."
                 )
             changed = changed._replace(unknown_input=choices.unknown_input)
+        _of_the_loop(changed, choices, where)
         axis.fits(changed, where if where == scenario else f"{where}: {scenario}")
         values = {name: axis.plain(name, getattr(changed, name), name in apart) for name in AXES}
         own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
         out.append(Cell(changed, index, values, dict(base.parameters) | own, choices))
     return out
+
+
+def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
+    """Raise UserError where a choice is of the other kind of loop."""
+    given = [name for name, value in choices.loop().items() if value is not None]
+    if given and not s.controller:
+        raise UserError(
+            f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, where no controller gives "
+            "commands, expected a closed loop such as helicopter/constant; leave it out."
+        )
+    if choices.input and s.controller:
+        raise UserError(
+            f"{where}: options.scenario.input: got {choices.input!r} for {s.name}, whose input a controller gives, expected a "
+            "path to follow (options.scenario.path); leave it out."
+        )
 
 
 def channels_apart(study: Study) -> set[str]:

@@ -18,12 +18,11 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
     """
     n, q, k = p.x0.shape[0], p.noise_std.shape[0], jnp.asarray(1)
     signals = len(p.band)
-    commands = jnp.zeros((2, p.inputs.shape[1])) if len(p.line.lag) else ()  # of a closed loop
     state, value = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((q,), float)
 
     def jump(p: Problem, memory: Any, value: Any, note: Any) -> Any:
         fresh, ticks = jnp.ones(q, bool), jnp.ones(q, int)
-        return observer.jump(p.gains[label], memory, present(p, k, False, commands), Arrival(value, fresh, ticks, ticks, note, k))
+        return observer.jump(p.gains[label], memory, present(p, k, False), Arrival(value, fresh, ticks, ticks, note, k))
 
     def ask(name: str, f: Any, *args: Any) -> Any:
         try:
@@ -36,7 +35,7 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
             ) from error
 
     memory = ask("init", lambda p, x: observer.init(p.gains[label], x), state)
-    note = ask("note", lambda p, m: jnp.asarray(observer.note(p.gains[label], m, present(p, k, False, commands))), memory)
+    note = ask("note", lambda p, m: jnp.asarray(observer.note(p.gains[label], m, present(p, k, False))), memory)
     if note.ndim != 1:
         raise UserError(
             f"observer {label}: note returned shape {note.shape}, expected a vector [r]; use jnp.atleast_1d."
@@ -56,7 +55,7 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
             ask("field", lambda p, m, y: field(p.gains[label], m, present(p, k, True), y), memory, value),
             memory,
         )
-    flowed = ask("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True, commands)), memory)
+    flowed = ask("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)
     _same(label, "flow", flowed, memory)
 
 

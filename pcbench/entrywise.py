@@ -99,7 +99,7 @@ def _scan(eqn: Any, args: list[Any]) -> list[Any]:
     how = {name: eqn.params[name] for name in ("length", "reverse", "unroll")}
     end, out = jax.lax.scan(step, start, rows, **how)
     length = eqn.params["length"]
-    return [*end, *(entries(Lanes(a.parts, length)) if is_lanes(a) else a for a in out)]
+    return [*end, *(Lanes(a.parts, length) if is_lanes(a) else a for a in out)]
 
 
 def _while(eqn: Any, args: list[Any]) -> list[Any] | None:

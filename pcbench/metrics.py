@@ -77,6 +77,7 @@ def read(
     Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.
     Of a closed loop `tracking` [W, r, L] gives the set point less the state, of its first r states; NaN for the others.
     A diverged run has NaN for every metric; `diverged` [L] and `first_bad_time` [L, s] (NaN where none) tell it apart.
+    `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
     whole = Stream(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
     late = Stream(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
@@ -97,4 +98,5 @@ def read(
         out["recovery_time"] = np.asarray(watch.recovery) * dt
     bad = np.asarray(watch.first_bad) >= 0
     out = {name: np.where(bad, np.nan, values) for name, values in out.items()}
+    out["unsettled"] = ~bad & (np.asarray(watch.unsettled) > tail)
     return out | {"diverged": bad, "first_bad_time": np.where(bad, np.asarray(watch.first_bad) * dt, np.nan)}

@@ -11,19 +11,16 @@ from jax.tree_util import Partial
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from pcbench import actuator, axes, conformance, ensemble, irregular, sampling
+from pcbench import axes, closed_loop, conformance, ensemble, irregular, sampling
 from pcbench.cells import Cell, cells
-from pcbench.controllers import CONTROLLERS
 from pcbench.errors import UserError
-from pcbench.observers import entry_of
-from pcbench.plants import PLANTS
+from pcbench.observers import base_of, entry_of
+from pcbench.plants import PLANTS, nonlinear, numbers_of
 from pcbench.rollout import Layout, Problem
-from pcbench.scenarios import Scenario
 from pcbench.signals import SINGLE, inputs, jumps
 from pcbench.study import Study, observers_of, options_of
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting
-from pcbench.types import Controller
 
 
 class Planned(NamedTuple):
@@ -35,6 +32,9 @@ class Planned(NamedTuple):
     certificates: dict[str, Certificate]
     bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
     carries_input: dict[str, bool | None]  # by observer, of its prediction to now
+    labels: tuple[
+        str, ...
+    ]  # of the layout's observers, which in a closed loop go by their base: labels share a program
 
 
 def ticks(cell: Cell) -> int:
@@ -52,7 +52,7 @@ def setting(cell: Cell) -> Setting:
     s, clocks, n = cell.scenario, axes.clocks(cell.scenario), ticks(cell)
     period, delay = [0] * len(s.delay), [0] * len(s.delay)
     plant, many = PLANTS[s.plant], len(s.unknown_std)
-    params = plant.prepare(_numbers(s), s.dt, n) if plant.model else None
+    params = plant.prepare(numbers_of(s), s.dt, n) if plant.model else None
     for clock in clocks:
         for j in clock.channels:
             if isinstance(clock.profile, tuple):
@@ -63,7 +63,7 @@ def setting(cell: Cell) -> Setting:
             delay[j] = late + clock.spread // 2 + round(s.assumed_delay_error / s.dt)
     return Setting(
         s.name,
-        plant.nominal(_numbers(s)),
+        plant.nominal(numbers_of(s)),
         s.dt,
         n,
         tuple(period),
@@ -82,11 +82,6 @@ def setting(cell: Cell) -> Setting:
         Partial(plant.parts, params) if plant.parts else None,
         tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )
-
-
-def _numbers(s: Scenario) -> Any:
-    """The plant's numbers as observers know them."""
-    return PLANTS[s.plant].numbers._replace(**s.model)
 
 
 def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:
@@ -149,13 +144,14 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
     most = max(
         (_times(p).due.shape[1] for p in drafts if not isinstance(p.problem.schedule, sampling.Schedule)), default=0
     )
-    room = max(p.layout.ring for p in drafts)
-    early = max((len(plan.early) for plan in shared), default=0)
-    ring = 1 << (room - 1).bit_length()  # few sizes, few programs
+    ring = _rounded(max(p.layout.ring for p in drafts))
+    early = _rounded(max((len(plan.early) for plan in shared), default=0))
     strides = any(not isinstance(p.problem.schedule, sampling.Schedule) or _sparse(p.problem.schedule) for p in drafts)
     drifting = {p.layout.plant for p in drafts if p.layout.drifting}
-    loops = [_reach(p.cell, setting(p.cell)) for p in drafts if p.layout.controller]
-    commands, on = (max(each) for each in zip(*loops, strict=True)) if loops else (0, 0)
+    loops = [
+        closed_loop.reach(p.cell, setting(p.cell).overtaking, ticks(p.cell)) for p in drafts if p.layout.controller
+    ]
+    reach = closed_loop.Reach(*(_rounded(max(each)) for each in zip(*loops, strict=True))) if loops else None
     falls = max(len(p.problem.jumps) for p in drafts)
     rows: dict[Any, int] = {}
     for p in drafts:
@@ -176,14 +172,19 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
         ]
         falling = np.pad(p.problem.jumps, (0, falls - len(p.problem.jumps)), constant_values=sampling.NEVER)
         problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide), jumps=falling)
-        if p.layout.controller:
-            loop = _loop(p.cell, commands, on)
-            problem = problem._replace(control=loop.params, line=loop.line)
+        if reach and p.layout.controller:
+            law, line = closed_loop.close(p.cell, reach, ticks(p.cell))
+            problem = problem._replace(control=law, line=line)
         heavy = PLANTS[p.cell.scenario.plant].heavy or any(entry_of(label).heavy for label, _ in p.layout.observers)
         layout = p.layout._replace(ring=ring, strides=strides and not heavy, drifting=p.layout.plant in drifting)
-        layout = layout._replace(commands=commands if layout.controller else 0)
+        layout = layout._replace(commands=reach.back if reach and layout.controller else 0)
         out.append(p._replace(problem=problem, layout=layout))
     return out
+
+
+def _rounded(many: int) -> int:
+    """The next power of 2: few sizes, few programs."""
+    return 1 << (many - 1).bit_length() if many else 0
 
 
 def _sparse(plan: sampling.Schedule) -> bool:
@@ -199,22 +200,21 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     s, known = cell.scenario, known or setting(cell)
     plant, n = PLANTS[s.plant], ticks(cell)
     designs = {o: _design(o, known, given) for o, given in options.items()}
+    names = {o: (base_of(o) or o) if s.controller else o for o in options}
     truth = {"drift": s.drift, "drift_sign": float(cell.choices.drift_sign)} | cell.parameters
     truth |= {"unknown_input": s.unknown_input} if s.unknown_input else {}
-    scattered = cell.choices.random_start and bool(s.start_box)
-    drawn = cell.choices.random_start and not scattered
+    drawn, around = cell.choices.random_start and not s.start_box, cell.choices.random_start and bool(s.start_box)
     spread = s.prior_std if drawn else cell.choices.start_spread * np.abs(s.x0)
     signals = len(s.x0) + len(s.unknown_std)
     plan, room = schedule_of(cell)
-    loop = _loop(cell, *_reach(cell, known)) if s.controller else Loop(None, (), actuator.NONE)
     problem = Problem(
-        params=plant.prepare(_numbers(s)._replace(**truth), s.dt, n),
-        gains={o: d.gains for o, d in designs.items()},
+        params=plant.prepare(numbers_of(s)._replace(**truth), s.dt, n),
+        gains={names[o]: d.gains for o, d in designs.items()},
         schedule=plan,
         inputs=_inputs(cell, known),
         dt=np.asarray(s.dt),
         x0=np.array(s.xhat0 if drawn else s.x0),
-        xhat0=np.array(s.x0 if scattered else s.xhat0),
+        xhat0=np.array(s.x0 if around else s.xhat0),
         spread0=np.diag(spread),
         noise_std=np.array(s.noise_std),
         band=np.array(s.settle_band),
@@ -222,11 +222,9 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         windows=np.array([[0, tail_tick(cell)], [tail_tick(cell), n - 1], [n - 1, n]]),
         process_std=np.array(s.process_std),
         jumps=np.array([tick for tick in jumps(s.unknown_input, s.dt, n - 1) if tick >= tail_tick(cell)], int),
-        control=loop.params,
-        line=loop.line,
-        scatter=np.array(s.start_box) if scattered else np.zeros(0),
+        scatter=np.array(s.start_box) * around,
     )
-    observers = tuple((o, entry_of(o).observer) for o in options)
+    observers = tuple((names[o], entry_of(o).observer) for o in options)
     random = drawn or cell.choices.start_spread > 0
     drifting = bool(s.drift and plant.plant.of_run)
     width = ensemble.HEAVY if plant.heavy else ensemble.WIDTH
@@ -238,12 +236,11 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         random,
         continuous=s.continuous,
         drifting=drifting,
-        controller=loop.controller,
-        commands=_reach(cell, known)[0] if s.controller else 0,
-        scattered=scattered,
+        controller=closed_loop.controller(cell),
+        scattered=bool(s.start_box),
     )
     proofs, carries = {o: d.certificate for o, d in designs.items()}, {o: d.carries_input for o, d in designs.items()}
-    return Planned(cell, layout, problem, proofs, _bound(cell, known), carries)
+    return Planned(cell, layout, problem, proofs, _bound(cell, known), carries, tuple(options))
 
 
 def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
@@ -258,37 +255,6 @@ def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
             f"plant's {m} inputs with commas between; take one of {', '.join(SINGLE)}."
         )
     return u
-
-
-class Loop(NamedTuple):
-    """What closes a loop."""
-
-    controller: Controller | None
-    params: Any
-    line: actuator.Line
-
-
-def _loop(cell: Cell, rows: int, on: int) -> Loop:
-    """The controller of a closed loop, its numbers, and the line to the plant from tick -`rows` to `on` ticks past the end."""
-    s, n, plant = cell.scenario, ticks(cell), PLANTS[cell.scenario.plant]
-    entry = CONTROLLERS[s.controller]
-    chosen = {k: v for k, v in cell.choices.loop().items() if v is not None}
-    options = entry.options.model_validate(dict(s.control) | chosen)
-    delay, params = axes.actuator_delay(s), plant.prepare(_numbers(s), s.dt, n)
-    model, inverse = Partial(plant.model, params), Partial(plant.inverse, params)
-    law = entry.prepare(options, delay, s.dt, rows, n, model, inverse)
-    return Loop(entry.controller(options), law, actuator.line(delay, s.dt, rows, n + on))
-
-
-def _reach(cell: Cell, known: Setting) -> tuple[int, int]:
-    """How many commands a loop keeps, and how many ticks ahead it looks.
-
-    Observers ask for inputs since the sample before those that may still be overtaken; the controller, until its command acts.
-    """
-    s, n = cell.scenario, ticks(cell)
-    found, delay = sampling.samples(axes.clocks(s), n), axes.actuator_delay(s)
-    rows = actuator.rows_needed(delay, s.dt, n, sampling.oldest(found, known.overtaking) + 1)
-    return rows, round(float(np.max(delay(np.arange(n + 1) * s.dt))) / s.dt) + 2
 
 
 def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, int]:
@@ -316,7 +282,8 @@ def _design(observer: str, known: Setting, options: BaseModel) -> Design:
 def _bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
     s = cell.scenario
-    exact = PLANTS[s.plant].model is None and not s.drift and not cell.parameters and not s.unknown_input and all(s.noise_std)  # no bound without noise
+    wrong = nonlinear(s.plant) or s.drift or cell.parameters or s.unknown_input
+    exact = not wrong and all(s.noise_std)  # no bound without noise
     clocks = axes.clocks(cell.scenario)
     if not exact or _random(clocks):
         return None

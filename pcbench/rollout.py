@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 
 from pcbench import actuator, draws, lanes, metrics
 from pcbench.entrywise import over
@@ -283,7 +283,7 @@ def before(layout: Layout, p: Problem, memories: Any) -> tuple[Any, Any]:
     def one_lane(memory: Any) -> Array:
         xhat = observer.estimate(p.gains[label], memory)
         ticks = jnp.arange(-layout.commands, 0)  # tick n stands in row n mod R
-        return jax.vmap(lambda n: controller.before(p.control, n, xhat))(ticks)
+        return lax.map(lambda n: controller.before(p.control, n, xhat), ticks)  # a loop: a row at a time, not R copies
 
     commands = over(one_lane)(memories[label])
     return commands, metrics.start(off_target(controller, p, jnp.asarray(0), p.x0).shape[0])

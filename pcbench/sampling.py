@@ -121,7 +121,7 @@ def ages(clock: Clock, ticks: int) -> tuple[int, int]:
 
 
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
-    """Return every sample of clocks without randomness, taken up to tick `ticks`; from 0 on, or for the first to arrive at 0."""
+    """Return every sample of clocks without randomness, taken up to tick `ticks`, from 0 on or before (`Clock.early`)."""
     out = []
     for clock in clocks:
         due = instants(clock, ticks)
@@ -212,7 +212,7 @@ def at_every_tick(ticks: int, channels: int) -> Schedule:
     row, each, yes = k[:, None], np.repeat(k[:, None], channels, 1), np.ones((ticks + 1, channels), bool)
     since = np.minimum(row, 1)
     return Schedule(
-        k, yes, each, k, row, row, row, yes[:, None], each[:, None], since, np.ones(len(k), bool), k + np.int32(1), each[:0]
+        k, yes, each, k, row, row, row, yes[:, None], each[:, None], since, yes[:, 0], k + np.int32(1), each[:0]
     )
 
 

@@ -101,6 +101,8 @@ def _scenario(
     bounded, lost = (part.metric == "efficiency").any(), part.diverged.any()
     jumps = (part.metric == "recovery_time").any()
     heads += [*(["efficiency"] if bounded else []), "settled [s]", *(["recovery [s]"] if jumps else [])]
+    aimed = (part.metric == "tracking_rmse").any()
+    heads += ["tail tracking RMSE"] if aimed else []
     heads += ["diverged"] if lost else []
     table = _table(f"{scenario.name}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals")
     for axis in axes:
@@ -110,7 +112,8 @@ def _scenario(
         table.add_column(escape(head), justify="right")
     for number, cell in part.groupby("cell", sort=True):
         wide = cell.set_index(["observer", "metric"])
-        order = list(cell[cell.metric == metric].sort_values("mean", kind="stable", na_position="last").observer)
+        ranked = cell[cell.metric == metric].sort_values(["diverged", "mean"], kind="stable", na_position="last")
+        order = list(ranked.observer)
         for observer in order:
             row, best = wide.loc[observer], observer == order[0]
             shown = [_interval(row.loc[metric])]
@@ -121,8 +124,10 @@ def _scenario(
             shown += [_settled(row.loc["settling_time"], scenario.horizon)]
             if jumps:
                 shown += [_interval(row.loc["recovery_time"])]
+            if aimed:
+                shown += [_interval(row.loc["tail_tracking_rmse"])]
             if lost:
-                shown += [str(int(row.loc["mae"]["diverged"]))]
+                shown += [_fraction(row.loc["divergence"])]
             place = [_axis(cell[a].iloc[0]) if best else "" for a in axes]
             table.add_row(*place, f"[bold]{observer}[/bold]" if best else observer, *shown)
         table.add_section()
@@ -148,6 +153,11 @@ def _interval(row: Any) -> str:
     return f"{row['mean']:.4g}" if not half > 1e-9 * abs(row["mean"]) else f"{row['mean']:.4g} ± {half:.2g}"
 
 
+def _fraction(row: Any) -> str:
+    """A fraction of runs with its interval, in per cent."""
+    return f"{100 * row['mean']:.3g} % ({100 * row['ci_low']:.2g} .. {100 * row['ci_high']:.2g})"
+
+
 def _settled(row: Any, horizon: float) -> str:
     """The median settling time; 'never' where most runs were outside their band at the end."""
     return "-" if np.isnan(row["p50"]) else "never" if row["p50"] >= horizon else f"{row['p50']:.3g}"
@@ -167,14 +177,21 @@ def _difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
 
 
 def _count_wins(scenario: str, part: pd.DataFrame, metric: str, console: Console) -> None:
+    fewest = part.diverged == part.groupby("cell").diverged.transform("min")
     wide = part.pivot(index="cell", columns="observer", values="mean")
-    title = f"{scenario}: least {metric} of {part.signal.iloc[0]} over {len(wide)} cells"
+    winners = part[fewest & part["mean"].notna()].sort_values("mean", kind="stable").groupby("cell").observer.first()
+    rule = f"least {metric} among those with fewest diverged runs," if part.diverged.any() else f"least {metric}"
+    title = f"{scenario}: {rule} of {part.signal.iloc[0]} over {len(wide)} cells"
     table = _table(title)
     table.add_column("observer")
     table.add_column("cells won", justify="right")
     table.add_column(f"median {metric}", justify="right")
-    for observer, wins in wide.idxmin(axis=1).value_counts().reindex(wide.columns, fill_value=0).items():
-        table.add_row(str(observer), str(wins), f"{wide[observer].median():.4g}")
+    if part.diverged.any():
+        table.add_column("diverged runs", justify="right")
+    for observer, wins in winners.value_counts().reindex(wide.columns, fill_value=0).items():
+        mine = part[part.observer == observer]
+        lost = [f"{mine.diverged.sum() / (mine.n + mine.diverged).sum():.3g} of all"] if part.diverged.any() else []
+        table.add_row(str(observer), str(wins), f"{wide[observer].median():.4g}", *lost)
     console.print(table)
 
 

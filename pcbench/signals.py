@@ -66,7 +66,7 @@ def d2(t: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def circle(t: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (1 + 0.5 sin t, 1 - 0.5 cos t) [rad] with its first two derivatives, [N, 3, 2]. Source: Hernandez-Gonzalez 2024."""
+    """Return (1 + 0.5 sin t, 1 - 0.5 cos t) [rad] and its first two derivatives, [N, 3, 2]. Source: Hernandez-Gonzalez 2024."""
     s, c = 0.5 * np.sin(t), 0.5 * np.cos(t)
     return np.stack([np.stack([1 + s, 1 - c], -1), np.stack([c, s], -1), np.stack([-s, c], -1)], 1)
 

@@ -2,8 +2,9 @@
 
 Intervals are 95 % Student intervals over seeds. `pooled_rmse` is the square root of the mean square over runs: its interval
 is that of the mean square, its standard error by the delta method; `efficiency` likewise. Diverged runs are counted, never
-averaged. p-values are of the paired t-test on common draws, with Holm's correction over all comparisons of one scenario,
-signal and metric in the study. Where the runs do not vary (no noise) the interval has no width and there is no test: p is NaN.
+averaged; their fraction, and that of the others not settled when the tail starts, have Wilson's interval. p-values are of the
+paired t-test on common draws, with Holm's correction over all comparisons of one scenario, signal and metric in the study.
+Where the runs do not vary (no noise) the interval has no width and there is no test: p is NaN.
 """
 
 import itertools
@@ -19,7 +20,8 @@ from pcbench.errors import unknown
 RUN_METRICS = (
     *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
     *("tail_mae", "tail_rmse", "tail_mse", "tail_peak"),
-)  # recovery_time where an unknown input jumps
+    *("tracking_rmse", "tail_tracking_rmse"),
+)  # recovery_time where an unknown input jumps, tracking_* of what a controller is to lead along a path
 COMPARED = tuple(m for m in RUN_METRICS if m != "final")  # a signed error is neither better nor worse
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
 QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
@@ -27,6 +29,7 @@ SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie
 ZERO = 1e-11  # errors below this part of the prior are zero up to rounding
 SEEN = 1e-9  # a bound below this part of the prior is zero for every purpose: no efficiency against it
 
+Z95 = 1.959963984540054  # quantile of the normal distribution
 Values = NDArray[np.float64]
 Row = dict[str, Any]
 
@@ -72,6 +75,25 @@ def efficiency(tail_squares: Values, bound: float) -> Row:
     }
 
 
+def fraction(happened: NDArray[np.bool_]) -> Row:
+    """Return the fraction of runs [n] in which something happened, with Wilson's 95 % interval.
+
+    Source: Wilson, J. Am. Stat. Assoc. 22 (1927), 209-212.
+    """
+    n, blank = len(happened), {"mean": np.nan, "se": np.nan, "ci_low": np.nan, "ci_high": np.nan}
+    if not n:
+        return {"n": 0} | blank
+    p, z2 = float(happened.mean()), Z95**2
+    centre, half = p + z2 / (2 * n), Z95 * float(np.sqrt(p * (1 - p) / n + z2 / (4 * n * n)))
+    low, high = ((centre - half) / (1 + z2 / n) if p else 0.0, (centre + half) / (1 + z2 / n) if p < 1 else 1.0)
+    return {"n": n, "mean": p, "se": float(np.sqrt(p * (1 - p) / n)), "ci_low": low, "ci_high": high}
+
+
+def applies(values: Values) -> bool:
+    """Say whether a metric [seeds] has a value for a signal: a set point is there for some signals only."""
+    return not (len(values) and np.isnan(values).all())
+
+
 def describe(results: dict[str, NDArray[Any]], signal: int, bound: float | None) -> Iterable[Row]:
     """Yield a row for every metric of one signal that there is; results are metric -> [n, seeds], `diverged` [seeds]."""
     good = ~results["diverged"]
@@ -79,9 +101,13 @@ def describe(results: dict[str, NDArray[Any]], signal: int, bound: float | None)
     common = {"diverged": int((~good).sum())}
     for metric in (m for m in RUN_METRICS if m in results):
         values = results[metric][signal][good]
+        if not applies(values):
+            continue
         yield {"metric": metric} | common | mean(values) | quantiles(values)
     for metric, square in POOLED.items():
         yield {"metric": metric} | common | pooled(results[square][signal][good]) | blank
+    yield {"metric": "divergence"} | common | fraction(~good) | blank
+    yield {"metric": "unsettled"} | common | fraction(results["unsettled"][signal][good]) | blank
     if bound is not None:
         yield {"metric": "efficiency"} | common | efficiency(results["tail_mse"][signal][good], bound) | blank
 
@@ -129,6 +155,8 @@ def pairs(results: dict[str, dict[str, NDArray[Any]]], signals: list[str], sizes
         both = min(len(ra["mae"]), len(rb["mae"]))
         for i, signal in enumerate(signals[:both]):
             for metric in (m for m in COMPARED if m in ra):
+                if not applies(ra[metric][i]) or not applies(rb[metric][i]):
+                    continue
                 floor = ZERO * sizes[i] ** (2 if metric in POOLED.values() else 1)
                 row = compare(ra[metric][i], rb[metric][i], ra["diverged"], rb["diverged"], floor)
                 yield {"observer_a": a, "observer_b": b, "signal": signal, "metric": metric} | row

@@ -26,7 +26,9 @@ class Choices(BaseModel):
     input: str | None = Field(None, description="name of the input signal")
     unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")
     feedforward: bool | None = Field(None, description="a controller knows the input that its path needs")
-    predictor: bool | None = Field(None, description="a controller acts on the state predicted to when its command arrives")
+    predictor: bool | None = Field(
+        None, description="a controller acts on the state predicted to its command's arrival"
+    )
     path: str | None = Field(None, description="what a controller follows: " + ", ".join(PATHS))
     drift_sign: Literal[-1, 1] = Field(1, description="the operator lost in print, in the cart's drift")
     precision: str = Field("float64", description="float64: no other is offered")
@@ -90,6 +92,19 @@ STUDIES = {
             "noise_std": [1e-3, 3e-3],
             "drift": [0.0, 0.01, 0.05],
         },
+    ),
+    "helicopter": Study(
+        name="helicopter",
+        scenarios=["helicopter/constant"],
+        observers=["high-gain", "high-gain-robust", "ekf"],
+        seeds=256,
+        axes={
+            "sampling_period": [0.05, 0.2, 0.8],
+            "delay": [0.01, 0.03],
+            "noise_std": [5e-4, 5e-3, 2e-2],
+            "drift": [0.0, 0.3],
+        },
+        options={"scenario": {"random_start": True}},
     ),
     "variable-sampling": Study(
         name="variable-sampling",

@@ -47,9 +47,9 @@ def execute(
         tell("compiled", made.compile_seconds)
         outcomes = ensemble.run(made, (job for _, job in jobs))
         for i, ((p, _), (job, outcome)) in enumerate(zip(jobs, outcomes, strict=True)):
-            for label, _ in layout.observers:
+            for label, (name, _) in zip(p.labels, layout.observers, strict=True):
                 n, tail, dt = ticks(p.cell), tail_tick(p.cell), p.cell.scenario.dt
-                left = outcome.streams[label], outcome.watches[label], outcome.final[label]
+                left = outcome.streams[name], outcome.watches[name], outcome.final[name]
                 read = metrics.read(*left, n, tail, dt, bool((p.problem.jumps < n).any()), outcome.tracking or None)
                 collected.setdefault(label, []).append(read)
             tell("runs", len(job.seeds) * len(layout.observers))

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from pcbench.statistics import QUANTILES, RUN_METRICS
 
-SCHEMA = "2"  # 2: recovery_time, carries_input
+SCHEMA = "3"  # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay
 AXIS_UNITS = {
     "sampling_period": "s",
     "delay": "s",
@@ -43,7 +43,7 @@ MEANING = {
     "loss": "probability that a sample never arrives",
     "assumed_delay_error": "observers believe every sample to be so much older than it is",
     "seed": "seed index: with the study's root seed it addresses every random number of the run",
-    "signal": "state, or unknown input, whose error e = x - xhat is measured",
+    "signal": "state, unknown input or parameter whose error e = x - xhat is measured",
     "carries_input": "whether the observer's prediction to the present carries the unknown input it has found; null: it finds "
     "none, or predicts nothing",
     "carries_input_a": "carries_input of the first observer",
@@ -61,11 +61,16 @@ MEANING = {
     "tail_rmse": "square root of the mean of e^2 from the tail start on",
     "tail_mse": "mean of e^2 from the tail start on [unit squared]",
     "tail_peak": "largest |e| from the tail start on",
+    "tracking_rmse": "root of the mean square of set point less state, in a closed loop; null of what has no set point",
+    "tail_tracking_rmse": "the same from the tail start on",
+    "status": "diverged; or unsettled: the error of this signal left its band after the tail had started; or settled",
     "diverged": "runs: the error became non-finite or left the scenario's bound (its metrics are null); "
     "stats: how many such runs, none of them averaged",
     "first_bad_time": "time [s] at which a diverged run left the bound; null elsewhere",
     "metric": "a metric of `runs`; or pooled_rmse, tail_pooled_rmse (root of the mean square over runs); or efficiency "
-    "(bound / tail_pooled_rmse against the best any causal estimator can do on average over x(0) ~ N(xhat0, P0))",
+    "(bound / tail_pooled_rmse against the best any causal estimator can do on average over x(0) ~ N(xhat0, P0)); or "
+    "divergence, the fraction of runs that diverged; or unsettled, the fraction of the others whose error left its band in the "
+    "tail (both with Wilson's interval)",
     "n": "runs that enter the number",
     "mean": "estimate over runs",
     "se": "its standard error",
@@ -77,6 +82,7 @@ MEANING = {
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
 } | {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
 TEXT = {"profile", "study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
+TEXT |= {"status"}
 WHOLE = {"cell", "seed", "n"}
 YES_OR_NO = {"carries_input", "carries_input_a", "carries_input_b"}
 SECONDS = {"settling_time", "recovery_time", "first_bad_time"}
@@ -86,7 +92,7 @@ def unit_of(metric: str, unit: str) -> str:
     """Return the unit of a metric of a signal that is measured in `unit`."""
     if metric in SECONDS:
         return "s"
-    if metric == "efficiency":
+    if metric in ("efficiency", "divergence", "unsettled"):
         return "1"
     return f"({unit})^2" if metric.endswith("mse") and not metric.endswith("rmse") else unit
 
@@ -112,6 +118,9 @@ def runs_table(study: str, done: Any, observer: str, signals: tuple[tuple[str, s
     columns["carries_input"] = [done.planned.carries_input[observer]] * (len(seeds) * many)
     for metric in RUN_METRICS:
         columns[metric] = results[metric].T.ravel() if metric in results else [None] * (len(seeds) * many)
+    bad = np.broadcast_to(results["diverged"], results["unsettled"].shape)
+    said = np.where(bad, "diverged", np.where(results["unsettled"], "unsettled", "settled"))
+    columns["status"] = said.T.ravel().tolist()
     for name in ("diverged", "first_bad_time"):
         columns[name] = np.repeat(results[name], many)
     return table(columns, bools=("diverged",))
@@ -153,6 +162,7 @@ def trace_table(frame: pd.DataFrame, signals: tuple[tuple[str, str], ...]) -> pa
     for name in frame.columns:
         unit = units.get(name.rpartition(".")[2], "unit of the input" if name[0] == "u" else "unit of the output")
         meaning = "time" if name == "t" else "estimate" if "." in name else "truth" if name in units else ""
+        meaning = "set point" if name.startswith("target.") else meaning
         meaning = meaning or ("input held over the tick" if name[0] == "u" else "newest arrived measurement, held")
         about = {"unit": unit, "meaning": meaning}
         carries = frame.attrs.get("carries_input", {}).get(name.partition(".")[0])

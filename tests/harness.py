@@ -36,11 +36,18 @@ ODD = linear.Model(
 )
 PUSHED = ODD._replace(E=np.array([[1.0], [0.3], [0.2]]))
 FIND_INPUTS = ("smo", "pio")  # they need a plant with an unknown input, and move by Runge-Kutta: see test_unknown_input
+ELSEWHERE = (*FIND_INPUTS, "high-gain")  # no linear model is enough for it: see test_helicopter
+TWO_AXES = linear.Model(np.eye(4, k=2), np.eye(4, 2, -2), np.eye(2, 4))  # positions, rates; and their frictions
+
+
+def friction(u: Any, x: Any) -> Any:
+    """Return (a, phi) of TWO_AXES with frictions p: accelerations a p + phi."""
+    return -x[2:], u - x[:2]
 
 
 def suitable(observer: str) -> list[linear.Model]:
     """Models that an observer can be designed for."""
-    return [PUSHED] if observer in FIND_INPUTS else [CART, ODD]
+    return {"high-gain": [TWO_AXES]}.get(observer, [PUSHED] if observer in FIND_INPUTS else [CART, ODD])
 
 
 class Case(NamedTuple):
@@ -71,16 +78,19 @@ def inputs(case: Case) -> np.ndarray:
 
 def starts(case: Case) -> tuple[np.ndarray, np.ndarray]:
     n = len(case.model.A)
-    x0 = np.arange(1.0, n + 1) * [5.0, -3.0, 2.0][:n] if case.x0 is None else np.asarray(case.x0, float)
+    x0 = np.arange(1.0, n + 1) * [5.0, -3.0, 2.0, 1.5][:n] if case.x0 is None else np.asarray(case.x0, float)
     return x0, np.zeros(n) if case.xhat0 is None else np.asarray(case.xhat0, float)
 
 
 def setting(case: Case) -> Setting:
     q, n = case.model.C.shape
     prior = np.diag(np.arange(1.0, n + 1) ** 2)
+    chain = case.model is TWO_AXES
+    many = 2 if chain else 0 if case.model.E is None else case.model.E.shape[1]
     return Setting(
         "case", case.model, case.h, case.ticks, (case.te,) * q, (case.d,) * q, (case.noise_std,) * q, prior,
-        case.input_intensity, unknown_std=() if case.model.E is None else (1.0,) * case.model.E.shape[1],
+        case.input_intensity, unknown_std=(1.0,) * many, unknown0=(0.0,) * many,
+        unknown_range=((-np.inf, np.inf),) * many, parts=jax.tree_util.Partial(friction) if chain else None,
     )  # fmt: skip
 
 

@@ -17,6 +17,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"study_file"},
     {"sweep"},
     {"planning"},
+    {"closed_loop"},
     {"tables", "cells"},
     {"study", "machine", "store", "statistics"},
     {"own_plant"},

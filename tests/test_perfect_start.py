@@ -7,14 +7,14 @@ One tick of slip anywhere breaks it; the mutants below show that.
 import jax
 import numpy as np
 import pytest
-from harness import CART, FIND_INPUTS, ODD, Case, problem, recorder, trace
+from harness import CART, ELSEWHERE, ODD, Case, problem, recorder, trace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcbench.observers import OBSERVERS
 from pcbench.types import Plant
 
-KNOWING = {name: {} for name, entry in OBSERVERS.items() if entry.knows_schedule and name not in FIND_INPUTS}
+KNOWING = {name: {} for name, entry in OBSERVERS.items() if entry.knows_schedule and name not in ELSEWHERE}
 del KNOWING[
     "chain"
 ]  # needs whole samples, and from a perfect start sees only zeros: its slips are caught in test_chain

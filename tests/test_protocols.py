@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from harness import CART, Case, problem, suitable
+from harness import CART, Case, problem, setting, suitable
 
 from pcbench import rollout
 from pcbench.integrate import rk4
@@ -52,7 +52,7 @@ def test_memory_keeps_its_shape_and_gains_are_arrays(name, model):
     shapes = jax.tree.map(lambda a: (jnp.shape(a), jnp.result_type(a)), memory)
     for after in (observer.jump(gains, memory, now, arrival), observer.flow(gains, memory, now)):
         assert jax.tree.map(lambda a: (jnp.shape(a), jnp.result_type(a)), after) == shapes
-    signals = n if model.E is None else n + model.E.shape[1]
+    signals = n + len(setting(Case(model, 10, 20)).unknown_std)
     assert observer.estimate(gains, memory).shape in ((n,), (signals,))
     if observer.field:
         rate = observer.field(gains, memory, now, jnp.ones(q))
@@ -64,7 +64,7 @@ def test_a_channel_that_is_not_fresh_changes_nothing(name):
     """Whatever value stands in a channel that did not arrive, the estimate is the same."""
     p = jax.tree.map(jnp.asarray, problem(Case(suitable(name)[-1], 10, 20, ticks=50), {name: {}})[1])
     observer, gains = OBSERVERS[name].observer, p.gains[name]
-    memory, now = observer.init(gains, jnp.arange(3.0)), rollout.present(p, jnp.asarray(30), False)
+    memory, now = observer.init(gains, jnp.arange(float(len(p.x0)))), rollout.present(p, jnp.asarray(30), False)
     note = observer.note(gains, memory, now)
 
     def jumped(other):

@@ -6,7 +6,7 @@ te; noise on; drift on; several sampling periods; a plant with three states, two
 
 import numpy as np
 import pytest
-from harness import CART, FIND_INPUTS, ODD, Case, inputs, noise, setting, starts, trace
+from harness import CART, ELSEWHERE, ODD, Case, inputs, noise, setting, starts, trace
 from reference import cart as reference_cart
 from reference import irregular
 from reference import linear as reference
@@ -18,7 +18,7 @@ TIMES = [(100, 100), (60, 180), (150, 0), (40, 95)]
 WHOLE_SAMPLES = [
     name for name, entry in OBSERVERS.items() if entry.takes == "constant delays"
 ]  # in test_chain, test_rivals
-VARIANTS = [(name, {}) for name in OBSERVERS if name not in ("kfbo", *WHOLE_SAMPLES, *FIND_INPUTS)]
+VARIANTS = [(name, {}) for name in OBSERVERS if name not in ("kfbo", *WHOLE_SAMPLES, *ELSEWHERE)]
 VARIANTS += [
     ("kfbo", {"R": 0.004}),
     ("kfbo", {"R": 0.3, "lag_aware": True}),
@@ -43,7 +43,7 @@ def expected(case, observer, options, u, samples):
         K = design.certificate.numbers["K"]
         flags = {key: options.get(key, False) for key in ("lag_aware", "sampled_innovation")}
         return reference.kfbo(model, u, samples, xhat0, K, case.te, case.d, **flags)
-    if observer != "dkf":
+    if observer not in ("dkf", "ekf"):  # on a linear model the extended filter is Kalman's
         raise NotImplementedError(f"{observer} has no reference in tests/reference")
     W = case.input_intensity * case.model.B @ case.model.B.T
     return reference.dkf(model, u, samples, xhat0, known.P0, design.gains.R, W)

@@ -24,10 +24,11 @@ AXES = [
     "delay_jitter",
     "loss",
     "assumed_delay_error",
+    "actuator_delay",
 ]
 RUNS = (
     "seed signal unit carries_input mae rmse mse peak final settling_time recovery_time tail_mae tail_rmse tail_mse tail_peak "
-    "diverged first_bad_time"
+    "tracking_rmse tail_tracking_rmse status diverged first_bad_time"
 )
 STATS = "signal unit carries_input metric n diverged mean se ci_low ci_high p05 p25 p50 p75 p95"
 PAIRS = (

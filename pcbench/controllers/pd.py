@@ -4,7 +4,7 @@
 
 z1, z2 are the estimated angles and rates of now, Td the path. A command of time t acts at sigma with sigma - tau(sigma) = t.
 
-* feedforward: u_ff are the voltages under which the helicopter, with the viscosities estimated now, moves along the path at sigma.
+* feedforward: u_ff are the voltages under which the plant, with the viscosities estimated now, moves along the path at sigma.
 * predictor: the PD law takes the state predicted to sigma and Td(sigma) in place of z and Td(t): Runge-Kutta steps of the model
   from the estimate, under the inputs that the commands given so far become; what would need the command now sought takes the
   one before it. The last step ends at sigma.
@@ -68,12 +68,12 @@ def acts_at(t: np.ndarray, delay: Delay) -> np.ndarray:
 
 def prepare(options: Options, delay: Delay, dt: float, rows: int, ticks: int, model: Any, inverse: Any) -> Params:
     """Return the law's numbers for ticks -`rows` .. `ticks`."""
-    t = np.arange(-rows, ticks + 1) * dt
+    t: Any = np.arange(-rows, ticks + 1) * dt
     sigma, path = acts_at(t, delay), PATHS[options.path]
-    gains = map(np.array, (options.Kp, options.Kd, options.limit))
-    return Params(
-        *gains, np.array(float(options.feedforward)), np.array(-rows), path(t), path(sigma), sigma - t, model, inverse
+    Kp, Kd, limit, help_, first = map(
+        np.array, (options.Kp, options.Kd, options.limit, float(options.feedforward), -rows)
     )
+    return Params(Kp, Kd, limit, help_, first, path(t), path(sigma), sigma - t, model, inverse)
 
 
 def law(params: Params, row: Array, x: Array, B: Array, aim: Float[Array, "3 2"]) -> Float[Array, "2"]:

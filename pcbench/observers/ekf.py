@@ -9,9 +9,9 @@ then the update at t_m in Joseph form, one channel after the other, then the mea
 inputs, and flows on. p is clipped to the plant's range after every update and tick. Where the model is linear the tick is its
 exact map, F its matrix, and the filter is `dkf` done tick by tick.
 
-R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states, and
-walk unknown_std^2 h for p. Time index: the estimate is of now, after the jump. A sample from before t = 0 has measured
-the start. One that comes after a newer one is put in its place (`in_order`).
+R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
+and walk unknown_std^2 h for p. Time index: the estimate is of now, after the jump. A sample from before t = 0 has measured the
+start. One that comes after a newer one is put in its place (`in_order`).
 Not claimed: optimality, nor that a parameter can be found where the motion does not show it.
 Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
 """
@@ -110,8 +110,8 @@ def update(gains: Gains, now: Now, before: Filtered, sample: Sample) -> Filtered
         Pc = P[:, :n] @ c
         K = jnp.where(fresh, Pc / (c @ Pc[:n] + r), 0.0)
         z = z + K * (sample.value[channel] - c @ z[:n])
-        keep = identity - K[:, None] * jnp.concatenate([c, jnp.zeros(P.shape[0] - n)])
-        P = keep @ P @ keep.T + r * (K[:, None] * K[None, :])
+        keep = identity - jnp.outer(K, jnp.concatenate([c, jnp.zeros(P.shape[0] - n)]))
+        P = keep @ P @ keep.T + r * jnp.outer(K, K)
     return Filtered(within(gains, z), P, sample.taken)
 
 
@@ -192,5 +192,6 @@ def design(setting: Setting, options: Options) -> Design:
     low, high = np.array(setting.unknown_range).T.reshape(2, s)
     start, places = np.array(setting.unknown0, float), setting.places
     gains = Gains(motion, tangent, setting.model.C, setting.model.feedthrough, R, Q, P0, start, low, high, places)
-    proof = Certificate("none: the slope at the estimate is no proof", float("inf"), "none", "not needed", {"Q": Q, "R": R})
+    numbers = {"Q": Q, "R": R}
+    proof = Certificate("none: the slope at the estimate is no proof", float("inf"), "none", "not needed", numbers)
     return Design(gains, proof, True if setting.model.E is not None else None)

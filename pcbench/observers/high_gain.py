@@ -10,15 +10,14 @@ with a, phi functions of the estimate and the delayed input, `parts` of the plan
 
 al is never reset; what a sample needs of the past, C z - al when it was taken, is its note. (C z - al)' = z2: al predicts the
 output between samples. S falls into one 3 x 3 block for each position; its six numbers stand in rows 11 12 13 22 23 33, and
-S^-1 C' is the first column of each inverse. The gain of the parameters is Th^3 / a: singular where a speed is estimated as zero.
+S^-1 C' is the first column of each inverse. The gain of the parameters is Th^3 / a: singular where a speed is estimated as 0.
 
-`robust`: speeds in a and phi clipped to +-5, parameters to the plant's range in the product and after each tick, and Th rho added
-to S33'. Why: the printed observer blows up from many starts.
+`robust`: speeds in a and phi clipped to +-5, parameters to the plant's range in the product and after each tick, and Th rho
+added to S33'. Why: the printed observer blows up from many starts.
 
-Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, (6), (50). Different from print: signs restored, and the innovation
-(as printed, the newest C z and al of t_k - tau(t_k) would be compared with nothing of now). A tick is one Runge-Kutta step of
-(z, al, S) with c_k and u held. Time index: the estimate is of now, after the arrival.
-Not claimed: that it converges; the certificate says how far Th Ts is from the linear limit.
+Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, (6), (50). Different from print: signs restored. A tick is one
+Runge-Kutta step of (z, al, S) with c_k and u held. Time index: the estimate is of now, after the arrival. Not claimed: that it
+converges; the certificate says how far Th Ts is from the linear limit.
 """
 
 from typing import Any, NamedTuple
@@ -73,7 +72,7 @@ class Options(BaseModel):
 def init(gains: Gains, xhat0: Float[Array, " 2d"]) -> Memory:
     """Start from xhat(0), the parameters' start, al = 0 and S(0)."""
     d = gains.start.shape[0]
-    S = S0 * jnp.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])[:, None] * jnp.ones(d)
+    S = S0 * jnp.outer(jnp.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0]), jnp.ones(d))
     return Memory(jnp.concatenate([xhat0, gains.start]), jnp.zeros(d), S, jnp.zeros(d), jnp.full(d, -1))
 
 
@@ -92,8 +91,9 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 def column(S: Float[Array, "6 d"]) -> Float[Array, "3 d"]:
     """Return the first column of every block's inverse."""
     s11, s12, s13, s22, s23, s33 = S
-    first = jnp.stack([s22 * s33 - s23**2, s13 * s23 - s12 * s33, s12 * s23 - s13 * s22])
-    return first / (s11 * first[0] + s12 * first[1] + s13 * first[2])
+    c1, c2, c3 = s22 * s33 - s23**2, s13 * s23 - s12 * s33, s12 * s23 - s13 * s22
+    det = s11 * c1 + s12 * c2 + s13 * c3
+    return jnp.stack([c1 / det, c2 / det, c3 / det])
 
 
 def rates(gains: Gains, memory: Memory, now: Now, g: Float[Array, " d"]) -> Memory:
@@ -101,7 +101,7 @@ def rates(gains: Gains, memory: Memory, now: Now, g: Float[Array, " d"]) -> Memo
     d, th = memory.al.shape[0], gains.theta
     z1, z2, z3 = memory.z[:d], memory.z[d : 2 * d], memory.z[2 * d :]
     a, phi = gains.parts(now.u, jnp.concatenate([z1, jnp.clip(z2, -gains.fastest, gains.fastest)]))
-    k1, k2, k3 = column(memory.S) * th * g
+    k1, k2, k3 = (th * each * g for each in column(memory.S))
     z = jnp.concatenate([z2 - k1, a * jnp.clip(z3, gains.low, gains.high) + phi - th * k2, -(th**2) * k3])
     s11, s12, s13, s22, s23, s33 = memory.S
     S = th * jnp.stack(
@@ -138,8 +138,8 @@ def design(setting: Setting, options: Options) -> Design:
     """Gather the tuning; the certificate shows how far it is from the linear limit of the sampling period."""
     if setting.parts is None:
         raise UserError(
-            f"high-gain in {setting.scenario}: got a plant that is not a chain of positions, rates and parameters, expected the "
-            "helicopter; take ekf, or an observer for linear plants."
+            f"high-gain in {setting.scenario}: got a plant that is not a chain of positions, rates and parameters, expected "
+            "the helicopter; take ekf, or an observer for linear plants."
         )
     low, high = np.array(setting.unknown_range).T
     free = np.full_like(low, np.inf)

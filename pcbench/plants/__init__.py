@@ -78,6 +78,11 @@ def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     return states_of(scenario) + (scenario.unknowns or PLANTS[scenario.plant].unknowns)
 
 
+def numbers_of(scenario: Scenario) -> Any:
+    """Return a plant's numbers as observers know them."""
+    return PLANTS[scenario.plant].numbers._replace(**scenario.model)
+
+
 def nonlinear(plant: str) -> bool:
     """Say whether observers are told a nonlinear model of a plant."""
     return PLANTS[plant].model is not None

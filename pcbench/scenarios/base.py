@@ -47,7 +47,7 @@ class Scenario(NamedTuple):
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
     headline: tuple[str, ...] = ()  # signals that a closing table shows; empty: the first
     unknown0: tuple[float, ...] = ()  # [s] what observers take for the unknowns at the start; empty: zeros
-    start_box: tuple[float, ...] = ()  # [n] of a random start: xhat(0) uniform about x(0), x(0) fixed; empty: x(0) from P0
+    start_box: tuple[float, ...] = ()  # [n] of a random start: xhat(0) uniform about x(0); empty: x(0) from P0
     controller: str = ""  # of a closed loop: a name in `controllers`; empty: the input is a signal
     control: Mapping[str, Any] = MappingProxyType({})  # its options
     actuator_delay: float | None = None  # s, from command to plant, of a closed loop; None: that of the measurements
