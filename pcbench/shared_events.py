@@ -39,10 +39,16 @@ def rings(layout: Layout, p: Problem, keys: list[Array], state: State) -> State:
     A packet that nothing was noted for carries the note of the start (it is believed to be from before tick 0).
     """
     values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
-    for packet, numbers in enumerate(p.schedule.early):
+
+    def put(rings: Any, packet: tuple[Array, Array]) -> tuple[Any, None]:
+        place, numbers = packet
         noise = lanes.split(draws.normals(keys, numbers))
-        y = lanes.like(measure(layout, p, jnp.asarray(0), state.x, state.own, noise), state.flight[0], layout.width)
-        values = jax.tree.map(lambda ring, v, i=packet: ring.at[i].set(v), values, y)
+        y = measure(layout, p, jnp.asarray(0), state.x, state.own, noise)
+        y = lanes.like(y, state.flight[0], layout.width)
+        return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, y), None
+
+    if early := p.schedule.early.shape[0]:
+        values, _ = lax.scan(put, values, (jnp.arange(early), p.schedule.early))
     return state._replace(flight=(values, notes))
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from pcbench.reproduce import mobile_cart, pi_pco, unequal_delays, unknown_input
+from pcbench.reproduce import helicopter, mobile_cart, pi_pco, unequal_delays, unknown_input
 from pcbench.reproduce.claim import Claim
 
 PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
@@ -17,6 +17,10 @@ PAPERS: dict[str, tuple[str, Callable[[], list[Claim]]]] = {
     "chain": (
         "Alipouri, Zhong, Actuators 10 (2021) 281: a chain of observers for unequal delays, on the stirred tank heater",
         unequal_delays.claims,
+    ),
+    "helicopter": (
+        "Hernandez-Gonzalez et al., Aerospace 11 (2024) 206: a high-gain observer with late samples, on a helicopter",
+        helicopter.claims,
     ),
     "pi-pco": ("Li, Wang, Tian: PI-PCO against PCO on a mobile cart, variable sampling", pi_pco.claims),
 }

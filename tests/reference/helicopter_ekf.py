@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .helicopter import ML2, H, J, K, MGL, Array, Observer, inertia, model, rk4
+from .helicopter import MGL, ML2, Array, H, K, Observer, inertia, model, rk4
 
 C = np.eye(2, 6)
 
