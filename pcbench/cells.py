@@ -90,10 +90,11 @@ def resolved(study: Study) -> dict[str, Any]:
 
 
 def _said(scenario: dict[str, Any]) -> dict[str, Any]:
-    """A scenario without what TOML has no word for: a delay of one interval is written so."""
+    """A scenario without what TOML has no word for: a delay of one interval is written so, nothing left out."""
     delay = [axis.INTERVAL if d is None else d for d in scenario["delay"]]
     model = {k: v for k, v in scenario["model"].items() if v is not None}
-    return scenario | {"delay": delay, "model": model}
+    said = {k: v for k, v in scenario.items() if v is not None}
+    return said | {"delay": delay, "model": model}
 
 
 def to_toml(study: Study) -> str:

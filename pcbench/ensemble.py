@@ -1,7 +1,8 @@
 """Many runs at once: blocks of lanes over all devices, always in calls of one compiled width.
 
 A *job* is one cell's `Problem` with up to `width` seeds; short blocks are padded, so a run has the same bits alone, in any
-block and on any number of devices. Jobs are stacked, one per device, and each device works on its own.
+block, and on any number of devices but for rounding (a program for two devices may be fused in another way: seen with ekf,
+1e-15 of a signal). Jobs are stacked, one per device, and each device works on its own.
 """
 
 import operator

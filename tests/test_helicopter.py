@@ -80,7 +80,7 @@ def test_twenty_seconds_equal_the_reference(name, observer):
         np.testing.assert_allclose(rmse, [0.0132608, 0.00916999, 0.0986503, 0.1009805], rtol=2e-6)
 
 
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(
     observer=st.sampled_from(sorted(OBSERVERS)),
     period=st.integers(1, 300),
@@ -119,11 +119,13 @@ def test_a_misprint_would_be_seen(misprint):
 
 
 @pytest.mark.parametrize("observer", OBSERVERS)
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(period=st.integers(1, 250), delay=st.integers(0, 60), feedforward=st.booleans())
 def test_a_perfect_start_has_no_error(observer, period, delay, feedforward):
     """True start and viscosities, no noise: z follows x; only rounding, which the loop amplifies."""
-    p = planned(observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3, choices={"feedforward": feedforward})
+    p = planned(
+        observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3, choices={"feedforward": feedforward}
+    )
     s = p.cell.scenario
     p = planned(observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3, choices={"feedforward": feedforward},
                 xhat0=s.x0, unknown0=TRUTH)  # fmt: skip

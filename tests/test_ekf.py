@@ -1,0 +1,51 @@
+"""The extended Kalman filter on the arm against an independent one; on linear plants see test_reference_agreement."""
+
+import jax
+import numpy as np
+import pytest
+from reference import ekf as reference
+
+import pcbench
+from pcbench import draws, planning, recording
+from pcbench.cells import Cell
+from pcbench.scenarios import SCENARIOS
+from pcbench.study import Choices, Study, options_of
+
+SECONDS = 0.4
+
+
+def arm(z, u):
+    """The arm's field with the unknown input d as fifth entry, at rest. Source: Peng 2017, (53)."""
+    J, k, M, g, l, Fl, Fm = 4.0, 15.0, 0.15, 9.8, 0.3, 0.006, 0.005
+    spring = k * (z[2] - z[0])
+    link = (spring - Fl * z[1] - M * g * l * np.sin(z[0])) / J + z[4]
+    return np.array([z[1], link, z[3], (u[0] - spring - Fm * z[3]) / J, 0 * z[4]])
+
+
+@pytest.mark.parametrize(
+    ("period", "delay"), [(30, 75), *(pytest.param(*times, marks=pytest.mark.slow) for times in ((40, 40), (50, 0)))]
+)
+def test_on_the_arm_it_equals_the_reference(period, delay):
+    base = SCENARIOS["arm/sampled"]
+    s = base._replace(horizon=SECONDS, tail=SECONDS / 2, input="sine", noise_std=(1e-3, 2e-3),
+                      sampling_period=(period * base.dt,) * 2, delay=(delay * base.dt,) * 2)  # fmt: skip
+    options = options_of(Study(name="t", scenarios=[s.name]), s, "ekf")
+    (p,) = planning.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), {"ekf": options})])
+    got = jax.tree.map(np.asarray, recording.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)))
+    N = planning.ticks(p.cell)
+    noise = np.asarray(draws.measurement_noise(0, 0, N // period + 1, 2)).T * s.noise_std
+    arrivals = {
+        i * period + delay: [(i * period, got.x[i * period, 1:3] + noise[i])] for i in range((N - delay) // period + 1)
+    }
+    Q = np.diag([0, 0, 0, 0, s.dt])  # d walks by its size a second: 1 rad/s^2
+    C = np.eye(2, 5, 1)
+    want = reference.ekf(arm, s.dt, [*s.xhat0, 0.0], np.eye(5), Q, np.diag([1e-6, 4e-6]), C, got.u, arrivals)
+    np.testing.assert_allclose(got.estimates["ekf"], want, rtol=0, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_on_the_arm_it_is_no_worse_than_the_linear_filter():
+    """The arm's gravity is nearly linear there: tail errors of both filters within 5 %."""
+    stats = pcbench.run("arm/sampled", observers=["ekf", "dkf"], seeds=64).stats
+    rows = stats[(stats.metric == "tail_pooled_rmse") & (stats.signal == "link_velocity")].set_index("observer")["mean"]
+    assert rows["ekf"] < 1.05 * rows["dkf"]
