@@ -101,7 +101,7 @@ STUDIES = {
         axes={
             "sampling_period": [0.05, 0.2, 0.8],
             "delay": [0.01, 0.03],
-            "noise_std": [5e-4, 5e-3, 2e-2],
+            "noise_std": [5e-4, 2e-2],
             "drift": [0.0, 0.3],
         },
         options={"scenario": {"random_start": True}},

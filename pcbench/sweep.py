@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pcbench import ensemble, metrics
 from pcbench.planning import Planned, tail_tick, ticks
 from pcbench.rollout import Layout
-from pcbench.study import Study, observers_of
+from pcbench.study import Study
 
 
 class Done(NamedTuple):
@@ -39,7 +39,10 @@ def execute(
     `seeds` are seed indices, by default 0 .. study.seeds - 1. `tell` hears ("compiled", seconds) and ("runs", how many).
     """
     chosen = np.arange(study.seeds) if seeds is None else np.asarray(seeds)
-    waiting: dict[tuple[str, int], list[Done]] = {}
+    waiting: dict[Place, list[Done]] = {}
+    loops: dict[Place, list[str]] = {}
+    for p in planned:
+        loops.setdefault(_place(p), []).extend(p.labels)
     for layout, group in _by_layout(planned):
         jobs = [(p, job) for p in group for job in blocks(p, study.root_seed, chosen)]
         collected: dict[str, list[dict[str, NDArray[Any]]]] = {}
@@ -56,22 +59,30 @@ def execute(
             if i + 1 == len(jobs) or jobs[i + 1][0] is not p:
                 done = Done(p, chosen, {label: _concatenate(parts) for label, parts in collected.items()})
                 collected = {}
-                if whole := _whole(study, done, waiting):
+                if p.layout.controller is None:
+                    yield done
+                elif whole := _whole(done, waiting, loops):
                     yield whole
 
 
-def _whole(study: Study, done: Done, waiting: dict[tuple[str, int], list[Done]]) -> Done | None:
+Place = tuple[str, int]  # a cell: its scenario's name, its number
+
+
+def _place(p: Planned) -> Place:
+    return p.cell.scenario.name, p.cell.number
+
+
+def _whole(done: Done, waiting: dict[Place, list[Done]], loops: dict[Place, list[str]]) -> Done | None:
     """A cell with all of its observers: in a closed loop each has a program of its own, and the cell waits for the last."""
-    cell = done.planned.cell
-    labels = observers_of(study, cell.scenario.name)
-    mine = waiting.setdefault((cell.scenario.name, cell.number), [])
+    place = _place(done.planned)
+    labels, mine = loops[place], waiting.setdefault(place, [])
     mine.append(done)
     results = {label: found for part in mine for label, found in part.results.items()}
     if not all(label in results for label in labels):
         return None
     proofs = {label: c for part in mine for label, c in part.planned.certificates.items()}
     carries = {label: c for part in mine for label, c in part.planned.carries_input.items()}
-    del waiting[cell.scenario.name, cell.number]
+    del waiting[place]
     planned = done.planned._replace(certificates=proofs, carries_input=carries)
     return Done(planned, done.seeds, {label: results[label] for label in labels})
 

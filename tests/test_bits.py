@@ -47,8 +47,9 @@ def test_one_device_equals_two(alone):
     same(alone, results(SEVEN, devices=1)["cart/gaussian-fast0"], 0)
 
 
-EACH = [["dkf"], ["kfbo", "pccebo"]]
-MORE = [pytest.param([name], marks=pytest.mark.slow) for name in ("pccebo", "kfbo", "open-loop")]
+EACH = [["dkf"]]
+MORE = [pytest.param(["kfbo", "pccebo"], marks=pytest.mark.slow)]
+MORE += [pytest.param([name], marks=pytest.mark.slow) for name in ("pccebo", "kfbo", "open-loop")]
 
 
 @pytest.mark.parametrize("observers", [*EACH, *MORE], ids=str)

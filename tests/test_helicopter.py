@@ -80,7 +80,7 @@ def test_twenty_seconds_equal_the_reference(name, observer):
         np.testing.assert_allclose(rmse, [0.0132608, 0.00916999, 0.0986503, 0.1009805], rtol=2e-6)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=5, deadline=None)
 @given(
     observer=st.sampled_from(sorted(OBSERVERS)),
     period=st.integers(1, 300),
@@ -99,10 +99,17 @@ def test_any_period_delay_and_noise_equals_the_reference(observer, period, delay
     assert gap(p) < 1e-9
 
 
+BOTH = {"feedforward": True, "predictor": True}
+
+
 @pytest.mark.parametrize(
-    "choices", [{"feedforward": True}, {"predictor": True}, {"feedforward": True, "predictor": True}]
+    ("name", "choices"),
+    [
+        ("varying", BOTH),
+        ("constant", {"feedforward": True}),
+        *(pytest.param("constant", c, marks=pytest.mark.slow) for c in ({"predictor": True}, BOTH)),
+    ],
 )
-@pytest.mark.parametrize("name", ["constant", "varying"])
 def test_the_controllers_options_equal_the_reference(name, choices):
     assert gap(planned("high-gain", SHORT, name=name, choices=choices)) < 1e-9
 

@@ -79,7 +79,7 @@ def run(plant, schedule):
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize("plant", GIVEN)
+@pytest.mark.parametrize("plant", ["odd", *(pytest.param(p, marks=pytest.mark.slow) for p in GIVEN if p != "odd")])
 def test_the_observers_are_the_theta_form_and_the_reference(plant, schedule):
     """To 1e-12 of the largest state: some ten samples, each a product of matrices of size 1."""
     case, got, model, samples = run(plant, schedule)

@@ -108,7 +108,7 @@ def test_every_observer_and_command_is_named():
         assert f"`{name}`" in README
     for command in ("list", "run", "trace", "design", "reproduce"):
         assert f"pcbench {command}" in README
-    assert set(re.findall(r"(?:cart|arm|csth)/[\w-]+", README)) <= set(SCENARIOS)
+    assert set(re.findall(r"(?:cart|arm|csth|helicopter)/[\w-]+", README)) <= set(SCENARIOS)
 
 
 def test_the_top_level_is_as_promised():

@@ -135,6 +135,7 @@ def test_the_radius_with_the_delays_as_they_are_is_reported():
     assert pcbench.design("csth/10s", "equal-delay").certificate.numbers["radius"] == pytest.approx(2 / 3, abs=1e-7)
 
 
+@pytest.mark.slow
 def test_losses_and_feedthrough_are_what_the_page_says():
     """No correction from a channel that brings nothing; D u of the believed time is taken off."""
     rng = np.random.default_rng(5)

@@ -62,9 +62,9 @@ def test_diverged_runs_lose_and_are_never_averaged():
     assert got["mean_diff"] == pytest.approx((A - B)[6:].mean())
     assert got["prob_a_better"] == pytest.approx((A < B)[6:].sum() / 60)
     results = {m: np.stack([a]) for m in statistics.RUN_METRICS} | {"diverged": bad}
-    for row in statistics.describe(results, 0, None):
+    for row in statistics.describe(results | {"unsettled": np.stack([GOOD])}, 0, None):
         assert row["diverged"] == 6
-        assert row["n"] == 54
+        assert row["n"] == (60 if row["metric"] == "divergence" else 54)
         assert np.isfinite(row["mean"])
 
 
