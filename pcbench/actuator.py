@@ -25,7 +25,7 @@ Delay = Callable[[Any], Any]  # t [s], an array -> tau [s]
 class Line(NamedTuple):
     """When the line is read: a row for each tick from -R on, R the ring's rows; empty in an open loop."""
 
-    lag: Leaf  # [R + N + 1 + ahead] ticks, at least 1
+    lag: Leaf  # [R + N + 1 + ahead] ticks
     weight: Leaf  # [R + N + 1 + ahead] 0 .. 1
 
 

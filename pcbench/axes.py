@@ -12,7 +12,7 @@ import numpy as np
 from pcbench import sampling
 from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS, entry_of
-from pcbench.plants import nonlinear, parameters_of
+from pcbench.plants import nonlinear, parameters_of, positive_of
 from pcbench.sampling import PROFILES, Clock
 from pcbench.scenarios import Scenario
 
@@ -46,6 +46,8 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Any:
         n = number(value, where, least)
         if name in TIMES:
             _whole_ticks(name, n, base, where)
+        if name.removeprefix("plant.") in positive_of(base.plant) and n <= 0:
+            raise UserError(f"{where}: got {value!r}, expected a number greater than 0: it divides, or is a size.")
         if name == "loss" and n > 1:
             raise UserError(f"{where}: got {value!r}, expected a probability from 0 to 1; divide a percentage by 100.")
         return n
@@ -200,22 +202,32 @@ def _loop(s: Scenario, where: str) -> None:
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
             "offered with times of each run's own; leave jitter, delay_jitter, loss and the profile 'uniform' out."
         )
-    if len(set(s.delay)) > 1 or None in s.delay:
+    if None in s.delay:
         raise UserError(
-            f"{where}: got delays {s.delay} s in {s.name}, expected one for all channels; write one number of seconds."
+            f"{where}: got a delay of one interval in {s.name}, expected seconds: measuring began before t = 0; write a number."
         )
-    t = np.arange(round(s.horizon / s.dt) + 1) * s.dt
-    swing = s.delay_swing[0] * np.sin(s.delay_swing[1] * t)
-    sent = s.delay[0] if s.actuator_delay is None else s.actuator_delay
-    for name, mean, smallest in (("delay", s.delay[0] or 0.0, 0.0), ("actuator delay", sent or 0.0, s.dt / 2)):
-        least = float(np.min(mean + swing))
-        still = not s.delay_swing[0] and least == 0
-        if not still and least < smallest - 1e-12:
-            raise UserError(
-                f"{where}: got a {name} that falls to {least:g} s in {s.name}, expected "
-                + ("0, or at least half a tick" if smallest else "0 or more")
-                + f"; write at least {mean - least + smallest:g}."
-            )
+    if len(set(s.delay)) > 1:
+        each = ", ".join(f"{d:g}" for d in s.delay if d is not None)
+        raise UserError(
+            f"{where}: got delays of {each} s in {s.name}, expected one for all channels; write one number."
+        )
+    _long_enough(s, "delay", s.delay[0] or 0.0, 0.0 if s.actuator_delay is not None else s.dt / 2, where)
+    if s.actuator_delay is not None:
+        _long_enough(s, "actuator_delay", s.actuator_delay, s.dt / 2, where)
+
+
+def _long_enough(s: Scenario, name: str, mean: float, least: float, where: str) -> None:
+    """Raise UserError where a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 may."""
+    t = (np.arange(round(s.horizon / s.dt) + 1) + 0.5) * s.dt
+    lowest = mean + float(np.min(s.delay_swing[0] * np.sin(s.delay_swing[1] * t)))
+    if lowest < least - 1e-9 and (s.delay_swing[0] or mean):
+        need = math.ceil((mean - lowest + least) / s.dt - 1e-6) * s.dt
+        raise UserError(
+            f"{where}: got {name} = {mean:g} s in {s.name}, which falls to {max(lowest, 0):g} s or less as it varies, expected "
+            f"at least half a tick on the way to the plant, and never below 0; write at least {need:g}."
+            if s.delay_swing[0]
+            else f"{where}: got {name} = {mean:g} s in {s.name}, expected 0 or at least half a tick; write {need:g}."
+        )
 
 
 def works_on(label: str, s: Scenario, where: str) -> None:

@@ -209,7 +209,8 @@ def trace(
 ) -> pd.DataFrame:
     """Return one run tick by tick, ticks 0 .. N: t [s], each signal, <observer>.<signal>, u1.., y1.. (held arrivals).
 
-    Signals are the states and, where the plant has one, the unknown input; observers have columns for what they estimate.
+    Signals are the states and what the plant has of unknown inputs or parameters; observers have columns for what they
+    estimate. A trace of a closed loop is of one observer, and has the set point too: target.<signal>.
 
     `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.

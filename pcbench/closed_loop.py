@@ -38,7 +38,8 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     command acts.
     """
     s, delay = cell.scenario, axes.actuator_delay(cell.scenario)
-    oldest = sampling.oldest(sampling.samples(axes.clocks(s), ticks), overtaking)
+    believed_older = max(round(s.assumed_delay_error / s.dt), 0)
+    oldest = sampling.oldest(sampling.samples(axes.clocks(s), ticks), overtaking) + believed_older
     longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
     return Reach(actuator.rows_needed(delay, s.dt, ticks, oldest + 1), round(longest / s.dt) + 2)
 

@@ -75,7 +75,7 @@ def read(
 
     `settling_time` [s] is the time of the last exit from the band; a run still outside at the end is given the horizon.
     Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.
-    Of a closed loop `tracking` [W, r, L] gives the set point less the state, of its first r states; NaN for the others.
+    Of a closed loop `tracking` [W, r, L] gives the rms of set point less state, of the first r states: [r, L].
     A diverged run has NaN for every metric; `diverged` [L] and `first_bad_time` [L, s] (NaN where none) tell it apart.
     `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
@@ -84,9 +84,7 @@ def read(
     out: dict[str, NDArray] = {}
     if tracking is not None:
         for prefix, first, count in (("", 0, ticks), ("tail_", 1, ticks - tail)):
-            rms = np.sqrt(np.asarray(tracking.square)[first:].sum(0) / count)
-            out[prefix + "tracking_rmse"] = np.full(np.shape(final), np.nan)
-            out[prefix + "tracking_rmse"][: len(rms)] = rms
+            out[prefix + "tracking_rmse"] = np.sqrt(np.asarray(tracking.square)[first:].sum(0) / count)
     for prefix, s, count in (("", whole, ticks), ("tail_", late, ticks - tail)):
         out[prefix + "mae"] = np.asarray(s.absolute) / count
         out[prefix + "mse"] = np.asarray(s.square) / count

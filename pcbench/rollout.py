@@ -177,9 +177,17 @@ def off_target(controller: Controller, p: Problem, k: Array, x: Array) -> Array:
 
 
 def unless_diverged(watches: dict[str, metrics.Watch], new: Any, old: Any) -> Any:
-    """Keep a diverged run of a closed loop as it was when it diverged: its lane is frozen."""
+    """Keep a diverged run of a closed loop as it was when it diverged: its lane is frozen.
+
+    Ticks and sample numbers go on: they are the same in all lanes, and loops over them are to stay shared.
+    """
     bad = jnp.any(jnp.stack([watch.first_bad >= 0 for watch in watches.values()])) if watches else jnp.asarray(False)
-    return jax.tree.map(lambda a, b: jnp.where(bad, b, a), new, old)
+
+    def one(a: Array, b: Array) -> Array:
+        number = jnp.issubdtype(jnp.result_type(b), jnp.floating)
+        return jnp.where(bad, b, a) if number else a.astype(jnp.result_type(b))
+
+    return jax.tree.map(one, new, old)
 
 
 def together(layout: Layout, p: Problem, params: Any, now: Now, x: Array, memories: Any) -> tuple[Array, Any]:

@@ -124,11 +124,14 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
     """Return every sample of clocks without randomness, taken up to tick `ticks`, from 0 on or before (`Clock.early`)."""
     out = []
     for clock in clocks:
-        due = instants(clock, ticks)
+        due, last = instants(clock, ticks), None
         for i, taken in enumerate(due[:-1]):
             arrives = due[i + 1] if clock.delay is None else taken + clock.delay
             if clock.early:
                 taken, arrives = taken - age(clock, taken), taken
+                if taken == last:  # as late as the time that has passed: nothing new comes
+                    continue
+                last = taken
             out += [Sample(channel, i, taken, arrives) for channel in clock.channels]
     return out
 

@@ -96,7 +96,8 @@ def _varying(part: pd.DataFrame) -> list[str]:
 def _scenario(
     scenario: Scenario, part: pd.DataFrame, pairs: pd.DataFrame, axes: list[str], metric: str, console: Console
 ) -> None:
-    unit, n, title = part.unit.iloc[0], int((part.n + part.diverged).max()), "MAE" if metric == "mae" else metric
+    ranked = part[part.metric == metric]
+    unit, n, title = part.unit.iloc[0], int((ranked.n + ranked.diverged).max()), "MAE" if metric == "mae" else metric
     heads = [title, f"{title} - best", "RMSE", "tail RMSE"]
     bounded, lost = (part.metric == "efficiency").any(), part.diverged.any()
     jumps = (part.metric == "recovery_time").any()
@@ -155,7 +156,7 @@ def _interval(row: Any) -> str:
 
 def _fraction(row: Any) -> str:
     """A fraction of runs with its interval, in per cent."""
-    return f"{100 * row['mean']:.3g} % ({100 * row['ci_low']:.2g} .. {100 * row['ci_high']:.2g})"
+    return f"{100 * row['mean']:.3g} % ({100 * row['ci_low']:.3g} .. {100 * row['ci_high']:.3g})"
 
 
 def _settled(row: Any, horizon: float) -> str:
@@ -167,6 +168,8 @@ def _difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
     """The difference to the best with its interval, and '=' where it is not distinguishable."""
     forward = pairs[(pairs.observer_a == observer) & (pairs.observer_b == best)]
     backward = pairs[(pairs.observer_a == best) & (pairs.observer_b == observer)]
+    if forward.empty and backward.empty:
+        return "-"
     row, sign = (forward.iloc[0], 1) if len(forward) else (backward.iloc[0], -1)
     half = (row.ci_high - row.ci_low) / 2
     if np.isnan(row.mean_diff):

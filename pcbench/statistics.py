@@ -89,20 +89,16 @@ def fraction(happened: NDArray[np.bool_]) -> Row:
     return {"n": n, "mean": p, "se": float(np.sqrt(p * (1 - p) / n)), "ci_low": low, "ci_high": high}
 
 
-def applies(values: Values) -> bool:
-    """Say whether a metric [seeds] has a value for a signal: a set point is there for some signals only."""
-    return not (len(values) and np.isnan(values).all())
-
-
 def describe(results: dict[str, NDArray[Any]], signal: int, bound: float | None) -> Iterable[Row]:
-    """Yield a row for every metric of one signal that there is; results are metric -> [n, seeds], `diverged` [seeds]."""
+    """Yield a row for every metric of one signal that there is; results are metric -> [n, seeds], `diverged` [seeds].
+
+    Of tracking_* only the first signals have a row: those with a set point.
+    """
     good = ~results["diverged"]
     blank = dict.fromkeys(QUANTILES, np.nan)
     common = {"diverged": int((~good).sum())}
-    for metric in (m for m in RUN_METRICS if m in results):
+    for metric in (m for m in RUN_METRICS if m in results and signal < len(results[m])):
         values = results[metric][signal][good]
-        if not applies(values):
-            continue
         yield {"metric": metric} | common | mean(values) | quantiles(values)
     for metric, square in POOLED.items():
         yield {"metric": metric} | common | pooled(results[square][signal][good]) | blank
@@ -154,9 +150,7 @@ def pairs(results: dict[str, dict[str, NDArray[Any]]], signals: list[str], sizes
         ra, rb = results[a], results[b]
         both = min(len(ra["mae"]), len(rb["mae"]))
         for i, signal in enumerate(signals[:both]):
-            for metric in (m for m in COMPARED if m in ra):
-                if not applies(ra[metric][i]) or not applies(rb[metric][i]):
-                    continue
+            for metric in (m for m in COMPARED if m in ra and i < len(ra[m])):
                 floor = ZERO * sizes[i] ** (2 if metric in POOLED.values() else 1)
                 row = compare(ra[metric][i], rb[metric][i], ra["diverged"], rb["diverged"], floor)
                 yield {"observer_a": a, "observer_b": b, "signal": signal, "metric": metric} | row

@@ -21,7 +21,10 @@ class Choices(BaseModel):
     """`[options.scenario]`: choices left open by a scenario's source, for all scenarios of a study."""
 
     model_config = ConfigDict(extra="forbid")
-    random_start: bool = Field(False, description="draw x(0) from N(xhat(0), P0) for each seed")
+    random_start: bool = Field(
+        False,
+        description="draw x(0) from N(xhat(0), P0) for each seed, or xhat(0) in a box about x(0) where there is one",
+    )
     start_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
     input: str | None = Field(None, description="name of the input signal")
     unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")

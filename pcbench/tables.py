@@ -33,10 +33,13 @@ MEANING = {
     "observer_b": "second observer of the pair",
     "cell": "number of the combination of axis values, from 0, within its scenario",
     "sampling_period": "(mean) time between samples; a list where output channels differ",
-    "delay": "age of a sample when it arrives; a list where output channels differ; null: one sampling interval",
-    "actuator_delay": "from command to plant, in a closed loop; null: that of the samples, or no loop",
+    "delay": "age of a sample when it arrives, the mean where it varies with time; a list where output channels differ; null: "
+    "one sampling interval",
+    "actuator_delay": "from command to plant, in a closed loop, the mean where it varies with time; null: that of the samples, "
+    "or no loop",
     "noise_std": "standard deviation of one sample's noise; a list where output channels differ",
-    "drift": "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm its amplitude",
+    "drift": "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm and the helicopter its "
+    "amplitude",
     "profile": "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals [s] in turn",
     "jitter": "a sample is taken up to this much early or late (uniform over whole ticks)",
     "delay_jitter": "a sample arrives up to this much later (uniform over whole ticks)",
@@ -117,13 +120,21 @@ def runs_table(study: str, done: Any, observer: str, signals: tuple[tuple[str, s
     columns["unit"] = [unit for _, unit in signals] * len(seeds)
     columns["carries_input"] = [done.planned.carries_input[observer]] * (len(seeds) * many)
     for metric in RUN_METRICS:
-        columns[metric] = results[metric].T.ravel() if metric in results else [None] * (len(seeds) * many)
+        columns[metric] = _column(results.get(metric), many, len(seeds))
     bad = np.broadcast_to(results["diverged"], results["unsettled"].shape)
     said = np.where(bad, "diverged", np.where(results["unsettled"], "unsettled", "settled"))
     columns["status"] = said.T.ravel().tolist()
     for name in ("diverged", "first_bad_time"):
         columns[name] = np.repeat(results[name], many)
     return table(columns, bools=("diverged",))
+
+
+def _column(values: Any, many: int, seeds: int) -> Any:
+    """A metric [signals, seeds] as a column; null of signals that it does not have."""
+    out = np.full((many, seeds), np.nan)
+    if values is not None:
+        out[: len(values)] = values
+    return out.T.ravel()
 
 
 def rows_table(rows: list[dict[str, Any]], order: list[str]) -> pa.Table:

@@ -7,6 +7,7 @@ import pytest
 import pcbench
 from pcbench import ensemble, planning, study_file, sweep
 from pcbench.draws import measurement_noise, normals, run_keys
+from pcbench.scenarios import SCENARIOS
 
 EVERYONE = ["pccebo", "kfbo", "dkf", "open-loop"]
 SEVEN = np.array([7])
@@ -62,6 +63,21 @@ def test_alone_equals_among_other_cells_and_scenarios(alone):
     """Other cells make the network's ring larger: another program, the same bits."""
     many = results(SEVEN, scenarios=("cart/nominal", "cart/gaussian-fast"), axes={"delay": [0.6, 3.0]})
     same(alone, many["cart/gaussian-fast0"], 0)
+
+
+@pytest.mark.slow
+def test_on_the_arm_with_drift_too(monkeypatch):
+    """Each run's own stiffness, a heavy plant's narrower calls, unknown inputs."""
+    arm, three = SCENARIOS["arm/sampled"], ["smo", "pio", "dkf"]
+    monkeypatch.setitem(SCENARIOS, "arm/sampled", arm._replace(horizon=0.5, tail=0.25))
+
+    def found(seeds, devices=2):
+        return results(seeds, three, ("arm/sampled",), devices, False, {"drift": [0.05]})["arm/sampled0"]
+
+    alone, width = found(SEVEN), ensemble.HEAVY
+    same(alone, found(np.arange(20)), 7, three)
+    same(alone, found(np.concatenate([np.arange(100, 100 + width), SEVEN])), width, three)
+    same(alone, found(SEVEN, devices=1), 0, three)
 
 
 def test_other_seeds_and_root_seeds_draw_other_noise():

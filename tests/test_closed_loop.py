@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from commands import call
 from helicopters import estimate, planned, record
+from rich.console import Console
 from scipy.stats import binomtest
 
 import pcbench
-from pcbench import draws, ensemble, machine, statistics, sweep
+from pcbench import closed_loop, draws, ensemble, machine, show, statistics, sweep
 from pcbench.errors import UserError
 from pcbench.planning import tail_tick
 from pcbench.scenarios import SCENARIOS
@@ -60,7 +61,7 @@ def test_sums_are_those_of_the_recorded_run():
     for metric, start in (("tracking_rmse", 0), ("tail_tracking_rmse", tail)):
         want = np.sqrt((off[start:-1] ** 2).mean(0))
         np.testing.assert_allclose(found[metric][:2, 0], want, rtol=1e-10, err_msg=metric)
-        assert np.isnan(found[metric][2:]).all(), "only angles have a set point"
+        assert found[metric].shape == (2, 1), "only angles have a set point"
     last = [np.flatnonzero(np.abs(e[:-1, i]) > band)[-1] + 1 for i, band in enumerate(p.problem.band)]
     np.testing.assert_allclose(found["settling_time"][:, 0], np.array(last) * 1e-3, rtol=1e-12)
     np.testing.assert_array_equal(found["unsettled"][:, 0], np.array(last) > tail)
@@ -149,6 +150,39 @@ def test_tables_of_a_study_hold_status_fractions_and_tracking(short, tmp_path):
     assert order == ["high-gain", "high-gain-robust"]
 
 
+def test_an_observer_that_always_diverges_is_shown_and_loses(short, capsys):
+    """All runs alike: the printed observer diverges in each of them, the robust one in none."""
+    raw = {
+        "name": "lost",
+        "scenarios": ["helicopter/constant"],
+        "observers": ["high-gain", "high-gain-robust"],
+        "seeds": 3,
+    }
+    done = pcbench.run(raw | {"options": {"scenario": {"path": "still"}}})
+    assert done.stats[done.stats.observer == "high-gain"].diverged.eq(3).all()
+    assert set(done.stats[done.stats.metric == "tracking_rmse"].signal) == {"pitch", "yaw"}
+    pair = done.pairs[(done.pairs.signal == "pitch") & (done.pairs.metric == "mae")]
+    assert (pair.n.item(), pair.prob_a_better.item()) == (0, 0.0)
+    show.closing(done, Console(width=160))
+    said = capsys.readouterr().out
+    assert "3 seeds" in said
+    assert "100 % (43.9 .. 100)" in said
+
+
+def test_a_ring_has_room_for_what_is_believed_to_be_older():
+    """The filter goes back to where it believes the sample before to have been taken."""
+    for error in (0.0, 0.05):
+        cell = planned("ekf", SECOND, assumed_delay_error=error).cell
+        reach = closed_loop.reach(cell, 0, 1000)
+        assert reach.back >= 200 + 25 + round(error * 1e3) + 26
+
+
+@pytest.mark.slow
+def test_a_filter_that_believes_samples_to_be_older_has_its_inputs():
+    got = record(planned("ekf", SECOND, assumed_delay_error=0.05))
+    assert np.isfinite(estimate(got)).all()
+
+
 SAMPLES = "samples at times that all runs share"
 
 
@@ -160,9 +194,11 @@ SAMPLES = "samples at times that all runs share"
         ("helicopter/constant", ["axes.actuator_delay=0.0003"], ["whole number of ticks"]),
         ("helicopter/constant", ["axes.delay=-0.01"], ["at least 0"]),
         ("helicopter/constant", ["axes.delay=30"], ["horizon"]),
-        ("helicopter/varying", ["axes.delay=0.01"], ["falls to -0.005 s", "write at least 0.01"]),
-        ("helicopter/varying", ["axes.actuator_delay=0.015"], ["half a tick", "0.0155"]),
-        ("helicopter/constant", ["axes.delay=[[0.02,0.03]]"], ["one for all channels"]),
+        ("helicopter/varying", ["axes.delay=0.01"], ["half a tick on the way", "write at least 0.016"]),
+        ("helicopter/varying", ["axes.actuator_delay=0.015"], ["actuator_delay = 0.015", "write at least 0.016"]),
+        ("helicopter/constant", ["axes.delay=[[0.02,0.03]]"], ["0.02, 0.03 s", "one for all channels"]),
+        ("helicopter/constant", ["axes.delay=interval"], ["one interval", "expected seconds"]),
+        ("helicopter/constant", ["axes.plant.Jth=-0.08"], ["-0.08", "greater than 0"]),
         ("helicopter/constant", ["axes.loss=0.1"], [SAMPLES]),
         ("helicopter/constant", ["axes.jitter=0.01"], [SAMPLES]),
         ("helicopter/constant", ["options.high-gain.theta=-4"], ["theta", "greater than 0"]),

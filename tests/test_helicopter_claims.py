@@ -2,7 +2,9 @@
 
 import re
 
+import numpy as np
 import pytest
+from helicopters import planned, record
 
 from pcbench.reproduce import PAPERS
 from pcbench.synthesis import high_gain
@@ -70,3 +72,11 @@ def test_the_linear_limit_of_the_sampling_period():
     found = high_gain.certificate(4.0, 0.2).numbers
     assert found["theta_Ts"] == pytest.approx(0.8)
     assert found["radius"] < 1
+
+
+@pytest.mark.slow
+def test_half_a_tick_more_of_the_commands_delay_moves_the_yaw_rate():
+    """The page says up to 0.4 rad/s for commands held from a tick's start; half a tick more of delay gives half of that."""
+    runs = [record(planned("high-gain", 20.0, name="varying", actuator_delay=d)) for d in (0.03, 0.0305)]
+    apart = np.abs(runs[0].x[:, 3] - runs[1].x[:, 3]).max()
+    assert apart == pytest.approx(0.196, abs=0.02)

@@ -5,6 +5,7 @@ import pytest
 from reference import cart
 
 import pcbench
+from pcbench.errors import UserError
 from pcbench.plants import PLANTS
 from pcbench.plants import cart as plant
 
@@ -65,3 +66,8 @@ def test_a_changed_plant_is_not_told_to_the_observers():
     x, _ = cart.run("cart/nominal", "open-loop")
     np.testing.assert_allclose(got["open-loop.velocity"], cart.run("cart/nominal", "open-loop")[1][:, 1], atol=1e-10)
     assert np.abs(got["velocity"] - x[:, 1]).max() > 1
+
+
+def test_a_signal_of_two_columns_on_a_plant_of_one_input_is_refused():
+    with pytest.raises(UserError, match=r"2 columns, expected one signal.*1 inputs"):
+        pcbench.trace("arm/sampled", "dkf", overrides=["options.scenario.input=heater-1s"])

@@ -73,7 +73,7 @@ def init(gains: Gains, xhat0: Float[Array, " 2d"]) -> Memory:
     """Start from xhat(0), the parameters' start, al = 0 and S(0)."""
     d = gains.start.shape[0]
     S = S0 * jnp.outer(jnp.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0]), jnp.ones(d))
-    return Memory(jnp.concatenate([xhat0, gains.start]), jnp.zeros(d), S, jnp.zeros(d), jnp.full(d, -1))
+    return Memory(jnp.concatenate([xhat0, gains.start]), jnp.zeros(d), S, jnp.zeros(d), jnp.full(d, -1, int))
 
 
 def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, " d"]:

@@ -23,6 +23,7 @@ class Entry(NamedTuple):
     model: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> dx/dt; None: `nominal` is the model
     parts: Callable[..., Any] | None = None  # (params, u, x) -> a, phi of accelerations a p + phi with parameters p
     inverse: Callable[..., Any] | None = None  # (params, unknowns, path, rates, accelerations) -> u
+    positive: tuple[str, ...] = ()  # parameters that must be greater than 0
     ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
 
 
@@ -60,6 +61,7 @@ PLANTS = {
         model=helicopter.model,
         parts=helicopter.parts,
         inverse=helicopter.inverse,
+        positive=("Jth", "Jps", "m", "l", "g", "Bth", "Bps"),
         ranges=helicopter.RANGE,
     ),
     "lti": Entry(
@@ -86,6 +88,11 @@ def numbers_of(scenario: Scenario) -> Any:
 def nonlinear(plant: str) -> bool:
     """Say whether observers are told a nonlinear model of a plant."""
     return PLANTS[plant].model is not None
+
+
+def positive_of(plant: str) -> tuple[str, ...]:
+    """Return the names of a plant's parameters that must be greater than 0."""
+    return PLANTS[plant].positive
 
 
 def parameters_of(plant: str) -> list[str]:
