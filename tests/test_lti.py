@@ -38,6 +38,7 @@ SAMPLED = signal.cont2discrete(
 )  # the same plant, known at its ticks only
 DISCRETE = DIRECT | {"A": SAMPLED[0].tolist(), "B": SAMPLED[1].tolist(), "dt": 0.01}
 PLANTS = {"motor": MOTOR, "direct": DIRECT, "discrete": DISCRETE}
+FEW = ["motor", pytest.param("direct", marks=pytest.mark.slow), "discrete"]
 ONE_CLOCK = ["pccebo", "pccebo-riccati", "pco", "pi-pco", "dkf", "dkf-bias", "open-loop"]
 TWO_CLOCKS = ["dkf", "dkf-bias", "open-loop"]
 OPTIONS = {"pccebo-riccati": {"gain": "riccati"}, "dkf-bias": {"bias_variance": 0.5}}
@@ -58,7 +59,7 @@ def discretised(plant):
     return *signal.cont2discrete((A, B, C, D), 1e-3)[:4], 1e-3
 
 
-@pytest.fixture(scope="module", params=PLANTS)
+@pytest.fixture(scope="module", params=FEW)
 def traced(request):
     """Plant, its tick matrices, and one run of every observer that takes its samples, started at the truth without noise."""
     plant = request.param
@@ -107,7 +108,7 @@ def test_perfect_start_is_zero(traced):
         assert np.abs(e).max() < 1e-12 * max(np.abs(x).max(), 1), observer
 
 
-@pytest.fixture(scope="module", params=PLANTS)
+@pytest.fixture(scope="module", params=FEW)
 def noisy(request):
     """Plant, one run of every observer, and what the reference needs: model, input, samples, D."""
     plant, own = request.param, PLANTS[request.param]

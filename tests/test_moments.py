@@ -33,6 +33,7 @@ def agree(scenario, seeds, observers):
             assert abs(row["mean"] - value) < 4 * row["se"], (observer, metric)
 
 
+@pytest.mark.slow
 def test_gaussian_scenario_agrees_with_the_propagated_covariance():
     agree("cart/gaussian", 2048, ["dkf"])
 
