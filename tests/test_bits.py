@@ -59,6 +59,7 @@ def test_alone_equals_without_the_other_observers(alone, observers):
     same(only, alone, 0, observers)
 
 
+@pytest.mark.slow
 def test_alone_equals_among_other_cells_and_scenarios(alone):
     """Other cells make the network's ring larger: another program, the same bits."""
     many = results(SEVEN, scenarios=("cart/nominal", "cart/gaussian-fast"), axes={"delay": [0.6, 3.0]})

@@ -61,6 +61,7 @@ def noisy():
     return d, v, w
 
 
+@pytest.mark.slow
 def test_process_noise_is_added_at_every_tick_from_its_own_stream(noisy):
     d, v, w = noisy
     x, y = chain.simulate(chain.csth("10s"), table(d, "u", (1, 2)), np.array([0.5, 2e4, 5.0]), w, v)

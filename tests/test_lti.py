@@ -38,7 +38,7 @@ SAMPLED = signal.cont2discrete(
 )  # the same plant, known at its ticks only
 DISCRETE = DIRECT | {"A": SAMPLED[0].tolist(), "B": SAMPLED[1].tolist(), "dt": 0.01}
 PLANTS = {"motor": MOTOR, "direct": DIRECT, "discrete": DISCRETE}
-FEW = ["motor", pytest.param("direct", marks=pytest.mark.slow), "discrete"]
+FEW = ["motor", pytest.param("direct", marks=pytest.mark.slow), pytest.param("discrete", marks=pytest.mark.slow)]
 ONE_CLOCK = ["pccebo", "pccebo-riccati", "pco", "pi-pco", "dkf", "dkf-bias", "open-loop"]
 TWO_CLOCKS = ["dkf", "dkf-bias", "open-loop"]
 OPTIONS = {"pccebo-riccati": {"gain": "riccati"}, "dkf-bias": {"bias_variance": 0.5}}

@@ -27,6 +27,7 @@ def test_the_drifts_sign_equals_the_reference(sign):
     np.testing.assert_allclose(got["dkf.position"], xhat[:, 0], rtol=0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_four_runge_kutta_steps_a_tick_are_enough_for_the_drift():
     """Against twenty: below 3e-9 m and 3e-7 m/s at every tick, where one step is 4e-7 m off."""
     u = cart.sawtooth()
