@@ -29,7 +29,7 @@ from rich.table import Table
 from turns import Row, Timed, take
 
 from pcbench import bench, draws, ensemble, machine, planning, study_file
-from pcbench.rollout import Layout, Outcome, Problem
+from pcbench.problem import Layout, Outcome, Problem
 
 SCENARIO, OBSERVERS = "cart/white", ["pccebo", "kfbo"]
 TOLERANCE = 1e-9

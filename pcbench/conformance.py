@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from pcbench.errors import UserError
-from pcbench.rollout import Problem, present
+from pcbench.problem import Problem, present
 from pcbench.types import Arrival, Observer
 
 

@@ -17,7 +17,7 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from pcbench import simulation
 from pcbench.errors import UserError
-from pcbench.rollout import Layout, Outcome, Problem
+from pcbench.problem import Layout, Outcome, Problem
 
 WIDTH = 1024  # lanes a call and device
 HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them

@@ -14,7 +14,8 @@ from jax import Array, lax
 
 from pcbench import draws, irregular, lanes, packing
 from pcbench.irregular import Agenda
-from pcbench.rollout import Layout, Problem, Row, State, advance, begin, hand_over, measure, note
+from pcbench.problem import Layout, Problem, State
+from pcbench.rollout import Row, advance, begin, hand_over, measure, note
 from pcbench.sampling import NEVER
 from pcbench.shared_events import Events
 

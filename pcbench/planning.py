@@ -16,7 +16,7 @@ from pcbench.cells import Cell, cells
 from pcbench.errors import UserError
 from pcbench.observers import base_of, entry_of
 from pcbench.plants import PLANTS, nonlinear, numbers_of
-from pcbench.rollout import Layout, Problem
+from pcbench.problem import Layout, Problem
 from pcbench.signals import SINGLE, inputs, jumps
 from pcbench.study import Study, observers_of, options_of
 from pcbench.synthesis import linear, riccati
@@ -32,9 +32,8 @@ class Planned(NamedTuple):
     certificates: dict[str, Certificate]
     bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
     carries_input: dict[str, bool | None]  # by observer, of its prediction to now
-    labels: tuple[
-        str, ...
-    ]  # of the layout's observers, which in a closed loop go by their base: labels share a program
+    labels: tuple[str, ...]  # of the layout's observers; they go by their base in a closed loop, to share a program
+    reach: closed_loop.Reach | None  # of a closed loop
 
 
 def ticks(cell: Cell) -> int:
@@ -148,9 +147,7 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
     early = _rounded(max((len(plan.early) for plan in shared), default=0))
     strides = any(not isinstance(p.problem.schedule, sampling.Schedule) or _sparse(p.problem.schedule) for p in drafts)
     drifting = {p.layout.plant for p in drafts if p.layout.drifting}
-    loops = [
-        closed_loop.reach(p.cell, setting(p.cell).overtaking, ticks(p.cell)) for p in drafts if p.layout.controller
-    ]
+    loops = [p.reach for p in drafts if p.reach]
     reach = closed_loop.Reach(*(_rounded(max(each)) for each in zip(*loops, strict=True))) if loops else None
     falls = max(len(p.problem.jumps) for p in drafts)
     rows: dict[Any, int] = {}
@@ -172,12 +169,12 @@ def _same_shapes(drafts: list[Planned]) -> list[Planned]:
         ]
         falling = np.pad(p.problem.jumps, (0, falls - len(p.problem.jumps)), constant_values=sampling.NEVER)
         problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide), jumps=falling)
-        if reach and p.layout.controller:
+        if reach and p.reach:
             law, line = closed_loop.close(p.cell, reach, ticks(p.cell))
             problem = problem._replace(control=law, line=line)
         heavy = PLANTS[p.cell.scenario.plant].heavy or any(entry_of(label).heavy for label, _ in p.layout.observers)
         layout = p.layout._replace(ring=ring, strides=strides and not heavy, drifting=p.layout.plant in drifting)
-        layout = layout._replace(commands=reach.back if reach and layout.controller else 0)
+        layout = layout._replace(commands=reach.back if reach and p.reach else 0)
         out.append(p._replace(problem=problem, layout=layout))
     return out
 
@@ -240,7 +237,8 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         scattered=bool(s.start_box),
     )
     proofs, carries = {o: d.certificate for o, d in designs.items()}, {o: d.carries_input for o, d in designs.items()}
-    return Planned(cell, layout, problem, proofs, _bound(cell, known), carries, tuple(options))
+    reach = closed_loop.reach(cell, known.overtaking, n) if s.controller else None
+    return Planned(cell, layout, problem, proofs, _bound(cell, known), carries, tuple(options), reach)
 
 
 def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:

@@ -11,7 +11,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench import lanes
-from pcbench.rollout import Layout, Problem, State, actual, advance, aims, decide, estimates, held, process_noise
+from pcbench.feedback import aims, decide, held
+from pcbench.problem import Layout, Problem, State
+from pcbench.rollout import actual, advance, estimates, process_noise
 from pcbench.shared_events import prepare
 
 

@@ -11,100 +11,16 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jax import Array, lax
+from jax import Array
 
-from pcbench import actuator, draws, lanes, metrics
+from pcbench import draws, lanes, metrics
 from pcbench.entrywise import over
+from pcbench.feedback import before, decide, off_target, unless_diverged
 from pcbench.integrate import rk4
 from pcbench.irregular import Times
 from pcbench.lanes import table
-from pcbench.types import Arrival, Controller, Gains, Leaf, Now, Observer, Plant
-
-
-class Layout(NamedTuple):
-    """What fixes the compiled program; everything else is traced."""
-
-    plant: Plant
-    observers: tuple[tuple[str, Observer], ...]  # (label, functions)
-    width: int  # lanes
-    ring: int  # packets the network can hold
-    random_start: bool  # x(0) = x0 + spread0 @ normal instead of x0
-    watch: bool = True  # settling time and divergence, besides the streams
-    strides: bool = True  # flow goes by two ticks where it can; of no use where there is an event at nearly every tick
-    continuous: bool = False  # plant and observers are one field, and y is measured at each of its stages
-    drifting: bool = False  # the plant's numbers are of each run's own
-    controller: Controller | None = None  # of a closed loop, which has one observer
-    commands: int = 0  # rows of the closed loop's ring of commands
-    scattered: bool = False  # xhat(0) = xhat0 + scatter (2 uniform - 1) instead of xhat0
-
-
-class Problem(NamedTuple):
-    """The numbers of one cell: everything traced. N ticks, n states, s unknowns beside them, m inputs, q outputs."""
-
-    params: Any  # the plant's
-    gains: dict[str, Gains]  # by observer label
-    schedule: Any  # a Schedule, the same for every run; or Times: then each run draws its own
-    inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1)
-    dt: Leaf  # [s]
-    x0: Leaf  # [n] the start, or its mean
-    xhat0: Leaf  # [n]
-    spread0: Leaf  # [n, n] a square root of the start's covariance, where it is random
-    noise_std: Leaf  # [q]
-    band: Leaf  # [n + s] settling band of |e|
-    bound: Leaf  # [n + s] beyond it a run has diverged
-    windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
-    process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick; [0]: none
-    jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
-    control: Any = ()  # the controller's numbers
-    line: actuator.Line = actuator.NONE
-    scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
-
-
-class State(NamedTuple):
-    """What a block of lanes carries from tick to tick."""
-
-    x: Any
-    own: Any  # numbers the run has drawn for its plant; (): none
-    memories: Any  # by observer label
-    flight: Any  # packets on the network: measured values and notes
-    streams: dict[str, metrics.Stream]
-    watches: dict[str, metrics.Watch]
-    commands: Any = ()  # [R, m] of a closed loop
-    tracking: Any = ()  # metrics.Stream of the set point less the state, in a closed loop
-
-
-class Outcome(NamedTuple):
-    """What a block of lanes leaves, by observer label; every array ends in lanes [L]. n: what the observer estimates."""
-
-    streams: dict[str, metrics.Stream]  # [W, n, L]
-    watches: dict[str, metrics.Watch]  # [n, L]
-    final: dict[str, Array]  # [n, L] the error at tick N-1
-    tracking: Any = ()  # Stream [W, r, L] of a closed loop
-
-
-def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
-    """The present at tick k; u_k is known (`decided`) to the plant and to flow, not to note and jump.
-
-    In a closed loop the inputs are those that the `commands` [R, m] become.
-    """
-
-    def past_u(age: Array) -> Array:
-        if isinstance(commands, tuple):
-            return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
-        return actuator.read(p.line, commands, k - age, k if decided else k - 1)
-
-    return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
-
-
-def params_of(layout: Layout, p: Problem, own: Any) -> Any:
-    """Return the plant's numbers in the run that has drawn `own`."""
-    return layout.plant.of_run(p.params, own) if layout.drifting and layout.plant.of_run else p.params
-
-
-def truth(layout: Layout, params: Any, now: Now, x: Array) -> Array:
-    """Return what observers estimate, as it is: the state, and what the plant has of unknowns, [n + s]."""
-    return jnp.append(x, layout.plant.unknown(params, now, x)) if layout.plant.unknown else x
+from pcbench.problem import Layout, Problem, State, params_of, present, truth
+from pcbench.types import Arrival, Now
 
 
 class Row(NamedTuple):
@@ -120,22 +36,6 @@ def process_noise(p: Problem, root_seed: Array, seeds: Array) -> Callable[[Array
     """Return what draws the process noise of tick k, a standard normal for each state; nothing where there is none."""
     keys = draws.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
     return lambda k: lanes.split(draws.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
-
-
-def decide(layout: Layout, p: Problem, k: Any, state: State) -> State:
-    """Let the controller of a closed loop give its command of tick k, made of the estimate of now."""
-    if layout.controller is None:
-        return state
-    ((label, observer),), controller = layout.observers, layout.controller
-
-    def one_lane(k: Array, memory: Any, commands: Array) -> Array:
-        def coming(i: Array) -> Array:
-            return actuator.read(p.line, commands, k + i, k - 1)
-
-        now, xhat = present(p, k, False, commands), observer.estimate(p.gains[label], memory)
-        return actuator.write(commands, k, controller.command(p.control, now, xhat, coming))
-
-    return state._replace(commands=over(one_lane)(k, state.memories[label], state.commands))
 
 
 def advance(layout: Layout, p: Problem, k: Any, state: State, drawn: Any) -> State:
@@ -168,26 +68,6 @@ def advance(layout: Layout, p: Problem, k: Any, state: State, drawn: Any) -> Sta
         k, state.x, state.own, state.memories, state.streams, state.watches, drawn, state.commands, state.tracking
     )
     return state._replace(x=x, memories=rest[0], streams=rest[1], watches=rest[2], tracking=rest[3])
-
-
-def off_target(controller: Controller, p: Problem, k: Array, x: Array) -> Array:
-    """Return the set point less the state, of the states that are to follow it: [r]."""
-    target = controller.target(p.control, k)
-    return target - x[: target.shape[0]]
-
-
-def unless_diverged(watches: dict[str, metrics.Watch], new: Any, old: Any) -> Any:
-    """Keep a diverged run of a closed loop as it was when it diverged: its lane is frozen.
-
-    Ticks and sample numbers go on: they are the same in all lanes, and loops over them are to stay shared.
-    """
-    bad = jnp.any(jnp.stack([watch.first_bad >= 0 for watch in watches.values()])) if watches else jnp.asarray(False)
-
-    def one(a: Array, b: Array) -> Array:
-        number = jnp.issubdtype(jnp.result_type(b), jnp.floating)
-        return jnp.where(bad, b, a) if number else a.astype(jnp.result_type(b))
-
-    return jax.tree.map(one, new, old)
 
 
 def together(layout: Layout, p: Problem, params: Any, now: Now, x: Array, memories: Any) -> tuple[Array, Any]:
@@ -282,21 +162,6 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     return lanes.settle(everything, ready._replace(commands=table(ready.commands)), layout.width)
 
 
-def before(layout: Layout, p: Problem, memories: Any) -> tuple[Any, Any]:
-    """Return a closed loop's commands of the time before 0, and the stream of what it is off its target."""
-    if layout.controller is None:
-        return (), ()
-    ((label, observer),), controller = layout.observers, layout.controller
-
-    def one_lane(memory: Any) -> Array:
-        xhat = observer.estimate(p.gains[label], memory)
-        ticks = jnp.arange(-layout.commands, 0)  # tick n stands in row n mod R
-        return lax.map(lambda n: controller.before(p.control, n, xhat), ticks)  # a loop: a row at a time, not R copies
-
-    commands = over(one_lane)(memories[label])
-    return commands, metrics.start(off_target(controller, p, jnp.asarray(0), p.x0).shape[0])
-
-
 def actual(layout: Layout, p: Problem, k: Array, state: State) -> Any:
     """Return what observers estimate, as it is at tick k: [n + s]."""
 
@@ -316,16 +181,6 @@ def _estimates(layout: Layout, p: Problem, memories: Any) -> dict[str, Any]:
         return {label: o.estimate(p.gains[label], memories[label]) for label, o in layout.observers}
 
     return over(one_lane)(memories)
-
-
-def held(layout: Layout, p: Problem, k: Array, state: State) -> Any:
-    """Return the input held over tick k, once it is decided: [m]."""
-    return over(lambda k, commands: present(p, k, True, commands).u)(k, state.commands)
-
-
-def aims(layout: Layout, p: Problem, k: Array) -> Array:
-    """Return the set point of tick k, [r]; of an open loop [0]."""
-    return layout.controller.target(p.control, k) if layout.controller else jnp.zeros(0)
 
 
 def errors(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, Any]:

@@ -13,7 +13,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench import draws, lanes
-from pcbench.rollout import Layout, Problem, Row, State, begin, hand_over, measure, note
+from pcbench.problem import Layout, Problem, State
+from pcbench.rollout import Row, begin, hand_over, measure, note
 
 
 class Events(NamedTuple):

@@ -12,8 +12,10 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench import lanes, own_events, shared_events
+from pcbench.feedback import decide
 from pcbench.irregular import Times
-from pcbench.rollout import Layout, Outcome, Problem, State, advance, decide, final, process_noise
+from pcbench.problem import Layout, Outcome, Problem, State
+from pcbench.rollout import advance, final, process_noise
 
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:

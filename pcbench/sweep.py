@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pcbench import ensemble, metrics
 from pcbench.planning import Planned, tail_tick, ticks
-from pcbench.rollout import Layout
+from pcbench.problem import Layout
 from pcbench.study import Study
 
 

@@ -36,6 +36,12 @@ FUNCTIONS = {
     "choice": lambda x, A: jnp.where(x > 0, jnp.sin(x), A[1]) + jnp.where(True, x, A[0]),
     "linear algebra": lambda x, A: jnp.linalg.solve(A + 9 * jnp.eye(3), x),
     "loop": lambda x, A: lax.fori_loop(0, 4, lambda i, y: jnp.cos(A @ y) + i, x),
+    "while, all leave together": lambda x, A: lax.fori_loop(
+        0, jnp.argmax(BIG[0, :3]) + 2, lambda i, y: jnp.cos(A @ y) + i * x, x
+    ),
+    "while, each leaves by itself": lambda x, A: lax.while_loop(
+        lambda y: y[0] < 3, lambda y: y + jnp.abs(A @ x) + 1, x
+    ),
     "branch": lambda x, A: lax.cond(x[0] > 0, lambda y: A @ y, lambda y: y - 1, x),
     "jitted": lambda x, A: jax.jit(lambda y: jnp.clip(y, -0.5, 0.5) ** 3)(x) + A[2],
     "einsum": lambda x, A: jnp.einsum("ij,jk,k->i", A, A, x),

@@ -27,6 +27,8 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"own_events"},
     {"shared_events"},
     {"rollout"},
+    {"feedback"},
+    {"problem"},
     {"irregular"},
     {"packing", "entrywise"},
     {"lanes", "metrics", "sampling", "draws"},

@@ -15,7 +15,6 @@ class Entry(NamedTuple):
     controller: Callable[[Any], Controller]  # options ->
     options: type[BaseModel]
     prepare: Callable[..., Any]  # (options, delay, dt [s], rows, ticks, model, inverse) -> params
-    summary: str
 
 
-CONTROLLERS = {"pd": Entry(pd.controller, pd.Options, pd.prepare, "PD from the estimate, clipped")}
+CONTROLLERS = {"pd": Entry(pd.controller, pd.Options, pd.prepare)}

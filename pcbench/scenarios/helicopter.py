@@ -15,7 +15,7 @@ from typing import Any
 from pcbench.scenarios.base import Scenario
 
 PAPER = "Hernandez-Gonzalez et al. 2024, section 5"
-VISCOSITY = (0.8, 0.318)  # N m s/rad, of the plant; also what designers expect: 0.8 of both
+VISCOSITY = (0.8, 0.318)  # N m s/rad
 LABELS: dict[str, dict[str, Any]] = {
     "high-gain-robust": {"robust": True},
     "ekf": {"walk": 1e-5 / 0.64},  # of the viscosities: 1e-5 (N m s/rad)^2 a second
@@ -42,7 +42,7 @@ CONSTANT = Scenario(
     options=LABELS,
     assumed_noise_std=(1e-4, 1e-4),
     assumed_process_std=(0.0, 0.0, sqrt(1e-4 * 1e-3), sqrt(1e-4 * 1e-3)),  # a tick, of a density of 1e-4
-    unknown_std=(0.8, 0.8),
+    unknown_std=(0.8, 0.8),  # the prior of the viscosities, both alike
     headline=("pitch", "pitch_viscosity"),
     start_box=(0.5, 0.5, 0.5, 0.5),
     controller="pd",
