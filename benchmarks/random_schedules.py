@@ -41,12 +41,12 @@ def row_of(scenario: str, observers: list[str], what: str, axes: dict[str, Any])
     """Return one way to sample as a row to be timed, compiled and warm."""
     raw = {"name": "cost", "scenarios": [scenario], "observers": observers, "axes": {k: [v] for k, v in axes.items()}}
     (planned,) = planning.plan(study_file.parse(raw, "cost"))
-    devices, width = len(jax.devices()), planned.layout.width
+    devices, width = ensemble.cores(), planned.layout.width
     jobs = [ensemble.Job(planned.problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
     made = ensemble.program(planned.layout, jobs[0])
 
     def work() -> None:
-        for _ in ensemble.run(made, jobs):
+        for _ in ensemble.run(planned.layout, jobs, devices):
             pass
 
     work()

@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 from turns import Row, Timed, take
 
-from pcbench import bench, draws, ensemble, machine, planning, study_file
+from pcbench import bench, draws, ensemble, machine, planning, shapes, study_file
 from pcbench.problem import Layout, Outcome, Problem
 
 SCENARIO, OBSERVERS = "cart/white", ["pccebo", "kfbo"]
@@ -72,10 +72,11 @@ def pcbench_rows(
         watch, random = KINDS[kind]
         for devices in counts:
             jobs = [ensemble.Job(problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
-            made = ensemble.program(layout._replace(watch=watch, random_start=random), jobs[0], devices)
-            got = sums_of(next(ensemble.run(made, jobs[:1]))[1])
+            mine = layout._replace(watch=watch, random_start=random)
+            made = ensemble.program(mine, jobs[0])
+            got = sums_of(next(ensemble.serial(made, jobs[:1]))[1])
             agree(kind, got, sums.setdefault(random, got), ticks)
-            work = lambda made=made, jobs=jobs: [None for _ in ensemble.run(made, jobs)]  # noqa: E731
+            work = lambda mine=mine, jobs=jobs, n=devices: [None for _ in ensemble.run(mine, jobs, n)]  # noqa: E731
             rows.append(Row(kind, devices, width * devices, width * len(jobs), work, made.compile_seconds, False))
     return rows, sums
 
@@ -175,7 +176,7 @@ def main() -> None:
     jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
     (planned,) = planning.plan(bench.study_of(study_file.load(SCENARIO, []), {"observers": OBSERVERS}, []))
-    ticks = 2000 if options.quick else planning.ticks(planned.cell)
+    ticks = 2000 if options.quick else shapes.ticks(planned.cell)
     problem = planned.problem._replace(windows=np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]]))
     case = prepare(problem, ticks)
     every = list(dict.fromkeys((1, len(jax.devices()))))

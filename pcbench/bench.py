@@ -1,10 +1,12 @@
 """The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
 
+import json
+import tempfile
 from collections.abc import Callable
+from contextlib import ExitStack
 from copy import deepcopy
 from datetime import UTC, datetime
-from functools import cached_property, partial
-from math import isfinite
+from functools import cached_property
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -14,34 +16,71 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
+import pyarrow.parquet as pq
 
-from pcbench import machine, recording, statistics, store, sweep, tables
-from pcbench.cells import cells, digest, to_toml
+from pcbench import (
+    campaign,
+    closing,
+    ensemble,
+    executors,
+    folder,
+    ledger,
+    machine,
+    recording,
+    store,
+    tables,
+    until,
+)
+from pcbench.cells import cells, digest
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
-from pcbench.planning import Planned, alone, plan, setting
+from pcbench.planning import alone, plan, setting
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
 from pcbench.study import Study, options_of, scenarios_of
 from pcbench.study_file import load, override, parse
-from pcbench.synthesis.certificate import Certificate, Design
+from pcbench.synthesis.certificate import Design
 
 Tell = Callable[[str, float], None]
+Say = Callable[[str], None]
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
 
 
 class Result:
-    """What a study gave: three tables as pandas frames (see `tables.MEANING`), and its provenance."""
+    """What a study gave: three tables as pandas frames (see `tables.MEANING`), and its provenance.
 
-    def __init__(self, study: Study, stats: pa.Table, pairs: pa.Table, provenance: dict[str, Any], runs: Any, out: Any):
-        self.study, self.provenance, self.out = study, provenance, out
-        self.stats, self.pairs = tables.frame(stats), tables.frame(pairs)
-        self._runs = runs
+    Without a folder of its own it stands in a temporary one, which goes when the result does.
+    """
+
+    def __init__(self, study: Study, place: store.Target, out: Path | str | None, keep: Any = None):
+        self.study, self.out, self._place, self._keep = study, out, place, keep
+        self.provenance: dict[str, Any] = json.loads(store.get(place, "provenance.json") or b"{}")
+
+    @cached_property
+    def stats(self) -> pd.DataFrame:
+        """One row per cell, observer, signal and metric."""
+        return self._closing("stats.parquet")
+
+    @cached_property
+    def pairs(self) -> pd.DataFrame:
+        """One row per cell, pair of observers, signal and metric."""
+        return self._closing("pairs.parquet")
 
     @cached_property
     def runs(self) -> pd.DataFrame:
         """One row per cell, observer, seed and signal."""
-        return self._runs()
+        files = [f"{self._place.root}/{name}" for name in store.names(self._place, "runs")]
+        base = f"{self._place.root}/runs"
+        found = ds.dataset(
+            files, filesystem=self._place.fs, format="parquet", partitioning="hive", partition_base_dir=base
+        )
+        whole = found.to_table().to_pandas()
+        first = ["study", "scenario", "observer", "cell"]
+        ordered = whole[first + [c for c in whole.columns if c not in first]]
+        return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
+
+    def _closing(self, name: str) -> pd.DataFrame:
+        return tables.frame(pq.read_table(pa.BufferReader(store.get(self._place, name))))
 
     def __repr__(self) -> str:
         return f"<pcbench result of study '{self.study.name}': {len(self.stats)} rows of stats>"
@@ -62,128 +101,79 @@ def run(
     study: Described,
     *,
     seeds: int | None = None,
+    first_seed: int | None = None,
     observers: str | list[str] | None = None,
     axes: dict[str, list[Any]] | None = None,
     options: dict[str, dict[str, Any]] | None = None,
     root_seed: int | None = None,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
+    fresh: bool = False,
+    until_se: str | None = None,
+    max_seeds: int | None = None,
     devices: int | None = None,
+    dask: str | None = None,
+    workers: int | None = None,
+    block: int | None = None,
+    memory: str | int | None = None,
     tell: Tell = lambda event, value: None,
+    say: Say = lambda sentence: None,
 ) -> Result:
-    """Run a study and return its tables; with `out`, leave them in that folder as well.
+    """Run a study and return its tables; with `out`, a folder or a URI, leave them there: run again, it goes on.
 
-    `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study; the other
-    arguments replace its keys. `overrides` are texts such as "axes.noise_std=0.1". Raises UserError, one sentence, for
-    whatever the user can mend; then nothing is written.
+    `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study; the arguments up to
+    `root_seed` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in `out` is not done
+    again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of every observer is
+    that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a scheduler's address,
+    or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
+    a time; by default a quarter of the machine's). `tell` hears of progress, `say` of damaged files. Raises UserError, one
+    sentence, for whatever the user can mend.
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
-    with machine.float64():
-        chosen = study_of(study, changes, overrides or [])
+    goal = None if until_se is None else until.parse(until_se, max_seeds)
+    with machine.float64(), ExitStack() as stack:
+        chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
         start, began = perf_counter(), datetime.now(UTC)
-        planned = plan(chosen)
-        folder = None if out is None else Path(out)
-        if folder is not None:
-            store.claim(folder, to_toml(chosen))
-        tell("planned", float(sum(len(p.problem.gains) for p in planned) * chosen.seeds))
-        stats, pairs, kept, compile_seconds = _collect(chosen, planned, folder, devices, tell)
-        provenance = machine.describe() | {
-            "schema": tables.SCHEMA,
-            "study": chosen.name,
-            "study_sha256": digest(chosen),
-            "root_seed": chosen.root_seed,
-            "started": began.isoformat(timespec="seconds"),
-            "wall_seconds": round(perf_counter() - start, 3),
-            "compile_seconds": round(compile_seconds, 3),
-            "certificates": _certificates(planned),
-        }
-    if folder is not None:
-        store.write_table(folder / "stats.parquet", stats)
-        store.write_table(folder / "pairs.parquet", pairs)
-        store.write_json(folder / "provenance.json", provenance)
-    return Result(chosen, stats, pairs, provenance, partial(_runs, folder, kept), folder)
+        keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
+        place = store.target(keep.name if keep else out)  # type: ignore[arg-type]
+        if fresh:
+            folder.clear(place)
+        claimed = folder.claim(place, chosen)
+        there = [] if claimed.new else campaign.whole(place, claimed, say)
+        at_once = workers or len(ensemble.places(devices))
+        choice = campaign.Options(checked_block(block), machine.allowed(memory) / (2 * at_once))
+        execute = stack.enter_context(executors.dask(dask, workers) if dask else executors.here(devices))
+        effort = campaign.fill(place, claimed, there, execute, campaign.everything(claimed), choice, tell)
+        there = ledger.present(place)
+        for wanted in until.rounds(goal, place, claimed) if goal else ():
+            effort = campaign.added(effort, campaign.fill(place, claimed, there, execute, wanted, choice, tell))
+            there = ledger.present(place)
+        if effort.runs or not closing.is_closed(place, there):
+            tell("closing", 0.0)
+            certificates = closing.close(place, claimed, there)
+            store.put_json(place, "provenance.json", machine.describe() | {
+                "schema": tables.SCHEMA,
+                "study": chosen.name,
+                "study_sha256": digest(chosen),
+                "root_seed": chosen.root_seed,
+                "started": began.isoformat(timespec="seconds"),
+                "wall_seconds": round(perf_counter() - start, 3),
+                "compile_seconds": round(effort.compile_seconds, 3),
+                "writing_seconds": round(effort.writing_seconds, 3),
+                "runs_added": effort.runs,
+                "blocks": len(there),
+                "until_se": until_se,
+                "certificates": certificates,
+            })  # fmt: skip
+    return Result(chosen, place, None if keep else Path(out) if place.local else out, keep)  # type: ignore[arg-type]
 
 
-def _collect(
-    study: Study, planned: list[Planned], folder: Path | None, devices: int | None, tell: Tell
-) -> tuple[pa.Table, pa.Table, list[tuple[str, str, pa.Table]], float]:
-    """Run, and turn each finished cell into rows; runs go to the folder, or are kept where there is none."""
-    stats, pairs, kept, compiled = [], [], [], []
-
-    def listen(event: str, value: float) -> None:
-        if event == "compiled":
-            compiled.append(value)
-        tell(event, value)
-
-    for done in sweep.execute(study, planned, devices=devices, tell=listen):
-        scenario = done.planned.cell.scenario
-        signals = signals_of(scenario)
-        head = tables.keys(study.name, done.planned.cell) | {"plant": scenario.plant}
-        for observer, results in done.results.items():
-            table = tables.runs_table(study.name, done, observer, signals)
-            if folder is None:
-                kept.append((scenario.name, observer, table))
-            else:
-                store.write_table(store.runs_path(folder, scenario.name, observer, done.planned.cell.number), table)
-            who = {"observer": observer, "carries_input": done.planned.carries_input[observer]}
-            stats += [head | who | row for row in _described(done, results, signals)]
-        units, sizes, carries = dict(signals), scenario.prior_std + scenario.unknown_std, done.planned.carries_input
-        for row in statistics.pairs(done.results, [name for name, _ in signals], sizes):
-            about: dict[str, Any] = {"unit": tables.unit_of(row["metric"], units[row["signal"]])}
-            about |= {f"carries_input_{side}": carries[row[f"observer_{side}"]] for side in "ab"}
-            pairs.append(head | about | row)
-    axes = tables.axes_of(stats[0])
-    return (
-        tables.rows_table(stats, tables.stats_order(axes)),
-        tables.rows_table(statistics.adjusted(pairs), tables.pairs_order(axes)),
-        kept,
-        sum(compiled),
-    )
-
-
-def _certificates(planned: list[Planned]) -> dict[str, dict[str, Any]]:
-    """The weakest certificate of each observer over the cells of each scenario; margin None: nothing to prove."""
-    weakest: dict[str, dict[str, Certificate]] = {}
-    for p in planned:
-        mine = weakest.setdefault(p.cell.scenario.name, {})
-        for observer, c in p.certificates.items():
-            mine[observer] = min(mine.get(observer, c), c, key=lambda c: c.margin)
-    return {
-        scenario: {
-            observer: {
-                "inequality": c.inequality,
-                "margin": c.margin if isfinite(c.margin) else None,
-                "solver": c.solver,
-                "status": c.status,
-            }
-            for observer, c in mine.items()
-        }
-        for scenario, mine in weakest.items()
-    }
-
-
-def _described(done: sweep.Done, results: dict[str, Any], signals: tuple[tuple[str, str], ...]) -> list[dict[str, Any]]:
-    rows = []
-    prior, bound = done.planned.cell.scenario.prior_std, done.planned.bound
-    for i, (signal, unit) in enumerate(signals[: len(results["mae"])]):
-        known = None if bound is None or bound[i] < statistics.SEEN * prior[i] else float(bound[i])
-        for row in statistics.describe(results, i, known):
-            rows.append({"signal": signal, "unit": tables.unit_of(row["metric"], unit)} | row)
-    return rows
-
-
-def _runs(folder: Path | None, kept: list[tuple[str, str, pa.Table]]) -> pd.DataFrame:
-    if folder is not None:
-        whole = ds.dataset(folder / "runs", format="parquet", partitioning="hive").to_table().to_pandas()
-    else:
-        named = [
-            t.append_column("scenario", [[s] * len(t)]).append_column("observer", [[o] * len(t)]) for s, o, t in kept
-        ]
-        whole = pa.concat_tables(named).to_pandas()
-    first = ["study", "scenario", "observer", "cell"]
-    ordered = whole[first + [c for c in whole.columns if c not in first]]
-    return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
+def checked_block(block: int | None) -> int | None:
+    """Return a block's size; raise UserError where it is none."""
+    if block is not None and block < 1:
+        raise UserError(f"--block: got {block}, expected a number of seeds, 1 or more; leave it out.")
+    return block
 
 
 def _one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:

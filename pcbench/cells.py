@@ -74,7 +74,38 @@ def channels_apart(study: Study) -> set[str]:
     return out
 
 
-def resolved(study: Study) -> dict[str, Any]:
+def identity(cell: Cell, root_seed: int) -> str:
+    """Return the digest of all that decides the numbers of a cell but its observers; equal for equal numbers."""
+    said = cell._asdict() | {"scenario": cell.scenario._asdict(), "choices": cell.choices.model_dump()}
+    del said["number"], said["values"]
+    text = json.dumps(said | {"root_seed": root_seed}, sort_keys=True, default=_plain)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else dict(value)
+
+
+def cells_of(study: Study, known: dict[str, list[str]] | None = None) -> list[Cell]:
+    """Return the cells of all scenarios of a study; those whose digests are `known`, in order of number, keep their numbers."""
+    out = []
+    for name in study.scenarios:
+        numbers = {digest: i for i, digest in enumerate((known or {}).get(name, []))}
+        for cell in cells(study, name):
+            number = numbers.setdefault(identity(cell, study.root_seed), len(numbers))
+            out.append(cell._replace(number=number))
+    return out
+
+
+def numbering(study: Study, every: list[Cell]) -> dict[str, list[str]]:
+    """Return by scenario the digests of its cells in order of number."""
+    out: dict[str, list[str]] = {}
+    for cell in sorted(every, key=lambda c: c.number):
+        out.setdefault(cell.scenario.name, []).append(identity(cell, study.root_seed))
+    return out
+
+
+def resolved(study: Study, every: list[Cell] | None = None) -> dict[str, Any]:
     """Return everything that decides the numbers, for `study.toml` and its hash."""
     options: dict[str, Any] = {"scenario": choices_of(study).model_dump(exclude_none=True)}
     for scenario in study.scenarios:
@@ -86,7 +117,9 @@ def resolved(study: Study) -> dict[str, Any]:
     scenarios = {s: _said(json.loads(json.dumps(known[s]._asdict(), default=dict))) for s in study.scenarios}
     out = study.model_dump(exclude_none=True)
     ran_by = {s: observers_of(study, s) for s in study.scenarios}
-    return out | {"resolved": {"options": options, "scenarios": scenarios, "observers": ran_by}}
+    said = {"options": options, "scenarios": scenarios, "observers": ran_by}
+    said |= {"cells": numbering(study, every)} if every else {}
+    return out | {"resolved": said}
 
 
 def _said(scenario: dict[str, Any]) -> dict[str, Any]:
@@ -97,9 +130,9 @@ def _said(scenario: dict[str, Any]) -> dict[str, Any]:
     return said | {"delay": delay, "model": model}
 
 
-def to_toml(study: Study) -> str:
+def to_toml(study: Study, every: list[Cell] | None = None) -> str:
     """Return the resolved study as TOML; the part under `[resolved]` is for readers, the rest can be run again."""
-    return tomli_w.dumps(resolved(study))
+    return tomli_w.dumps(resolved(study, every))
 
 
 def digest(study: Study) -> str:

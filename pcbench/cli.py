@@ -61,6 +61,10 @@ def _stop_if_asked() -> None:
         raise KeyboardInterrupt
 
 
+def _say(sentence: str) -> None:
+    print(f"pcbench: {sentence}", file=sys.stderr)
+
+
 def _complain(sentence: str, code: int = 2) -> int:
     print(f"pcbench: {sentence}", file=sys.stderr)
     return code
@@ -109,9 +113,27 @@ def list_(
 def run(
     study: Annotated[str, typer.Argument(help="a study, a scenario or a TOML file")],
     seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
+    first_seed: Annotated[int | None, typer.Option(help="the first of them [default: 0]")] = None,
     observers: Annotated[str | None, typer.Option(help="comma-separated names")] = None,
     changes: Set = None,
-    out: Annotated[Path | None, typer.Option(help="folder for the tables [default: results/STUDY]")] = None,
+    out: Annotated[
+        str | None, typer.Option(help="folder or URI for the tables; run again, it goes on [default: results/STUDY]")
+    ] = None,
+    fresh: Annotated[
+        bool, typer.Option("--fresh", help="remove what an earlier run left there, and start over")
+    ] = False,
+    until_se: Annotated[
+        str | None, typer.Option(metavar="METRIC=VALUE", help="add seeds until every standard error is so small")
+    ] = None,
+    max_seeds: Annotated[
+        int | None, typer.Option(help="of a cell, with --until-se [default: 100 times the study's]")
+    ] = None,
+    dask: Annotated[str | None, typer.Option(help="a Dask scheduler's address, or local")] = None,
+    workers: Annotated[int | None, typer.Option(help="processes of --dask local [default: one a core]")] = None,
+    memory: Annotated[
+        str | None, typer.Option(help="what results may take at a time, e.g. 2GiB [default: a quarter of the memory]")
+    ] = None,
+    block: Annotated[int | None, typer.Option(help="seeds a file; of no influence on any number")] = None,
     metric: Annotated[str, typer.Option(help="metric that ranks the closing table")] = "mae",
     quiet: Annotated[bool, typer.Option("--quiet", help="no progress and no table")] = False,
     as_json: AsJson = False,
@@ -121,11 +143,11 @@ def run(
     Example: pcbench run quick --seeds 512 --out first-look
     """
     _setup()
-    from pcbench import bench, show, statistics, store, study_file
+    from pcbench import bench, show, statistics, study_file
 
     statistics.compared(metric, "--metric")
     chosen = study_file.load(study, changes)
-    folder = out or Path("results") / chosen.name.replace("/", "-")
+    folder = out or str(Path("results") / chosen.name.replace("/", "-"))
     names = None if observers is None else [name.strip() for name in observers.split(",")]
     with show.progress(quiet or as_json) as draw:
 
@@ -133,7 +155,22 @@ def run(
             _stop_if_asked()
             draw(event, value)
 
-        result = bench.run(chosen, seeds=seeds, observers=names, out=folder, tell=tell)
+        result = bench.run(
+            chosen,
+            seeds=seeds,
+            first_seed=first_seed,
+            observers=names,
+            out=folder,
+            fresh=fresh,
+            until_se=until_se,
+            max_seeds=max_seeds,
+            dask=dask,
+            workers=workers,
+            block=block,
+            memory=memory,
+            tell=tell,
+            say=_say,
+        )
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": chosen.name, "out": str(folder), "provenance": result.provenance, "stats": stats}
@@ -141,14 +178,10 @@ def run(
     elif not quiet:
         console = _console()
         show.closing(result, console, metric)
-        took, made = result.provenance["wall_seconds"], result.provenance["compile_seconds"]
         console.print(
             "... - best: paired over the same draws; '=' is not distinguishable (Holm, 5 %).", highlight=False
         )
-        console.print(
-            f"{store.complete_files(folder)} tables in {folder} after {took:.1f} s ({made:.1f} s compiling).",
-            highlight=False,
-        )
+        console.print(show.effort(result, folder), highlight=False)
 
 
 @app.command()
@@ -168,7 +201,9 @@ def trace(
     from pcbench.plants import signals_of
 
     frame = bench.trace(scenario, [name.strip() for name in observer.split(",")], seed=seed, overrides=changes)
-    store.write_table(out, tables.trace_table(frame, signals_of(bench.scenario_of(scenario, changes))))
+    place = store.target(out.parent)
+    store.make(place)
+    store.put_table(place, out.name, tables.trace_table(frame, signals_of(bench.scenario_of(scenario, changes))))
     print(f"{len(frame)} ticks, columns {', '.join(frame.columns)}: {out}")
 
 
@@ -217,6 +252,74 @@ def reproduce(
             print(json.dumps({"paper": name, "source": title, "claims": [row._asdict() for row in rows]}, indent=2))
         else:
             show.claims(title, rows, _console())
+
+
+@app.command()
+def status(
+    folder: Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")], as_json: AsJson = False
+) -> None:
+    """Show how far a study is, and whether its files are whole.
+
+    Example: pcbench status results/quick
+    """
+    from pcbench import inspection, show
+
+    found = inspection.status(folder)
+    if as_json:
+        print(json.dumps(found._asdict() | {"shares": [s._asdict() for s in found.shares]}, indent=2))
+    else:
+        show.status(found, folder, _console())
+
+
+@app.command()
+def merge(
+    folders: Annotated[
+        list[str], typer.Argument(help="folders or URIs of one study, with other seeds or from other machines")
+    ],
+    out: Annotated[str, typer.Option(help="new folder or URI")],
+    quiet: Annotated[bool, typer.Option("--quiet", help="no progress")] = False,
+) -> None:
+    """Make one dataset of several; what two of them hold must be equal.
+
+    Example: pcbench merge monday tuesday --out both
+    """
+    from pcbench import merging, show
+
+    with show.counting(quiet) as tell:
+        made = merging.merge(folders, out, tell)
+    again = f" {made.doubled:,} runs stood in more than one, all of them equal." if made.doubled else ""
+    lack = (
+        f" {made.missing:,} runs are missing: pcbench run {out}/study.toml --out {out} fills them."
+        if made.missing
+        else ""
+    )
+    print(f"{made.blocks:,} blocks in {out}.{again}{lack}")
+
+
+@app.command()
+def verify(
+    folder: Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")],
+    sample: Annotated[int, typer.Option(help="blocks to compute again")] = 4,
+    every: Annotated[bool, typer.Option("--all", help="compute every block again")] = False,
+    seed: Annotated[int, typer.Option(help="draws the blocks")] = 0,
+    quiet: Annotated[bool, typer.Option("--quiet", help="no progress")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check every file, and compute some blocks again: they must come out bit for bit. Exit code 1 where they do not.
+
+    Example: pcbench verify results/quick --sample 8
+    """
+    _setup()
+    from pcbench import inspection, show
+
+    with show.counting(quiet or as_json) as tell:
+        found = inspection.verify(folder, None if every else max(sample, 0), seed, tell)
+    if as_json:
+        print(json.dumps(found._asdict(), indent=2))
+    else:
+        show.verdict(found, folder, _console())
+    if found.wrong or found.differing:
+        raise typer.Exit(1)
 
 
 if __name__ == "__main__":

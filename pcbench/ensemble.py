@@ -1,30 +1,35 @@
-"""Many runs at once: blocks of lanes over all devices, always in calls of one compiled width.
+"""Many runs at once: calls of one compiled width, several at a time.
 
-A *job* is one cell's `Problem` with up to `width` seeds; short blocks are padded, so a run has the same bits alone, in any
-block, and on any number of devices but for rounding (a program for two devices may be fused in another way: seen with ekf,
-1e-15 of a signal). Jobs are stacked, one per device, and each device works on its own.
+A *job* is one cell's `Problem` with up to `width` seeds; short ones are padded, so that a run has the same bits alone and in
+any block. There is one program, compiled for one device and computing on one thread: on a processor it is called from as
+many threads as there are cores, so that a run has the same bits whatever runs beside it. Of accelerators each has its own.
 """
 
 import operator
+import os
 from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
+from threading import Lock
 from time import perf_counter
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
 
 from pcbench import simulation
 from pcbench.errors import UserError
 from pcbench.problem import Layout, Outcome, Problem
 
-WIDTH = 1024  # lanes a call and device
+WIDTH = 1024  # lanes a call
 HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
+ONE_THREAD: dict[str, str | bool] = {
+    "xla_cpu_multi_thread_eigen": False
+}  # small products shared out among threads: 3 times slower, other bits
 
 
 class Job(NamedTuple):
-    """The runs of one cell that one device simulates in one call."""
+    """The runs of one cell that are simulated in one call."""
 
     problem: Problem
     root_seed: int
@@ -34,15 +39,28 @@ class Job(NamedTuple):
 class Program(NamedTuple):
     """A compiled call and what it took to make."""
 
-    call: Any  # (problems, root seeds [D], seeds [D, L]) -> Outcome with arrays [D, ..., L]
-    devices: int
+    call: Any  # (problem, root seed, seeds [L]) -> Outcome with arrays [..., L]
+    device: Any
     width: int
     compile_seconds: float
     compiled: Any  # the executable itself, for those who want to read it
 
 
-def program(layout: Layout, job: Job, devices: int | None = None) -> Program:
-    """Compile the call for jobs shaped like `job` on so many devices (default all); once for each shape.
+def places(count: int | None = None) -> list[Any]:
+    """Return the device that each of the calls at a time runs on: one a core, or one an accelerator; `count` of them."""
+    found = jax.devices()
+    if found[0].platform == "cpu":
+        return [found[0]] * (count or cores())
+    return found[:count]
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def program(layout: Layout, job: Job, device: Any = None) -> Program:
+    """Compile the call for jobs shaped like `job` on a device (default the first); once for each shape.
 
     Raises UserError where jax would compute in float32.
     """
@@ -51,27 +69,22 @@ def program(layout: Layout, job: Job, devices: int | None = None) -> Program:
             "simulation: got float32 (jax_enable_x64 is off), expected float64: float32 rounds at 1e-7 of a signal, which is "
             "the size of errors compared here; call pcbench.setup(), or run inside jax.enable_x64(True)."
         )
-    count = devices or len(jax.devices())
-    arguments = stack([job] * count, layout.width)
-    leaves, tree = jax.tree.flatten(arguments)
-    return _compiled(layout, count, tree, tuple((a.shape, a.dtype) for a in leaves))
+    leaves, tree = jax.tree.flatten(arguments(job, layout.width))
+    with _COMPILING:  # the second thread to ask waits for the first one's program
+        return _compiled(layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves))
+
+
+_COMPILING = Lock()
 
 
 @lru_cache(maxsize=64)
-def _compiled(layout: Layout, devices: int, tree: Any, shapes: tuple[Any, ...]) -> Program:
-    mesh = Mesh(np.array(jax.devices()[:devices]), ("device",))
-    each = PartitionSpec("device")
-
-    def one(problems: Problem, root_seed: Any, seeds: Any) -> Outcome:
-        problem, *address = jax.tree.map(lambda a: a[0], (problems, root_seed, seeds))
-        return jax.tree.map(lambda a: a[None], simulation.simulate(layout, problem, *address))
-
-    mapped = jax.shard_map(one, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
-    place = NamedSharding(mesh, each)
-    arguments = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=place) for s, d in shapes])
+def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -> Program:
+    place = jax.sharding.SingleDeviceSharding(device)
+    given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=place) for s, d in shapes])
     start = perf_counter()
-    call = jax.jit(mapped, in_shardings=place, out_shardings=place).lower(*arguments).compile()
-    return Program(lambda *a: call(*jax.device_put(a, place)), devices, layout.width, perf_counter() - start, call)
+    lowered = jax.jit(lambda *a: simulation.simulate(layout, *a)).lower(*given)
+    call = lowered.compile(ONE_THREAD if device.platform == "cpu" else None)
+    return Program(lambda *a: call(*jax.device_put(a, device)), device, layout.width, perf_counter() - start, call)
 
 
 def compilations() -> int:
@@ -79,41 +92,46 @@ def compilations() -> int:
     return _compiled.cache_info().misses
 
 
-def stack(jobs: list[Job], width: int) -> tuple[Problem, Any, Any]:
-    """Stack one job per device; short seed lists are padded by repeating the first."""
-    problems = jax.tree.map(lambda *a: np.stack([np.asarray(x) for x in a]), *(job.problem for job in jobs))
-    seeds = np.stack([np.resize(job.seeds, width) for job in jobs])
-    return problems, np.array([job.root_seed for job in jobs]), seeds
+def arguments(job: Job, width: int) -> tuple[Problem, Any, Any]:
+    """Return what a call takes: arrays, with a short list of seeds padded by repeating it."""
+    return jax.tree.map(np.asarray, job.problem), np.asarray(job.root_seed), np.resize(job.seeds, width)
 
 
-def run(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
-    """Simulate jobs in order, one a device at a time; yield each with what it left, as NumPy arrays [..., L].
+def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
+    """Simulate jobs one after another; yield each with what it left, as NumPy arrays [..., L].
 
-    The next call is handed to the devices before the last one's results are read.
+    The next call is handed to the device before the last one's results are read.
     """
-    waiting: list[tuple[list[Job], Any]] = []
-    for group in _groups(jobs, made.devices):
-        padded = group + [group[0]] * (made.devices - len(group))
-        waiting.append((group, made.call(*stack(padded, made.width))))
-        if len(waiting) > 1:
-            yield from _read(*waiting.pop(0))
-    for group, out in waiting:
-        yield from _read(group, out)
-
-
-def _groups(jobs: Iterable[Job], size: int) -> Iterator[list[Job]]:
-    group: list[Job] = []
+    waiting: list[tuple[Job, Any]] = []
     for job in jobs:
-        group.append(job)
-        if len(group) == size:
-            yield group
-            group = []
-    if group:
-        yield group
+        waiting.append((job, made.call(*arguments(job, made.width))))
+        if len(waiting) > 1:
+            yield _read(*waiting.pop(0))
+    for job, out in waiting:
+        yield _read(job, out)
 
 
-def _read(group: list[Job], out: Outcome) -> Iterator[tuple[Job, Outcome]]:
-    whole = jax.tree.map(np.asarray, out)
-    for i, job in enumerate(group):
-        mine = (i, ..., slice(len(job.seeds)))
-        yield job, jax.tree.map(operator.itemgetter(mine), whole)
+def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, Outcome]]:
+    """Simulate jobs of one shape, `count` at a time (default: all cores or accelerators); yield them in order."""
+    at_once = places(count)
+    with ThreadPoolExecutor(len(at_once)) as pool:
+        programs = [program(layout, jobs[0], device) for device in at_once]
+        waiting = []
+        for i, job in enumerate(jobs):
+            made = programs[i % len(programs)]
+            waiting.append(pool.submit(in_float64, next, serial(made, [job])))
+            if len(waiting) > 2 * len(at_once):
+                yield waiting.pop(0).result()
+        for future in waiting:
+            yield future.result()
+
+
+def in_float64(function: Any, *arguments: Any) -> Any:
+    """Call a function with float64 on: jax keeps that switch for each thread."""
+    with jax.enable_x64(True):
+        return function(*arguments)
+
+
+def _read(job: Job, out: Outcome) -> tuple[Job, Outcome]:
+    mine = (..., slice(len(job.seeds)))
+    return job, jax.tree.map(operator.itemgetter(mine), jax.tree.map(np.asarray, out))

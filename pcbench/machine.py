@@ -1,38 +1,83 @@
-"""The machine of this process: float64, devices, caches, and the record of what made a number."""
+"""The machine of this process: float64, memory, caches, and the record of what made a number."""
 
 import json
 import os
 import platform
+import socket
 import subprocess
-import warnings
 from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import jax
 
+from pcbench.errors import UserError
 from pcbench.synthesis.cache import folder
 
 LIBRARIES = ("pcbench", "jax", "jaxlib", "numpy", "scipy", "cvxpy", "clarabel", "pyarrow", "pandas")
 
 
 def setup() -> None:
-    """Give this process to pcbench: float64, every CPU a device, compiled programs remembered between processes.
+    """Give this process to pcbench: float64, compiled programs remembered between processes.
 
     The command line does this. In a notebook call it first, before anything touches jax; a host program that needs its
-    own jax configuration leaves it out, and pcbench then uses the devices it finds.
+    own jax configuration leaves it out: pcbench then computes the same, and compiles anew in every process.
     """
     jax.config.update("jax_enable_x64", True)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if "JAX_NUM_CPU_DEVICES" not in os.environ:
-        try:
-            jax.config.update("jax_num_cpu_devices", cores)
-        except RuntimeError:
-            warnings.warn("jax is already running: pcbench.setup() cannot change its CPU devices.", stacklevel=2)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         jax.config.update("jax_compilation_cache_dir", str(folder() / "programs"))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+def process() -> str:
+    """Return a name for this process among those of all machines."""
+    return f"{socket.gethostname()}-{os.getpid()}"
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return the versions of what decides the last bits of a number."""
+    return {name: version(name) for name in ("pcbench", "jax", "jaxlib")}
+
+
+def memory() -> int:
+    """Return the bytes of memory that this process may use: the machine's, or what its control group leaves it."""
+    import psutil
+
+    total = int(psutil.virtual_memory().total)
+    for limit in (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes")):
+        with suppress(OSError, ValueError):
+            total = min(total, int(limit.read_text()))
+    return total
+
+
+def free_memory() -> int:
+    """Return the bytes of memory that are free now, within what this process may use."""
+    import psutil
+
+    return min(int(psutil.virtual_memory().available), memory())
+
+
+UNITS = {"B": 1, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30, "TIB": 2**40}
+
+
+def allowed(given: str | int | None) -> float:
+    """Return the bytes that results may take: a quarter of the memory unless said otherwise, never more than is free."""
+    if given is None:
+        return min(memory() / 4, free_memory())
+    text = str(given).strip().upper()
+    number = text.rstrip("BKMGTI").strip()
+    unit = text[len(number) :].strip() or "B"
+    try:
+        size = float(number) * UNITS[unit if unit.endswith("B") else unit + "B"]
+    except (KeyError, ValueError):
+        size = -1.0
+    if not 0 < size < 1e18:
+        raise UserError(f"--memory: got {given!r}, expected an amount such as 500MB or 2GiB; write that.")
+    return size
 
 
 def float64() -> Any:

@@ -3,47 +3,25 @@
 All cells of a plant and horizon share one compiled program: the ring and the arrival slots are sized for the largest.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from typing import Any
 
-import jax
 import numpy as np
 from jax.tree_util import Partial
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
-from pcbench import axes, closed_loop, conformance, ensemble, irregular, sampling
-from pcbench.cells import Cell, cells
+from pcbench import axes, closed_loop, ensemble, irregular, sampling, shapes
+from pcbench.cells import Cell, cells_of, identity
 from pcbench.errors import UserError
 from pcbench.observers import base_of, entry_of
 from pcbench.plants import PLANTS, nonlinear, numbers_of
 from pcbench.problem import Layout, Problem
+from pcbench.shapes import Planned, tail_tick, ticks
 from pcbench.signals import SINGLE, inputs, jumps
 from pcbench.study import Study, observers_of, options_of
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting
-
-
-class Planned(NamedTuple):
-    """A cell ready to run."""
-
-    cell: Cell
-    layout: Layout
-    problem: Problem
-    certificates: dict[str, Certificate]
-    bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
-    carries_input: dict[str, bool | None]  # by observer, of its prediction to now
-    labels: tuple[str, ...]  # of the layout's observers; they go by their base in a closed loop, to share a program
-    reach: closed_loop.Reach | None  # of a closed loop
-
-
-def ticks(cell: Cell) -> int:
-    """Return the horizon N in ticks."""
-    return round(cell.scenario.horizon / cell.scenario.dt)
-
-
-def tail_tick(cell: Cell) -> int:
-    """Return the tick at which the tail starts."""
-    return round(cell.scenario.tail / cell.scenario.dt)
 
 
 def setting(cell: Cell) -> Setting:
@@ -97,99 +75,34 @@ def _random(clocks: list[sampling.Clock]) -> bool:
 
 def plan(study: Study) -> list[Planned]:
     """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
-    every = [cell for name in study.scenarios for cell in cells(study, name)]
-    drafts = []
-    for cell, known in zip(every, _one_room([(cell, setting(cell)) for cell in every]), strict=True):
-        options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, cell.scenario.name)}
-        loops = [{o: given} for o, given in options.items()] if cell.scenario.controller else [options]
-        drafts += [draft(cell, each, known) for each in loops]  # in a closed loop every observer has its own plant
-    return fit(drafts)
+    return shapes.fit(list(drafts(study, cells_of(study))))
 
 
-def _one_room(each: list[tuple[Cell, Setting]]) -> list[Setting]:
-    """Give all cells of a plant the room in memories that the largest needs: they share one program.
+def drafts(study: Study, every: list[Cell], wanted: Callable[[Cell], bool] = lambda cell: True) -> Iterator[Planned]:
+    """Draft cells one after another: of each one draft, or in a closed loop one for every observer, each with its own plant.
 
-    Only cells whose sampling is the same for all runs: where it is random, room for more overtaking costs more than a program.
+    Cells that are not `wanted` have no gains: they say what room a program needs.
     """
     most: dict[str, tuple[int, int]] = {}
-    for cell, known in each:
+    for cell in every:
         if not _random(axes.clocks(cell.scenario)):
-            overtaking, reach = most.get(cell.scenario.plant, (0, 0))
-            most[cell.scenario.plant] = max(overtaking, known.overtaking), max(reach, known.reach)
-    out = []
-    for cell, known in each:
-        if not _random(axes.clocks(cell.scenario)):
+            known, plant = setting(cell), cell.scenario.plant
+            overtaking, reach = most.get(plant, (0, 0))
+            most[plant] = max(overtaking, known.overtaking), max(reach, known.reach)
+    for cell in every:
+        known = setting(cell)
+        if not _random(axes.clocks(cell.scenario)):  # where sampling is random, room for more costs more than a program
             overtaking, reach = most[cell.scenario.plant]
             known = known._replace(overtaking=overtaking, reach=reach)
-        out.append(known)
-    return out
+        options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, cell.scenario.name)}
+        for each in [{o: given} for o, given in options.items()] if cell.scenario.controller else [options]:
+            drafted = draft(cell, each if wanted(cell) else {}, known)
+            yield drafted._replace(digest=identity(cell, study.root_seed))
 
 
-def fit(drafts: list[Planned]) -> list[Planned]:
-    """Give drafts one shape: arrival slots and room on the network for the largest of them."""
-    seen: set[Any] = set()
-    for p in drafts:
-        for label, observer in p.layout.observers:
-            if (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
-                seen.add(key)
-                conformance.check(label, observer, p.problem, p.layout.continuous)
-    return _same_shapes(drafts)
-
-
-def _same_shapes(drafts: list[Planned]) -> list[Planned]:
-    """Give every cell the arrival slots, the room on the network and the rows of the plant that the largest needs."""
-    shared = [p.problem.schedule for p in drafts if isinstance(p.problem.schedule, sampling.Schedule)]
-    slots = max((plan.arrive.shape[1] for plan in shared), default=1)
-    most = max(
-        (_times(p).due.shape[1] for p in drafts if not isinstance(p.problem.schedule, sampling.Schedule)), default=0
-    )
-    ring = _rounded(max(p.layout.ring for p in drafts))
-    early = _rounded(max((len(plan.early) for plan in shared), default=0))
-    strides = any(not isinstance(p.problem.schedule, sampling.Schedule) or _sparse(p.problem.schedule) for p in drafts)
-    drifting = {p.layout.plant for p in drafts if p.layout.drifting}
-    loops = [p.reach for p in drafts if p.reach]
-    reach = closed_loop.Reach(*(_rounded(max(each)) for each in zip(*loops, strict=True))) if loops else None
-    falls = max(len(p.problem.jumps) for p in drafts)
-    rows: dict[Any, int] = {}
-    for p in drafts:
-        for i, a in enumerate(jax.tree.leaves(p.problem.params)):
-            key = (p.layout.plant, i)
-            rows[key] = max(rows.get(key, 0), len(a) if np.ndim(a) else 0)
-    out = []
-    for p in drafts:
-        plan = p.problem.schedule
-        if isinstance(plan, sampling.Schedule):
-            plan = sampling.pad_early(sampling.pad_slots(plan, slots), early)
-        else:
-            plan = irregular.padded(plan, most)
-        leaves, tree = jax.tree.flatten(p.problem.params)
-        wide = [
-            np.broadcast_to(a, (rows[p.layout.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
-            for i, a in enumerate(leaves)
-        ]
-        falling = np.pad(p.problem.jumps, (0, falls - len(p.problem.jumps)), constant_values=sampling.NEVER)
-        problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide), jumps=falling)
-        if reach and p.reach:
-            law, line = closed_loop.close(p.cell, reach, ticks(p.cell))
-            problem = problem._replace(control=law, line=line)
-        heavy = PLANTS[p.cell.scenario.plant].heavy or any(entry_of(label).heavy for label, _ in p.layout.observers)
-        layout = p.layout._replace(ring=ring, strides=strides and not heavy, drifting=p.layout.plant in drifting)
-        layout = layout._replace(commands=reach.back if reach and p.reach else 0)
-        out.append(p._replace(problem=problem, layout=layout))
-    return out
-
-
-def _rounded(many: int) -> int:
-    """The next power of 2: few sizes, few programs."""
-    return 1 << (many - 1).bit_length() if many else 0
-
-
-def _sparse(plan: sampling.Schedule) -> bool:
-    return bool(plan.event.mean() < 0.5)
-
-
-def _times(p: Planned) -> irregular.Times:
-    return p.problem.schedule
+def width(cell: Cell) -> int:
+    """Return the lanes of a call."""
+    return ensemble.HEAVY if PLANTS[cell.scenario.plant].heavy else ensemble.WIDTH
 
 
 def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None) -> Planned:
@@ -224,13 +137,13 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     observers = tuple((names[o], entry_of(o).observer) for o in options)
     random = drawn or cell.choices.start_spread > 0
     drifting = bool(s.drift and plant.plant.of_run)
-    width = ensemble.HEAVY if plant.heavy else ensemble.WIDTH
     layout = Layout(
         plant.plant,
         observers,
-        width,
+        width(cell),
         room,
         random,
+        strides=_strides(plan, options, plant.heavy),
         continuous=s.continuous,
         drifting=drifting,
         controller=closed_loop.controller(cell),
@@ -239,6 +152,12 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     proofs, carries = {o: d.certificate for o, d in designs.items()}, {o: d.carries_input for o, d in designs.items()}
     reach = closed_loop.reach(cell, known.overtaking, n) if s.controller else None
     return Planned(cell, layout, problem, proofs, _bound(cell, known), carries, tuple(options), reach)
+
+
+def _strides(plan: Any, options: dict[str, BaseModel], heavy: bool) -> bool:
+    """Whether flow goes by two ticks: not where nearly every tick has an event, nor where bodies are long to compile."""
+    dense = isinstance(plan, sampling.Schedule) and plan.event.mean() >= 0.5
+    return not (dense or heavy or any(entry_of(o).heavy for o in options))
 
 
 def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:

@@ -53,13 +53,68 @@ def progress(quiet: bool) -> Iterator[Any]:
 
         def tell(event: str, value: float) -> None:
             if event == "planned":
-                bar.update(task, total=value, description="compiling")
-            elif event == "compiled":
-                bar.update(task, description="simulating")
+                bar.update(task, total=(bar.tasks[0].total or 0) + value, description="compiling")
             elif event == "runs":
-                bar.advance(task, value)
+                bar.update(task, advance=value, description="simulating")
+            elif event == "closing":
+                bar.update(task, description="statistics")
 
         yield tell
+
+
+@contextmanager
+def counting(quiet: bool) -> Iterator[Any]:
+    """Yield a `tell` that draws a bar for files and blocks: an event with its number begins one, `...ed` goes on."""
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()]
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+        current: list[Any] = []
+
+        def tell(event: str, value: float) -> None:
+            if event in ("checked", "compared", "merged"):
+                bar.advance(current[-1], value)
+            else:
+                current.append(bar.add_task(event, total=value))
+
+        yield tell
+
+
+def effort(result: Any, folder: str) -> str:
+    """Return what a run took, in a sentence."""
+    p = result.provenance
+    if not p["runs_added"]:
+        return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
+    took = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
+    return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {took}."
+
+
+def status(found: Any, folder: str, console: Console) -> None:
+    """Print how far a study is."""
+    table = _table(f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB")
+    for head in ("scenario", "observer", "cells", "blocks", "runs", "of", "done"):
+        table.add_column(head, justify="left" if head in ("scenario", "observer") else "right")
+    for s in found.shares:
+        share = f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-"
+        table.add_row(s.scenario, s.observer, str(s.cells), str(s.blocks), f"{s.seeds:,}", f"{s.wanted:,}", share)
+    console.print(table)
+    for what, names in (("damaged", found.damaged), ("doubled", found.doubled), ("unfinished", found.unfinished)):
+        for name in names:
+            console.print(f"{what}: {name}", highlight=False, markup=False)
+    behind = any(s.seeds < s.wanted for s in found.shares) or found.damaged or found.doubled
+    end = "Every run is there, with its statistics." if found.closed and not behind else "Run the study again to go on."
+    console.print(end, highlight=False)
+
+
+def verdict(found: Any, folder: str, console: Console) -> None:
+    """Print what a verification found."""
+    for sentence in [*found.wrong, *found.differing]:
+        console.print(sentence, highlight=False, markup=False)
+    again = len(found.recomputed) - len(found.differing)
+    console.print(
+        f"{folder}: {found.files - len(found.wrong)} of {found.files} files are whole; "
+        f"{again} of {len(found.recomputed)} blocks came out again, bit for bit.",
+        highlight=False,
+    )
 
 
 def closing(result: Any, console: Console, metric: str = "mae") -> None:

@@ -1,99 +1,199 @@
-"""What a run leaves on disk, whole or not at all. No jax.
+"""What a run leaves, whole or not at all, in a folder or in an object store. No jax.
 
-A file is written beside its place, synced and renamed; an interrupted run leaves complete files only. A folder belongs to
-one study: the study's own text in it is what says so.
+What is guaranteed where. A folder: a file is written under another name in the folder, synced and renamed, so a reader sees
+the old file, or the new one, or none, and a killed writer leaves at most its own unfinished file, which the next run clears
+away. An object store (any URI that pyarrow knows: s3://, gs://, abfs://, hdfs://): a file is checked in memory and put in
+one piece, so it appears whole or not at all as far as the store keeps that promise (S3, GCS and Azure do); two writers of one
+name write the same bytes. Nothing is locked anywhere: what is done is what is there.
 """
 
+import itertools
 import json
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
-from urllib.parse import quote
+from time import time
+from typing import Any, NamedTuple
 
 import pyarrow as pa
+import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
 from pcbench.errors import UserError
 
 PARTIAL = ".partial"
-CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
+FORGOTTEN = 86400.0  # [s] an unfinished file of another machine is cleared away after so long
+_COUNT = itertools.count()
 
 
-def claim(out: Path, study: str) -> None:
-    """Make the folder this study's own by putting `study.toml` there; refuse one that holds anything else."""
-    mine = out / "study.toml"
+class Target(NamedTuple):
+    """A place for tables."""
+
+    fs: pafs.FileSystem
+    root: str  # the path on it
+    name: str  # as it was given
+
+    @property
+    def local(self) -> bool:
+        """Whether it is a folder of this machine."""
+        return isinstance(self.fs, pafs.LocalFileSystem)
+
+
+def target(out: str | Path) -> Target:
+    """Return the place that a path or a URI names; raise UserError where pyarrow knows no such place."""
+    if "://" not in str(out):
+        return Target(pafs.LocalFileSystem(), str(Path(out).expanduser().absolute()), str(out))
     try:
-        if mine.is_file():
-            if mine.read_text(encoding="utf-8") != study and any(out.rglob("*.parquet")):
-                raise UserError(f"{out}: holds the results of another study; give a new folder with --out.")
-        elif out.exists() and (not out.is_dir() or any(p for p in out.iterdir() if not p.name.endswith(PARTIAL))):
-            raise UserError(f"{out}: holds other files, expected a new or empty folder; give another one with --out.")
-        for left in [*out.rglob(f"*{PARTIAL}"), *(out / name for name in CLOSING)]:
-            left.unlink(missing_ok=True)
-    except OSError as error:
-        raise _cannot(out, error) from None
-    write(mine, lambda path: path.write_text(study, encoding="utf-8"))
+        fs, root = pafs.FileSystem.from_uri(str(out))
+        return Target(fs, root.rstrip("/"), str(out))
+    except (pa.ArrowException, ValueError, OSError, ImportError) as error:
+        raise UserError(
+            f"{out}: is no place that can be reached ({_reason(error)}); expected a path or a URI."
+        ) from None
 
 
-def write(path: Path, fill: Callable[[Path], Any]) -> None:
-    """Let `fill` write a file beside `path`, sync it and rename it; leave nothing behind where that fails."""
-    beside = path.with_name(f".{path.name}{PARTIAL}")
+def put(place: Target, name: str, content: Any) -> None:
+    """Put bytes under a name below the place, whole or not at all; the place itself must be there."""
+    path = f"{place.root}/{name}"
+    with said(f"{place.name}/{name}"):
+        if not place.local:
+            with place.fs.open_output_stream(path) as stream:
+                stream.write(content)
+            return
+        beside = Path(place.root) / f".{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
+        try:
+            with open(beside, "wb") as f:
+                f.write(content)
+                f.flush()
+                os.fsync(f.fileno())
+            _folders(place.root, name)
+            os.replace(beside, path)
+            _sync_folder(Path(path).parent)
+        finally:
+            with suppress(OSError):
+                beside.unlink(missing_ok=True)
+
+
+def put_table(place: Target, name: str, table: pa.Table) -> None:
+    """Put one Parquet file, checked before it is seen: its rows and schema are read back."""
+    put(place, name, encoded(table))
+
+
+def encoded(table: pa.Table) -> pa.Buffer:
+    """Return a table as the bytes of a Parquet file with a checksum on every page; equal tables give equal bytes."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, compression="zstd", write_page_checksum=True)
+    content = sink.getvalue()
+    back = pq.ParquetFile(pa.BufferReader(content))
+    if back.metadata.num_rows != table.num_rows or not back.schema_arrow.equals(table.schema, check_metadata=True):
+        raise UserError("store: a table read back from its own bytes differs, expected the same; report this.")
+    return content
+
+
+def put_json(place: Target, name: str, content: dict[str, Any]) -> None:
+    """Put one JSON file."""
+    put(place, name, (json.dumps(content, indent=2) + "\n").encode())
+
+
+def get(place: Target, name: str) -> bytes | None:
+    """Return what stands under a name; None where nothing does."""
+    with said(f"{place.name}/{name}", "read"):
+        if place.fs.get_file_info(f"{place.root}/{name}").type != pafs.FileType.File:
+            return None
+        with place.fs.open_input_stream(f"{place.root}/{name}") as stream:
+            return bytes(stream.read())
+
+
+def names(place: Target, under: str = "") -> list[str]:
+    """Return the names of all files below a folder of the place, sorted; unfinished files are left out."""
+    with said(place.name, "read"):
+        base = f"{place.root}/{under}" if under else place.root
+        found = place.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
+        start = len(place.root) + 1
+        return sorted(i.path[start:] for i in found if i.is_file and not i.path.endswith(PARTIAL))
+
+
+def size(place: Target, name: str) -> int:
+    """Return the bytes of a file, 0 where there is none."""
+    return int(place.fs.get_file_info(f"{place.root}/{name}").size or 0)
+
+
+def footer(place: Target, name: str) -> Any:
+    """Return a Parquet file's metadata, without its rows; None where they cannot be read."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        fill(beside)
-        with open(beside, "rb+") as f:
-            os.fsync(f.fileno())
-        os.replace(beside, path)
-        _sync_folder(path.parent)
-    except OSError as error:
-        raise _cannot(path, error) from None
-    finally:
-        with _ignored():
-            beside.unlink(missing_ok=True)
+        with place.fs.open_input_file(f"{place.root}/{name}") as file:
+            return pq.read_metadata(file)
+    except (pa.ArrowException, OSError):
+        return None
 
 
-def write_table(path: Path, table: pa.Table) -> None:
-    """Write one Parquet file, whole."""
-    write(path, lambda beside: pq.write_table(table, beside, compression="zstd"))
+def remove(place: Target, name: str) -> None:
+    """Remove a file, if it is there."""
+    with said(f"{place.name}/{name}"), suppress(FileNotFoundError):
+        place.fs.delete_file(f"{place.root}/{name}")
 
 
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write one JSON file, whole."""
-    write(path, lambda beside: beside.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8"))
+def make(place: Target) -> None:
+    """Make the place, and clear away what killed writers have left unfinished there."""
+    with said(place.name):
+        place.fs.create_dir(place.root, recursive=True)
+        if place.local:
+            for left in unfinished(place):
+                left.unlink(missing_ok=True)
 
 
-def runs_path(out: Path, scenario: str, observer: str, cell: int) -> Path:
-    """Return the place of the runs of one observer in one cell: a hive-partitioned dataset."""
-    folder = out / "runs" / f"scenario={quote(scenario, safe='')}" / f"observer={quote(observer, safe='')}"
-    return folder / f"cell-{cell:05d}.parquet"
+def unfinished(place: Target) -> list[Path]:
+    """Return the unfinished files of writers that are gone: dead here, or silent for a day elsewhere."""
+    return [p for p in Path(place.root).glob(f".*{PARTIAL}") if _forgotten(p)] if place.local else []
 
 
-def complete_files(out: Path) -> int:
-    """Return how many finished tables a folder holds."""
-    return sum(1 for _ in out.rglob("*.parquet"))
+def _forgotten(path: Path) -> bool:
+    host, pid, _ = path.name.removeprefix(".").removesuffix(PARTIAL).rsplit("-", 2)
+    if host == socket.gethostname():
+        try:
+            os.kill(int(pid), 0)
+        except ProcessLookupError:
+            return True
+        except (PermissionError, ValueError, OverflowError):
+            return False
+    with suppress(OSError):
+        return time() - path.stat().st_mtime > FORGOTTEN
+    return False
 
 
-def _cannot(path: Path, error: OSError) -> UserError:
-    reason = error.strerror or str(error)
-    return UserError(
-        f"{path}: cannot be written ({reason}); expected a folder with room that you may write to; give another with --out."
-    )
+@contextmanager
+def said(where: str, done: str = "written") -> Iterator[None]:
+    """Turn what a file system refuses into one sentence."""
+    try:
+        yield
+    except (OSError, pa.ArrowException) as error:
+        if done == "read":
+            raise UserError(f"{where}: cannot be read ({_reason(error)}); expected a file that you may read.") from None
+        raise UserError(
+            f"{where}: cannot be written ({_reason(error)}); every file already written is complete: make room or give "
+            "yourself the right to write, and run the same command again to go on, or give another folder with --out."
+        ) from None
+
+
+def _reason(error: BaseException) -> str:
+    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+    return text.splitlines()[0].rstrip(".")
+
+
+def _folders(root: str, name: str) -> None:
+    """Make the folders that a name asks for below the root; a root that has been removed is not made again."""
+    folder = Path(root)
+    for part in Path(name).parent.parts:
+        folder /= part
+        folder.mkdir(exist_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:
-    with _ignored():  # not every file system lets a folder be opened
+    with suppress(OSError):  # not every file system lets a folder be opened
         handle = os.open(folder, os.O_RDONLY)
         try:
             os.fsync(handle)
         finally:
             os.close(handle)
-
-
-@contextmanager
-def _ignored() -> Iterator[None]:
-    try:
-        yield
-    except OSError:
-        return

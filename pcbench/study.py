@@ -56,6 +56,7 @@ class Study(BaseModel):
     scenarios: list[str] = Field(min_length=1)
     observers: list[str] | None = None
     seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
+    first_seed: int = Field(0, ge=0, le=4_000_000_000, strict=True)
     root_seed: int = Field(0, ge=0, lt=2**32, strict=True)
     axes: dict[str, Values] = {}
     options: dict[str, dict[str, Any]] = {}

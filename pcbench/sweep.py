@@ -1,30 +1,45 @@
-"""Running planned cells: their seeds in blocks, cells of one shape through one program, and what each run leaves."""
+"""Running planned cells: their seeds in calls of one width, and what each run leaves."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench import ensemble, metrics
-from pcbench.planning import Planned, tail_tick, ticks
-from pcbench.problem import Layout
+from pcbench.problem import Outcome
+from pcbench.shapes import Planned, key_of, tail_tick, ticks
 from pcbench.study import Study
+
+Results = dict[
+    str, dict[str, NDArray[Any]]
+]  # by observer, metric -> [what it estimates, seeds] ([seeds] for divergence)
 
 
 class Done(NamedTuple):
-    """A cell with what its runs left: by observer, metric -> [what it estimates, seeds] ([seeds] for divergence)."""
+    """A cell with what its runs left."""
 
     planned: Planned
     seeds: NDArray[np.int64]
-    results: dict[str, dict[str, NDArray[Any]]]
+    results: Results
 
 
-def blocks(planned: Planned, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[ensemble.Job]:
+def jobs(planned: Planned, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[ensemble.Job]:
     """Cut a cell's seeds into jobs of one width."""
     for first in range(0, len(seeds), planned.layout.width):
         yield ensemble.Job(planned.problem, root_seed, seeds[first : first + planned.layout.width])
+
+
+def results(planned: Planned, outcomes: Iterable[tuple[ensemble.Job, Outcome]]) -> Results:
+    """Return the metrics that the outcomes of one cell's jobs hold, joined."""
+    parts: dict[str, list[dict[str, NDArray[Any]]]] = {label: [] for label in planned.labels}
+    n, tail, dt = ticks(planned.cell), tail_tick(planned.cell), planned.cell.scenario.dt
+    falls = bool((planned.problem.jumps < n).any())
+    for _, outcome in outcomes:
+        for label, (name, _) in zip(planned.labels, planned.layout.observers, strict=True):
+            left = outcome.streams[name], outcome.watches[name], outcome.final[name]
+            parts[label].append(metrics.read(*left, n, tail, dt, falls, outcome.tracking or None))
+    return {label: {m: np.concatenate([p[m] for p in each], -1) for m in each[0]} for label, each in parts.items()}
 
 
 def execute(
@@ -34,67 +49,18 @@ def execute(
     devices: int | None = None,
     tell: Callable[[str, float], None] = lambda event, value: None,
 ) -> Iterator[Done]:
-    """Run every planned cell and yield it when its last run is in.
+    """Run every planned cell in this process and yield it, in memory, when its last run is in.
 
-    `seeds` are seed indices, by default 0 .. study.seeds - 1. `tell` hears ("compiled", seconds) and ("runs", how many).
+    `seeds` are seed indices, by default 0 .. study.seeds - 1. `tell` hears ("runs", how many). Cells of one shape come
+    together, in their order.
     """
     chosen = np.arange(study.seeds) if seeds is None else np.asarray(seeds)
-    waiting: dict[Place, list[Done]] = {}
-    loops: dict[Place, list[str]] = {}
-    for p in planned:
-        loops.setdefault(_place(p), []).extend(p.labels)
-    for layout, group in _by_layout(planned):
-        jobs = [(p, job) for p in group for job in blocks(p, study.root_seed, chosen)]
-        collected: dict[str, list[dict[str, NDArray[Any]]]] = {}
-        made = ensemble.program(layout, jobs[0][1], devices)
-        tell("compiled", made.compile_seconds)
-        outcomes = ensemble.run(made, (job for _, job in jobs))
-        for i, ((p, _), (job, outcome)) in enumerate(zip(jobs, outcomes, strict=True)):
-            for label, (name, _) in zip(p.labels, layout.observers, strict=True):
-                n, tail, dt = ticks(p.cell), tail_tick(p.cell), p.cell.scenario.dt
-                left = outcome.streams[name], outcome.watches[name], outcome.final[name]
-                read = metrics.read(*left, n, tail, dt, bool((p.problem.jumps < n).any()), outcome.tracking or None)
-                collected.setdefault(label, []).append(read)
-            tell("runs", len(job.seeds) * len(layout.observers))
-            if i + 1 == len(jobs) or jobs[i + 1][0] is not p:
-                done = Done(p, chosen, {label: _concatenate(parts) for label, parts in collected.items()})
-                collected = {}
-                if p.layout.controller is None:
-                    yield done
-                elif whole := _whole(done, waiting, loops):
-                    yield whole
-
-
-Place = tuple[str, int]  # a cell: its scenario's name, its number
-
-
-def _place(p: Planned) -> Place:
-    return p.cell.scenario.name, p.cell.number
-
-
-def _whole(done: Done, waiting: dict[Place, list[Done]], loops: dict[Place, list[str]]) -> Done | None:
-    """A cell with all of its observers: in a closed loop each has a program of its own, and the cell waits for the last."""
-    place = _place(done.planned)
-    labels, mine = loops[place], waiting.setdefault(place, [])
-    mine.append(done)
-    results = {label: found for part in mine for label, found in part.results.items()}
-    if not all(label in results for label in labels):
-        return None
-    proofs = {label: c for part in mine for label, c in part.planned.certificates.items()}
-    carries = {label: c for part in mine for label, c in part.planned.carries_input.items()}
-    del waiting[place]
-    planned = done.planned._replace(certificates=proofs, carries_input=carries)
-    return Done(planned, done.seeds, {label: results[label] for label in labels})
-
-
-def _by_layout(planned: list[Planned]) -> Iterator[tuple[Layout, list[Planned]]]:
     groups: dict[Any, list[Planned]] = {}
     for p in planned:
-        leaves, tree = jax.tree.flatten(p.problem)
-        groups.setdefault((p.layout, tree, tuple(np.shape(a) for a in leaves)), []).append(p)
-    for (layout, *_), group in groups.items():
-        yield layout, group
-
-
-def _concatenate(parts: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
-    return {name: np.concatenate([part[name] for part in parts], -1) for name in parts[0]}
+        groups.setdefault(key_of(p), []).append(p)
+    for group in groups.values():
+        each = [list(jobs(p, study.root_seed, chosen)) for p in group]
+        outcomes = ensemble.run(group[0].layout, [job for mine in each for job in mine], devices)
+        for p, mine in zip(group, each, strict=True):
+            yield Done(p, chosen, results(p, (next(outcomes) for _ in mine)))
+            tell("runs", len(chosen) * len(p.labels))

@@ -11,7 +11,9 @@ import pyarrow as pa
 
 from pcbench.statistics import QUANTILES, RUN_METRICS
 
-SCHEMA = "3"  # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay
+SCHEMA = (
+    "4"  # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...
+)
 AXIS_UNITS = {
     "sampling_period": "s",
     "delay": "s",
@@ -84,6 +86,8 @@ MEANING = {
     "p_value": "two-sided paired t-test of mean_diff = 0; null where the runs do not vary",
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
 } | {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
+MEANING |= {f"{q}_low": f"lower end of the 95 % interval of {q}; null: open" for q in QUANTILES}
+MEANING |= {f"{q}_high": f"upper end of the 95 % interval of {q}; null: open" for q in QUANTILES}
 TEXT = {"profile", "study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
 TEXT |= {"status"}
 WHOLE = {"cell", "seed", "n"}
@@ -105,20 +109,29 @@ def keys(study: str, cell: Any) -> dict[str, Any]:
     return {"study": study, "scenario": cell.scenario.name, "cell": cell.number, **cell.values}
 
 
-def runs_table(study: str, done: Any, observer: str, signals: tuple[tuple[str, str], ...]) -> pa.Table:
-    """Return the runs of one observer in one cell: a row per seed and signal."""
-    results, seeds = done.results[observer], done.seeds
+def runs_table(
+    head: dict[str, Any],
+    results: dict[str, Any],
+    seeds: Any,
+    signals: tuple[tuple[str, str], ...],
+    carries_input: bool | None,
+    about: dict[bytes, bytes] | None = None,
+) -> pa.Table:
+    """Return the runs of one observer in one cell, whose `keys` are in `head`: a row per seed and signal.
+
+    `about` goes into the schema's metadata.
+    """
     many = len(results["mae"])  # what this observer estimates
-    signals = signals[:many]
+    signals, rows = signals[:many], len(seeds) * many
     columns: dict[str, Any] = {
-        name: [value] * (len(seeds) * many)
-        for name, value in keys(study, done.planned.cell).items()
+        name: [value] * rows
+        for name, value in head.items()
         if name != "scenario"  # in the path, as `observer` is
     }
     columns["seed"] = np.repeat(seeds, many)
     columns["signal"] = [name for name, _ in signals] * len(seeds)
     columns["unit"] = [unit for _, unit in signals] * len(seeds)
-    columns["carries_input"] = [done.planned.carries_input[observer]] * (len(seeds) * many)
+    columns["carries_input"] = [carries_input] * rows
     for metric in RUN_METRICS:
         columns[metric] = _column(results.get(metric), many, len(seeds))
     bad = np.broadcast_to(results["diverged"], results["unsettled"].shape)
@@ -126,7 +139,8 @@ def runs_table(study: str, done: Any, observer: str, signals: tuple[tuple[str, s
     columns["status"] = said.T.ravel().tolist()
     for name in ("diverged", "first_bad_time"):
         columns[name] = np.repeat(results[name], many)
-    return table(columns, bools=("diverged",))
+    made = table(columns, bools=("diverged",))
+    return made.replace_schema_metadata((made.schema.metadata or {}) | about) if about else made
 
 
 def _column(values: Any, many: int, seeds: int) -> Any:
@@ -191,7 +205,16 @@ def axes_of(row: dict[str, Any]) -> list[str]:
 def stats_order(axes: list[str]) -> list[str]:
     """Return the columns of stats.parquet."""
     head = ["study", "scenario", "plant", "observer", "cell", *axes, "signal", "unit", "carries_input", "metric"]
-    return [*head, "n", "diverged", "mean", "se", "ci_low", "ci_high", *QUANTILES]
+    return [
+        *head,
+        "n",
+        "diverged",
+        "mean",
+        "se",
+        "ci_low",
+        "ci_high",
+        *(q + end for q in QUANTILES for end in ("", "_low", "_high")),
+    ]
 
 
 def pairs_order(axes: list[str]) -> list[str]:

@@ -7,10 +7,10 @@ import numpy as np
 from reference import helicopter as reference
 from reference import helicopter_ekf, high_gain
 
-from pcbench import closed_loop, draws, planning, recording, sampling
+from pcbench import closed_loop, draws, planning, recording, sampling, shapes
 from pcbench.cells import Cell
 from pcbench.observers import entry_of
-from pcbench.planning import Planned
+from pcbench.shapes import Planned
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import Choices, Study, options_of
 
@@ -32,8 +32,8 @@ def planned(
     s = s._replace(**{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()})
     study = Study(name="t", scenarios=[s.name], seeds=1)
     cell = Cell(s, 0, {}, parameters or {}, Choices(**(choices or {})))
-    (p,) = planning.fit([planning.draft(cell, {observer: options_of(study, s, observer)})])
-    law, line = closed_loop.close(cell, REACH, planning.ticks(cell))
+    (p,) = shapes.fit([planning.draft(cell, {observer: options_of(study, s, observer)})])
+    law, line = closed_loop.close(cell, REACH, shapes.ticks(cell))
     plan = sampling.pad_early(sampling.pad_slots(p.problem.schedule, SLOTS), EARLY)
     layout = p.layout._replace(ring=EARLY, commands=REACH.back)
     return p._replace(problem=p.problem._replace(control=law, line=line, schedule=plan), layout=layout)
@@ -51,7 +51,7 @@ def estimate(got: recording.Recording) -> np.ndarray:
 
 def expected(p: Planned, observer: Any = None, seed: int = 0) -> reference.Trace:
     """Return the reference's run of the same case, [N+1, 4], [N+1, 6], [N+1, 2]."""
-    s, choices, N = p.cell.scenario, p.cell.choices, planning.ticks(p.cell)
+    s, choices, N = p.cell.scenario, p.cell.choices, shapes.ticks(p.cell)
     delay, (swing, pace), a = s.delay[0], s.delay_swing, s.drift
     period = round(s.sampling_period[0] / s.dt)
     case = reference.Scenario(

@@ -10,7 +10,7 @@ from scipy.stats import binomtest
 import pcbench
 from pcbench import closed_loop, draws, ensemble, machine, show, statistics, sweep
 from pcbench.errors import UserError
-from pcbench.planning import tail_tick
+from pcbench.shapes import tail_tick
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import Study
 

@@ -42,7 +42,7 @@ def loops(request):
     """The text of every computation that the compiled loops run."""
     _, (cell,) = planned()
     layout = cell.layout._replace(random_start=request.param)
-    made = ensemble.program(layout, ensemble.Job(cell.problem, 0, np.arange(2)), devices=1)
+    made = ensemble.program(layout, ensemble.Job(cell.problem, 0, np.arange(2)))
     text = made.compiled.as_text()
     bodies = set(re.findall(r"body=%?([\w.]+)", text))
     blocks = re.split(r"\n(?=%|ENTRY)", text)

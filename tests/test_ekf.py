@@ -6,7 +6,7 @@ import pytest
 from reference import ekf as reference
 
 import pcbench
-from pcbench import draws, planning, recording
+from pcbench import draws, planning, recording, shapes
 from pcbench.cells import Cell
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import Choices, Study, options_of
@@ -30,9 +30,9 @@ def test_on_the_arm_it_equals_the_reference(period, delay):
     s = base._replace(horizon=SECONDS, tail=SECONDS / 2, input="sine", noise_std=(1e-3, 2e-3),
                       sampling_period=(period * base.dt,) * 2, delay=(delay * base.dt,) * 2)  # fmt: skip
     options = options_of(Study(name="t", scenarios=[s.name]), s, "ekf")
-    (p,) = planning.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), {"ekf": options})])
+    (p,) = shapes.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), {"ekf": options})])
     got = jax.tree.map(np.asarray, recording.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)))
-    N = planning.ticks(p.cell)
+    N = shapes.ticks(p.cell)
     noise = np.asarray(draws.measurement_noise(0, 0, N // period + 1, 2)).T * s.noise_std
     arrivals = {
         i * period + delay: [(i * period, got.x[i * period, 1:3] + noise[i])] for i in range((N - delay) // period + 1)

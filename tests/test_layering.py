@@ -14,9 +14,15 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"cli"},
     {"show", "catalogue", "reproduce"},
     {"bench", "interop"},
+    {"merging"},
+    {"inspection", "until"},
+    {"campaign"},
+    {"blocks", "closing"},
+    {"folder"},
     {"study_file"},
-    {"sweep"},
-    {"planning"},
+    {"executors", "ledger"},
+    {"sweep", "planning", "parcel"},
+    {"shapes"},
     {"closed_loop"},
     {"tables", "cells"},
     {"study", "machine", "store", "statistics"},
@@ -41,7 +47,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
 NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov", "synthesis.sampled", "synthesis.late",
           "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "synthesis.unknown_input",
           "synthesis.sliding_mode", "synthesis.pi_lmi", "statistics",
-          "tables", "store", "scenarios", "sampling", "signals", "errors"]  # fmt: skip
+          "tables", "store", "ledger", "scenarios", "sampling", "signals", "errors"]  # fmt: skip
 
 
 def layer(module):

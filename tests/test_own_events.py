@@ -185,7 +185,7 @@ def outcomes(jobs, devices, observers=None):
     each = tuple((o, OBSERVERS[o].observer) for o in names)
     layout = rollout.Layout(LINEAR, each, WIDE, 32, False, False)
     jobs = [j._replace(problem=j.problem._replace(gains={o: j.problem.gains[o] for o in names})) for j in jobs]
-    done = ensemble.run(ensemble.program(layout, jobs[0], devices), jobs)
+    done = ensemble.run(layout, jobs, devices)
     return [{o: (out.streams[o], out.final[o]) for o in names} for _, out in done]
 
 

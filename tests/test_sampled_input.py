@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from reference import unknown_input as ui
 
 import pcbench
-from pcbench import draws, planning, recording, sweep
+from pcbench import draws, planning, recording, shapes, sweep
 from pcbench.cells import Cell
 from pcbench.observers import entry_of
 from pcbench.scenarios import SCENARIOS
@@ -44,7 +44,7 @@ def planned(te, d, option=None, others=None, **changes):
 
 @cache
 def layout():
-    (p,) = planning.fit([planned(1, 400, drift=0.05)])
+    (p,) = shapes.fit([planned(1, 400, drift=0.05)])
     return p.layout
 
 
@@ -137,7 +137,7 @@ def test_a_drifting_arm_is_the_references_and_all_observers_see_its_samples(seed
 def test_runs_that_drift_are_their_traces():
     """Each lane has its own drift and noise: what the tables say of a seed is what its trace shows. Compiles for 15 s."""
     p = planned(20, 40, drift=0.05, noise_std=(1e-3, 1e-3))
-    (fitted,) = planning.fit([p])
+    (fitted,) = shapes.fit([p])
     (done,) = sweep.execute(Study(name="drift", scenarios=["arm/sampled"]), [fitted], np.array([3, 0, 4]))
     for column, seed in enumerate([3, 0, 4]):
         got = recorded(p, seed)

@@ -196,7 +196,7 @@ def test_an_interrupted_write_keeps_the_old_file(tmp_path):
 
 def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     """sampled-innovation at te = d = 3 s and R = 0.004 grows past a bound of 20 m: every lane, at the same tick as a trace."""
-    from pcbench import planning, sweep
+    from pcbench import planning, shapes, sweep
     from pcbench.cells import Cell
     from pcbench.scenarios import SCENARIOS
     from pcbench.study import Choices
@@ -216,7 +216,7 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
             "kfbo",
         )
     }
-    (p,) = planning.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
+    (p,) = shapes.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
     (done,) = sweep.execute(study_file.parse({"name": "x", "scenarios": ["cart/slow"], "seeds": 3}, "x"), [p])
     found = done.results["kfbo"]
     trace = pcbench.trace(

@@ -16,7 +16,7 @@ from reference import unknown_input as ui
 from scipy.linalg import expm
 
 import pcbench
-from pcbench import planning, recording
+from pcbench import planning, recording, shapes
 from pcbench.cells import Cell
 from pcbench.observers import entry_of, unknown_input
 from pcbench.plants import PLANTS, arm
@@ -50,7 +50,7 @@ def planned(scenario, observers, dt, ticks):
     s = SCENARIOS[scenario]
     s = s._replace(dt=dt, sampling_period=(dt, dt), horizon=ticks * dt, tail=ticks * dt / 2)
     options = {o: entry_of(o).options(**s.options.get(o, {})) for o in observers}
-    (p,) = planning.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
+    (p,) = shapes.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
     return p
 
 
@@ -130,7 +130,7 @@ def pushed(p, name, size):
     """The plant's numbers under another unknown input."""
     s = p.cell.scenario
     numbers = PLANTS["arm"].numbers._replace(unknown_input=name)
-    params = arm.prepare(numbers, s.dt, planning.ticks(p.cell))
+    params = arm.prepare(numbers, s.dt, shapes.ticks(p.cell))
     return params._replace(d=size * params.d)
 
 

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
 
-from pcbench import planning, recording
+from pcbench import planning, recording, shapes
 from pcbench.cells import Cell
 from pcbench.observers import high_gain
-from pcbench.planning import Planned
 from pcbench.plants import helicopter
 from pcbench.scenarios import SCENARIOS
+from pcbench.shapes import Planned
 from pcbench.study import Choices, Study, options_of
 from pcbench.types import Arrival, Now
 
@@ -76,7 +76,7 @@ class Run:
 def record() -> dict[str, Run]:
     """Run every case once, all of one shape."""
     drafts = [_draft(*CASES[name]) for name in CASES]
-    return {name: Run(_recorded(p)) for name, p in zip(CASES, planning.fit(drafts), strict=True)}
+    return {name: Run(_recorded(p)) for name, p in zip(CASES, shapes.fit(drafts), strict=True)}
 
 
 def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str, Any]) -> Planned:
@@ -115,7 +115,7 @@ def _note(gains: Any, memory: Any, now: Now) -> Any:
 
 def misread() -> dict[str, Run]:
     """Run the printed observer as restored, and with one misprint at a time; all in one program."""
-    (p,) = planning.fit([_draft(*CASES["constant"])])
+    (p,) = shapes.fit([_draft(*CASES["constant"])])
     observer = high_gain.OBSERVER._replace(note=_note, jump=_jump)
     layout = p.layout._replace(observers=(("high-gain", observer),))
     out = {}

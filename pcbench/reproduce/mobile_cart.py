@@ -6,7 +6,7 @@ error values stand only in figures. All numbers below are computed anew.
 
 import numpy as np
 
-from pcbench import bench, machine, planning, sweep
+from pcbench import bench, machine, planning, shapes, sweep
 from pcbench.cells import Cell, cells
 from pcbench.reproduce.claim import Claim, digits, statement
 from pcbench.scenarios import SCENARIOS
@@ -89,7 +89,7 @@ def _under_noise() -> list[Claim]:
     study = Study(name="noise", scenarios=["cart/gaussian"], observers=["pccebo", "kfbo", "dkf"], seeds=SEEDS)
     late = SCENARIOS["cart/gaussian"]._replace(horizon=43.142, tail=40.0)  # the tail is one period of the sawtooth
     options = {name: options_of(study, late, name) for name in ("pccebo", "kfbo")}
-    (done,) = sweep.execute(study, planning.fit([planning.draft(Cell(late, 0, {}, {}, Choices()), options)]))
+    (done,) = sweep.execute(study, shapes.fit([planning.draft(Cell(late, 0, {}, {}, Choices()), options)]))
     a, b = (np.sqrt(done.results[name]["tail_mse"][0].mean()) for name in options)
     claim = "6.2 Gaussian: PCCEBO stays better (rms over a sawtooth period after 40 s)"
     stays = statement(claim, "better responses", f"pccebo {a:.2f} m, kfbo {b:.2f} m", bool(a < b))

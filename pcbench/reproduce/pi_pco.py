@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench import bench, machine, planning, sweep
+from pcbench import bench, machine, planning, shapes, sweep
 from pcbench.cells import Cell
 from pcbench.reproduce.claim import Claim, statement
 from pcbench.scenarios import SCENARIOS, Scenario
@@ -72,7 +72,7 @@ def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario 
         study = Study(name="variance", scenarios=["cart/variable"], options=given, seeds=seeds)
         options = {name: options_of(study, scenario, name) for name in given}
         drafts.append(planning.draft(Cell(scenario, number, {}, {}, Choices()), options))
-    for (F, k), done in zip(grid, sweep.execute(study, planning.fit(drafts)), strict=True):
+    for (F, k), done in zip(grid, sweep.execute(study, shapes.fit(drafts)), strict=True):
         pco, pi = (done.results[name]["tail_mse"][0] / scenario.noise_std[0] ** 2 for name in ("pco", "pi-pco"))
         rows = (pco, pi, pi - pco)
         means, errors = ([float(f(row)) for row in rows] for f in (np.mean, standard_error))

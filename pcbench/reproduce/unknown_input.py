@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from scipy.linalg import expm
 
-from pcbench import bench, machine, planning, sweep
+from pcbench import bench, machine, planning, shapes, sweep
 from pcbench.cells import Cell
 from pcbench.observers import pio, smo
 from pcbench.plants import arm
@@ -143,7 +143,7 @@ def _chatter(dt: float) -> float:
     one = base._replace(dt=dt, horizon=10.0 + dt, sampling_period=(dt, dt))
     study = Study(name="step", scenarios=["arm/sine"], seeds=1)
     drafted = planning.draft(Cell(one, 0, {}, {}, Choices()), {"pio": options_of(study, one, "pio")})
-    (done,) = sweep.execute(study, planning.fit([drafted]))
+    (done,) = sweep.execute(study, shapes.fit([drafted]))
     return float(done.results["pio"]["tail_peak"][2, 0])
 
 

@@ -1,0 +1,149 @@
+"""One task of a study: some seeds of one cell, simulated and left as whole files.
+
+A pure function of its description: wherever and however often a task is done, its files hold the same bytes.
+"""
+
+import json
+from collections.abc import Iterator
+from math import isfinite
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench import ensemble, ledger, machine, store, sweep, tables
+from pcbench.cells import Cell
+from pcbench.errors import UserError
+from pcbench.parcel import unpack
+from pcbench.plants import signals_of
+from pcbench.shapes import Planned
+from pcbench.statistics import RUN_METRICS
+from pcbench.study import Study, observers_of
+
+ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
+SPARE = 3  # copies of what a call takes and leaves: of this one, of the next, and of what is read
+
+
+class Work(NamedTuple):
+    """What all tasks of a study share."""
+
+    out: str  # the dataset's place
+    study: str
+    root_seed: int
+    memory: float = float("inf")  # bytes that one task may take
+
+
+class Task(NamedTuple):
+    """Some seeds of one cell, for the observers of one program."""
+
+    parcel: bytes  # the planned cell
+    pieces: tuple[tuple[int, int, tuple[str, ...]], ...]  # (first, last, observers): the blocks to write
+
+    @property
+    def runs(self) -> int:
+        """Return how many runs its blocks hold."""
+        return sum((last - first) * len(labels) for first, last, labels in self.pieces)
+
+
+class Report(NamedTuple):
+    """What a task tells when its files stand."""
+
+    runs: int
+    program: tuple[str, int]  # which one computed it, of which process
+    compile_seconds: float  # that this program took to make
+    writing_seconds: float
+
+
+def compute(work: Work, task: Task, device: Any = None) -> Report:
+    """Do a task: simulate its seeds, and put its blocks; raise UserError where they cannot be written."""
+    files, made = tables_of(work, task, device)
+    start, place = perf_counter(), store.target(work.out)
+    for name, table in files:
+        store.put_table(place, name, table)
+    return Report(task.runs, (machine.process(), id(made)), made.compile_seconds, perf_counter() - start)
+
+
+def tables_of(work: Work, task: Task, device: Any = None) -> tuple[list[tuple[str, Any]], ensemble.Program]:
+    """Return the blocks of a task, (name, rows) each, and the program that computed them."""
+    with machine.float64():
+        p = unpack(task.parcel)
+        seeds = np.concatenate([np.arange(first, last) for first, last, _ in task.pieces])
+        jobs = list(sweep.jobs(p, work.root_seed, seeds))
+        made = ensemble.program(p.layout, jobs[0], device)
+        _fits(p, bytes_of_a_call(made), work.memory)
+        results = sweep.results(p, ensemble.serial(made, jobs))
+    files, at = [], 0
+    for first, last, labels in task.pieces:
+        for label in labels:
+            mine = {m: values[..., at : at + last - first] for m, values in results[label].items()}
+            files.append(block(work, p, label, mine, first, last))
+        at += last - first
+    return files, made
+
+
+def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: int, last: int) -> tuple[str, Any]:
+    """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
+    c, signals = p.certificates[label], signals_of(p.cell.scenario)
+    many = len(results["mae"])
+    bound = None if p.bound is None else [float(b) for b in p.bound[:many]]
+    about = {
+        "study": work.study,
+        "root_seed": work.root_seed,
+        "cell": p.digest,
+        "observer": label,
+        "first": first,
+        "last": last,
+        "rows": (last - first) * many,
+        "metrics": {m: len(results[m]) for m in RUN_METRICS if m in results},
+        "carries_input": p.carries_input[label],
+        "bound": bound,
+        "certificate": {
+            "inequality": c.inequality,
+            "margin": float(c.margin) if isfinite(c.margin) else None,
+            "solver": c.solver,
+            "status": c.status,
+        },
+        "versions": machine.versions(),
+    }
+    said = {ledger.ABOUT: json.dumps(about, sort_keys=True).encode()}
+    head = tables.keys(work.study, p.cell)
+    table = tables.runs_table(head, results, np.arange(first, last), signals, p.carries_input[label], said)
+    return ledger.Block(p.cell.scenario.name, label, p.cell.number, first, last).name, table
+
+
+def tasks(parcel: bytes, width: int, missing: dict[str, list[ledger.Range]]) -> Iterator[Task]:
+    """Yield the tasks that fill the `missing` ranges of a cell, by observer: blocks as cut, as many as fill a call."""
+    wanted: dict[ledger.Range, list[str]] = {}
+    for label, ranges in missing.items():
+        for each in ranges:
+            wanted.setdefault(each, []).append(label)
+    pieces: list[tuple[int, int, tuple[str, ...]]] = []
+    for (first, last), labels in sorted(wanted.items()):
+        if pieces and sum(b - a for a, b, _ in pieces) + last - first > width:
+            yield Task(parcel, tuple(pieces))
+            pieces = []
+        pieces.append((first, last, tuple(labels)))
+    if pieces:
+        yield Task(parcel, tuple(pieces))
+
+
+def bytes_of_a_call(made: ensemble.Program) -> int:
+    """Return the memory that a program needs while it computes, as its compiler says."""
+    try:
+        m = made.compiled.memory_analysis()
+        return int(m.temp_size_in_bytes + SPARE * (m.argument_size_in_bytes + m.output_size_in_bytes))
+    except (AttributeError, NotImplementedError, RuntimeError):  # not every backend says
+        return 0
+
+
+def bytes_of_a_block(cell: Cell, study: Study, seeds: int) -> int:
+    """Return the memory that the results of some seeds take for all observers of a cell: arrays, rows and a file's bytes."""
+    return seeds * len(signals_of(cell.scenario)) * len(observers_of(study, cell.scenario.name)) * ROW_BYTES
+
+
+def _fits(p: Planned, needed: int, given: float) -> None:
+    if needed > given:
+        raise UserError(
+            f"--memory: one call of {p.cell.scenario.name} with {', '.join(p.labels)} takes {needed / 1e6:.0f} MB, got "
+            f"{given / 1e6:.0f} MB for each of those at a time, expected more; give more, or fewer workers."
+        )

@@ -1,0 +1,170 @@
+"""From a study to its blocks: what is missing is planned, cut into tasks, done, and nothing else.
+
+Gains are designed before anything is written; planned cells wait on disk, so that memory grows with none of a study's axes.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pcbench import blocks, folder, ledger, planning, shapes, store
+from pcbench.cells import Cell, identity
+from pcbench.errors import UserError
+from pcbench.executors import Executor
+from pcbench.folder import Claim
+from pcbench.ledger import Block, Range
+from pcbench.parcel import pack, unpack
+from pcbench.shapes import Planned
+from pcbench.study import observers_of
+
+MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
+Wanted = Callable[[Cell], Range]  # the seeds of a cell, first and one past the last
+Missing = dict[tuple[str, int], dict[str, list[Range]]]  # by cell and observer
+Tell = Callable[[str, float], None]
+
+
+class Options(NamedTuple):
+    """How a study is run: of no influence on any number."""
+
+    block: int | None = None  # seeds a block
+    memory: float = float("inf")  # bytes that results may take at a time
+
+
+class Effort(NamedTuple):
+    """What a run of a study took."""
+
+    runs: int = 0
+    compile_seconds: float = 0.0
+    writing_seconds: float = 0.0
+
+
+def added(a: Effort, b: Effort) -> Effort:
+    """Return what two runs took together."""
+    return Effort(a.runs + b.runs, a.compile_seconds + b.compile_seconds, a.writing_seconds + b.writing_seconds)
+
+
+def everything(claimed: Claim) -> Wanted:
+    """Return the seeds that a study names."""
+    first = claimed.study.first_seed
+    return lambda cell: (first, first + claimed.study.seeds)
+
+
+def whole(place: store.Target, claimed: Claim, say: Callable[[str], None]) -> list[Block]:
+    """Return the blocks that stand and are whole; damaged and doubled ones are named, and count as missing."""
+    digests = {(c.scenario.name, c.number): identity(c, claimed.study.root_seed) for c in claimed.cells}
+    known = {s: set(observers_of(claimed.study, s)) for s in claimed.study.scenarios}
+    good: dict[tuple[str, int, str], list[Block]] = {}
+    for b in ledger.present(place):
+        if (b.scenario, b.cell) not in digests or b.observer not in known[b.scenario]:
+            raise UserError(
+                f"{place.name}/{b.name}: is of no cell of this study, expected its blocks only; move it away."
+            )
+        wrong = ledger.damage(place, b, digests[b.scenario, b.cell])
+        if wrong:
+            say(f"{place.name}/{b.name}: is damaged ({wrong}); it is done again.")
+        else:
+            good.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    kept = []
+    for each in good.values():
+        follow, doubled = ledger.settle(each)
+        for b in doubled:
+            say(f"{place.name}/{b.name}: holds seeds that another block holds; it is removed.")
+            store.remove(place, b.name)
+        kept += follow
+    return sorted(kept)
+
+
+def missing(claimed: Claim, there: list[Block], wanted: Wanted, size: Callable[[Cell], int]) -> Missing:
+    """Return the ranges of seeds that no block holds."""
+    have: dict[tuple[str, int, str], list[Block]] = {}
+    for b in there:
+        have.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    out: Missing = {}
+    for cell in claimed.cells:
+        for o in observers_of(claimed.study, cell.scenario.name):
+            place = cell.scenario.name, cell.number
+            if ranges := ledger.gaps(have.get((*place, o), []), *wanted(cell), size(cell)):
+                out.setdefault(place, {})[o] = ranges
+    return out
+
+
+def fill(
+    place: store.Target,
+    claimed: Claim,
+    there: list[Block],
+    execute: Executor,
+    wanted: Wanted,
+    options: Options,
+    tell: Tell,
+) -> Effort:
+    """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be."""
+    todo = missing(claimed, there, wanted, partial(_block, claimed, wanted, options))
+    if not todo:
+        return Effort()
+    with tempfile.TemporaryDirectory(prefix="pcbench-") as shelf:
+        groups = _planned(claimed, todo, Path(shelf))
+        folder.begin(place, claimed)
+        tell("planned", float(sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)))
+        work = partial(
+            blocks.compute, blocks.Work(_shared(place), claimed.study.name, claimed.study.root_seed, options.memory)
+        )
+        seen: dict[Any, float] = {}
+        runs, writing = 0, 0.0
+        for report in execute(work, _tasks(groups, todo)):
+            if report.program not in seen:
+                seen[report.program] = report.compile_seconds
+                tell("compiled", report.compile_seconds)
+            runs, writing = runs + report.runs, writing + report.writing_seconds
+            tell("runs", report.runs)
+        return Effort(runs, sum(seen.values()), writing)
+
+
+def _block(claimed: Claim, wanted: Wanted, options: Options, cell: Cell) -> int:
+    """Seeds a block: as many as a call computes, more where there would be too many files, fewer only if asked."""
+    if options.block:
+        return options.block
+    width, pairs = planning.width(cell), sum(len(observers_of(claimed.study, c.scenario.name)) for c in claimed.cells)
+    size, (first, last) = width, wanted(cell)
+    while (
+        pairs * (last - first) / size > MANY_FILES
+        and blocks.bytes_of_a_block(cell, claimed.study, 2 * size) < options.memory
+    ):
+        size *= 2
+    return size
+
+
+def _planned(claimed: Claim, todo: Missing, shelf: Path) -> list[tuple[Path, int, tuple[str, int], tuple[str, ...]]]:
+    """Plan what is to do and lay it aside, cells of one program together: (file, width, cell, observers)."""
+    room = shapes.Room()
+    drafts: list[Path] = []
+    is_wanted = lambda cell: (cell.scenario.name, cell.number) in todo  # noqa: E731
+    for p in shapes.checked(planning.drafts(claimed.study, claimed.cells, is_wanted)):
+        room = shapes.larger(room, shapes.room_of(p))
+        if p.labels:
+            drafts.append(shelf / str(len(drafts)))
+            drafts[-1].write_bytes(pack(p))
+    groups: dict[Any, list[tuple[Path, int, tuple[str, int], tuple[str, ...]]]] = {}
+    for path in drafts:
+        p = shapes.fitted(unpack(path.read_bytes()), room)
+        path.write_bytes(pack(p))
+        mine = path, p.layout.width, _cell(p), p.labels
+        groups.setdefault(shapes.key_of(p), []).append(mine)
+    return [each for group in groups.values() for each in group]
+
+
+def _cell(p: Planned) -> tuple[str, int]:
+    return p.cell.scenario.name, p.cell.number
+
+
+def _tasks(planned: list[tuple[Path, int, tuple[str, int], tuple[str, ...]]], todo: Missing) -> Iterator[blocks.Task]:
+    for path, width, cell, labels in planned:
+        ranges = {label: todo[cell][label] for label in labels if label in todo[cell]}
+        if ranges:
+            yield from blocks.tasks(path.read_bytes(), width, ranges)
+
+
+def _shared(place: store.Target) -> str:
+    """The place as another process reaches it."""
+    return place.root if place.local else place.name

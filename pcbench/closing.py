@@ -1,0 +1,227 @@
+"""From the blocks of a dataset to its closing tables: stats and pairs, read cell by cell, chunk by chunk.
+
+What they hold is a function of the rows alone: not of how these are cut into files, nor of who computed them.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pcbench import ledger, statistics, store, tables
+from pcbench.cells import Cell
+from pcbench.folder import Claim
+from pcbench.ledger import Block
+from pcbench.plants import signals_of
+from pcbench.study import observers_of
+
+ROWS = 20_000  # of a closing table that are gathered before they are written
+FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
+
+
+class Observed(NamedTuple):
+    """The runs of one observer in one cell."""
+
+    blocks: list[Block]
+    about: dict[str, Any]  # what its first block says of itself
+
+
+def close(place: store.Target, claimed: Claim, there: list[Block]) -> dict[str, dict[str, Any]]:
+    """Write stats.parquet and pairs.parquet of the blocks that are there; return the weakest certificates."""
+    stats, pairs, weakest = closing_tables(place, claimed, there)
+    store.put(place, "stats.parquet", stats)
+    store.put(place, "pairs.parquet", pairs)
+    return weakest
+
+
+def closing_tables(
+    place: store.Target, claimed: Claim, there: list[Block]
+) -> tuple[pa.Buffer, pa.Buffer, dict[str, dict[str, Any]]]:
+    """Return stats and pairs as the bytes of their files, and the weakest certificates.
+
+    Cells are taken in the order of the study, those without runs left out.
+    """
+    made_of = {FROM: fingerprint(there)}
+    stats, pairs = Gathered(made_of), Gathered(made_of)
+    weakest: dict[str, dict[str, Any]] = {}
+    blocks: dict[tuple[str, int, str], list[Block]] = {}
+    for b in sorted(there):
+        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    for cell in claimed.cells:
+        found = observed(place, claimed, cell, blocks)
+        if not found:
+            continue
+        rows, compared = summary(place, claimed.study.name, cell, found)
+        axes = tables.axes_of(rows[0])
+        stats.add(tables.rows_table(rows, tables.stats_order(axes)))
+        if compared:
+            pairs.add(tables.rows_table(compared, tables.pairs_order(axes)))
+        mine = weakest.setdefault(cell.scenario.name, {})
+        for name, each in found.items():
+            c = each.about["certificate"]
+            mine[name] = min(mine.get(name, c), c, key=lambda c: np.inf if c["margin"] is None else c["margin"])
+    return stats.content(), adjusted(pairs.content(), made_of), weakest
+
+
+def fingerprint(there: list[Block]) -> bytes:
+    """Return the digest of which runs there are, however they are cut into blocks."""
+    joined: list[Block] = []
+    for b in ledger.settled(there):
+        if joined and joined[-1][:3] == b[:3] and joined[-1].last == b.first:
+            joined[-1] = joined[-1]._replace(last=b.last)
+        else:
+            joined.append(b)
+    return hashlib.sha256(repr([tuple(b) for b in joined]).encode()).hexdigest().encode()
+
+
+def is_closed(place: store.Target, there: list[Block]) -> bool:
+    """Return whether the closing tables stand, and are of these blocks."""
+    for name in ("stats.parquet", "pairs.parquet"):
+        content = store.get(place, name)
+        try:
+            said = pq.read_schema(pa.BufferReader(content)).metadata if content else {}
+        except (pa.ArrowException, OSError):
+            return False
+        if (said or {}).get(FROM) != fingerprint(there) or said.get(b"pcbench.schema") != tables.SCHEMA.encode():
+            return False
+    return store.get(place, "provenance.json") is not None
+
+
+def observed(
+    place: store.Target, claimed: Claim, cell: Cell, blocks: dict[tuple[str, int, str], list[Block]]
+) -> dict[str, Observed]:
+    """Return what there is of a cell, by observer."""
+    out = {}
+    for name in observers_of(claimed.study, cell.scenario.name):
+        if mine := blocks.get((cell.scenario.name, cell.number, name)):
+            out[name] = Observed(mine, ledger.about(ledger.read(place, mine[0])))
+    return out
+
+
+def summary(
+    place: store.Target, study: str, cell: Cell, found: dict[str, Observed]
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the rows of stats and of pairs of one cell."""
+    s, signals = cell.scenario, signals_of(cell.scenario)
+    names, units = [name for name, _ in signals], dict(signals)
+    head = tables.keys(study, cell) | {"plant": s.plant}
+    carries = {name: each.about["carries_input"] for name, each in found.items()}
+    bounds = {name: _seen(each.about["bound"], s.prior_std) for name, each in found.items()}
+    described, compared = statistics.summarise(lambda: chunks(place, found), bounds, names, s.prior_std + s.unknown_std)
+    stats, pairs = [], []
+    for name, rows in described.items():
+        for row in rows:
+            signal, unit = signals[row["signal"]]
+            about = {"observer": name, "carries_input": carries[name], "unit": tables.unit_of(row["metric"], unit)}
+            stats.append(head | row | about | {"signal": signal})
+    for row in compared:
+        about = {"unit": tables.unit_of(row["metric"], units[row["signal"]]), "p_holm": np.nan}
+        about |= {f"carries_input_{side}": carries[row[f"observer_{side}"]] for side in "ab"}
+        pairs.append(head | about | row)
+    return stats, pairs
+
+
+def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> Any:
+    """The bound where it is one: below a part of the prior it is zero for every purpose."""
+    if bound is None:
+        return None
+    return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])
+
+
+def chunks(place: store.Target, found: dict[str, Observed]) -> Iterator[dict[str, statistics.Results]]:
+    """Yield the runs of a cell by observer, the seeds of one chunk after the other."""
+    readers = {name: _by_chunk(place, each.blocks) for name, each in found.items()}
+    while all_there := {name: next(reader, None) for name, reader in readers.items()}:
+        if any(each is None for each in all_there.values()):
+            return
+        yield {name: each for name, each in all_there.items() if each is not None}
+
+
+def _by_chunk(place: store.Target, blocks: list[Block]) -> Iterator[statistics.Results]:
+    """Yield one observer's runs, cut at multiples of a chunk."""
+    held: list[statistics.Results] = []
+    at = None
+    for block in blocks:
+        results, start = results_of(ledger.read(place, block)), block.first
+        while start < block.last:
+            chunk = start // statistics.CHUNK
+            if held and chunk != at:
+                yield _joined(held)
+                held = []
+            at, end = chunk, min(block.last, (chunk + 1) * statistics.CHUNK)
+            held.append({m: v[..., start - block.first : end - block.first] for m, v in results.items()})
+            start = end
+    if held:
+        yield _joined(held)
+
+
+def _joined(parts: list[statistics.Results]) -> statistics.Results:
+    return {m: np.concatenate([p[m] for p in parts], -1) for m in parts[0]} if len(parts) > 1 else parts[0]
+
+
+def results_of(table: pa.Table) -> statistics.Results:
+    """Return the metrics that a block holds, [what the observer estimates, seeds]; `diverged` [seeds]."""
+    said = ledger.about(table)
+    runs = said["last"] - said["first"]
+
+    def square(name: str) -> Any:
+        return table[name].to_numpy().reshape(runs, -1).T
+
+    out = {m: square(m)[:many] for m, many in said["metrics"].items()}
+    return out | {"diverged": square("diverged")[0].astype(bool), "unsettled": square("status") == "unsettled"}
+
+
+class Gathered:
+    """A table that is written as it grows, into memory and compressed."""
+
+    def __init__(self, about: dict[bytes, bytes]) -> None:
+        self.about, self.sink = about, pa.BufferOutputStream()
+        self.waiting: list[pa.Table] = []
+        self.writer: Any = None
+
+    def add(self, table: pa.Table) -> None:
+        """Add some rows."""
+        self.waiting.append(table.replace_schema_metadata((table.schema.metadata or {}) | self.about))
+        if sum(map(len, self.waiting)) >= ROWS:
+            self._write()
+
+    def content(self) -> pa.Buffer:
+        """Return the file's bytes."""
+        self._write()
+        if self.writer is None:
+            return store.encoded(tables.table({}))
+        self.writer.close()
+        return self.sink.getvalue()
+
+    def _write(self) -> None:
+        if self.waiting:
+            table = pa.concat_tables(self.waiting)
+            self.writer = self.writer or pq.ParquetWriter(
+                self.sink, table.schema, compression="zstd", write_page_checksum=True
+            )
+            self.writer.write_table(table)
+            self.waiting = []
+
+
+def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
+    """Put Holm's adjusted p-values into the rows of pairs: one family a scenario, signal and metric."""
+    file = pq.ParquetFile(pa.BufferReader(content))
+    families: dict[tuple[str, ...], list[float]] = {}
+    keys = ["scenario", "signal", "metric"]
+    if "p_value" not in file.schema_arrow.names:
+        return content
+    for batch in file.iter_batches(columns=[*keys, "p_value"]):
+        for *family, p in zip(*(batch[c].to_pylist() for c in [*keys, "p_value"]), strict=True):
+            families.setdefault(tuple(family), []).append(np.nan if p is None else p)
+    after = {family: iter(statistics.holm(np.array(p))) for family, p in families.items()}
+    out = Gathered(about)
+    for i in range(file.num_row_groups):
+        table = file.read_row_group(i)
+        mine = zip(*(table[c].to_pylist() for c in keys), strict=True)
+        column = pa.array([float(next(after[family])) for family in mine], pa.float64(), from_pandas=True)
+        place = table.schema.get_field_index("p_holm")
+        out.add(table.set_column(place, table.schema.field(place), column))
+    return out.content()

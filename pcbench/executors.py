@@ -1,0 +1,135 @@
+"""Where tasks are done: in this process, on all cores or accelerators, or by Dask's workers.
+
+An executor is a function (work, tasks) -> reports as they come, in any order: `work(task, device)` is a pure function that
+leaves whole files, `tasks` are drawn as places become free, so that memory does not grow with their number.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
+from itertools import islice
+from queue import SimpleQueue
+from typing import Any
+
+from pcbench import ensemble, machine
+from pcbench.errors import UserError
+
+Executor = Callable[[Callable[..., Any], Iterable[Any]], Iterator[Any]]
+AHEAD = 2  # tasks a Dask worker has at hand: one under way, one waiting
+LIVES = 10  # times a task may lose its worker
+
+
+@contextmanager
+def here(count: int | None = None) -> Iterator[Executor]:
+    """Yield the executor of this process: `count` tasks at a time, by default one a core or accelerator."""
+    places: SimpleQueue[Any] = SimpleQueue()
+    for device in ensemble.places(count):
+        places.put(device)
+    many = places.qsize()
+    pool = ThreadPoolExecutor(many, "pcbench")
+
+    def on_a_place(work: Any, task: Any) -> Any:
+        device = places.get()
+        try:
+            return work(task, device)
+        finally:
+            places.put(device)
+
+    def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
+        left, under_way = iter(tasks), set[Future[Any]]()
+        while True:
+            under_way |= {
+                pool.submit(on_a_place, work, t) for t in islice(left, len(ensemble.places(count)) + 1 - len(under_way))
+            }
+            if not under_way:
+                return
+            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+
+    try:
+        yield execute
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextmanager
+def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
+    """Yield the executor of a Dask cluster: the scheduler at an address, or "local" for so many processes of this machine.
+
+    A worker computes one task at a time on one device. One that dies loses its task to another; a task done twice leaves the
+    same file. The dataset's place must be one that all workers reach. Raises UserError where there is no such cluster.
+    """
+    distributed = _distributed()
+    try:
+        cluster = _local(distributed, workers) if address == "local" else None
+        client = distributed.Client(cluster or address, timeout="20s", set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise UserError(
+            f"--dask: got {address!r}, which cannot be reached ({type(error).__name__}); expected 'local', or the address of a "
+            "running scheduler such as tcp://10.0.0.1:8786."
+        ) from None
+
+    def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
+        left, under_way = iter(tasks), distributed.as_completed(loop=client.loop)
+
+        def feed() -> None:
+            room = AHEAD * max(len(client.nthreads()), 1)
+            for task in islice(left, max(room - under_way.count(), 0)):
+                under_way.add(client.submit(_on_a_worker, work, task, pure=False, retries=LIVES))
+
+        feed()
+        for future in under_way:
+            try:
+                report = future.result()
+            except distributed.KilledWorker as error:
+                raise UserError(
+                    f"--dask: a task lost its worker {LIVES} times ({error}), expected workers that live; look at their memory "
+                    "and run the same command again to go on."
+                ) from None
+            future.release()
+            feed()
+            yield report
+
+    try:
+        yield execute
+    finally:
+        with suppress(Exception):  # a cluster that is gone is closed
+            client.close(timeout=5)
+        if cluster is not None:
+            with suppress(Exception):
+                cluster.close(timeout=10)
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError:
+        raise UserError(
+            "--dask: the library is not there, expected it installed: pip install 'pcbench[dask]'."
+        ) from None
+    import dask
+
+    dask.config.set({"distributed.scheduler.allowed-failures": LIVES})
+    return distributed
+
+
+def _local(distributed: Any, workers: int | None) -> Any:
+    """A cluster of spawned processes on this machine, each with one device and one thread to compute with."""
+    count = workers or ensemble.cores()
+    single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    return distributed.LocalCluster(
+        n_workers=count,
+        threads_per_worker=1,
+        processes=True,
+        dashboard_address=None,
+        memory_limit=None,
+        env=single | {"PCBENCH_WORKER": "1"},
+        silence_logs="CRITICAL",
+    )
+
+
+def _on_a_worker(work: Callable[..., Any], task: Any) -> Any:
+    """Do a task in a worker's process, which becomes pcbench's own at its first task."""
+    machine.setup()
+    return work(task, None)

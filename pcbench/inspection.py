@@ -1,0 +1,166 @@
+"""Looking at a dataset that stands: what is done, whether it is whole, whether it comes out again. Nothing is written."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pcbench import blocks, campaign, closing, folder, ledger, machine, planning, shapes, store
+from pcbench.cells import identity
+from pcbench.folder import Claim
+from pcbench.ledger import Block
+from pcbench.parcel import pack
+from pcbench.study import observers_of
+
+ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
+
+
+class Share(NamedTuple):
+    """How far the runs of one observer in one scenario are."""
+
+    scenario: str
+    observer: str
+    cells: int
+    blocks: int
+    seeds: int  # that stand, over all cells
+    wanted: int  # that the study names
+
+
+class Status(NamedTuple):
+    """What stands in a place."""
+
+    study: str
+    shares: list[Share]
+    damaged: list[str]
+    doubled: list[str]
+    unfinished: list[str]  # of killed writers
+    bytes: int
+    closed: bool  # the closing tables stand, and are of these blocks
+
+
+def status(out: Any) -> Status:
+    """Return what stands in a place, from the files' names and footers; raise UserError where there is no study."""
+    place = store.target(out)
+    claimed = folder.opened(place)
+    there = ledger.present(place)
+    study, rows, doubled = claimed.study, [], []
+    by: dict[tuple[str, str], list[Block]] = {}
+    for b in there:
+        by.setdefault((b.scenario, b.observer), []).append(b)
+    for scenario in study.scenarios:
+        many = sum(c.scenario.name == scenario for c in claimed.cells)
+        for observer in observers_of(study, scenario):
+            mine = by.get((scenario, observer), [])
+            kept = [b for cell in {b.cell for b in mine} for b in ledger.settle(x for x in mine if x.cell == cell)[0]]
+            doubled += [b.name for b in sorted(set(mine) - set(kept))]
+            seeds = sum(b.last - b.first for b in kept)
+            rows.append(Share(scenario, observer, many, len(mine), seeds, many * study.seeds))
+    sizes = {name: store.size(place, name) for name in store.names(place)}
+    damaged = [b.name for b in there if store.footer(place, b.name) is None]
+    left = [p.name for p in store.unfinished(place)]
+    return Status(study.name, rows, damaged, doubled, left, sum(sizes.values()), closing.is_closed(place, there))
+
+
+class Verdict(NamedTuple):
+    """What a verification found."""
+
+    files: int  # checked, every page
+    wrong: list[str]  # a sentence each
+    recomputed: list[str]  # blocks
+    differing: list[str]  # a sentence each
+
+
+def verify(out: Any, sample: int | None, seed: int, tell: Callable[[str, float], None]) -> Verdict:
+    """Check every file of a place, and compute `sample` blocks (None: all) again; compare bit for bit.
+
+    Blocks are drawn with `seed`. The closing tables are made again and compared too.
+    """
+    place = store.target(out)
+    claimed = folder.opened(place)
+    digests = {(c.scenario.name, c.number): identity(c, claimed.study.root_seed) for c in claimed.cells}
+    there, wrong, good = ledger.present(place), [], []
+    tell("checking", float(len(there)))
+    for b in there:
+        found = ledger.damage(place, b, digests.get((b.scenario, b.cell), ""))
+        wrong += [f"{b.name}: {found}."] if found else []
+        good += [] if found else [b]
+        tell("checked", 1.0)
+    kept = ledger.settled(good)
+    wrong += [f"{b.name}: holds seeds that another block holds." for b in sorted(set(good) - set(kept))]
+    wrong += [] if wrong else _closing_differs(place, claimed, kept)
+    chosen = kept
+    if sample is not None and sample < len(kept):
+        chosen = [kept[i] for i in sorted(np.random.default_rng(seed).choice(len(kept), sample, replace=False))]
+    tell("again", float(len(chosen)))
+    return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(place, claimed, chosen, tell)))
+
+
+def _again(place: store.Target, claimed: Claim, chosen: list[Block], tell: Callable[[str, float], None]) -> Any:
+    """Yield a sentence for every block that does not come out again."""
+    wanted = {(b.scenario, b.cell) for b in chosen}
+    is_wanted = lambda cell: (cell.scenario.name, cell.number) in wanted  # noqa: E731
+    drafts = list(planning.drafts(claimed.study, claimed.cells, is_wanted))
+    room = shapes.needed(drafts)
+    for p in (shapes.fitted(d, room) for d in drafts if d.labels):
+        for b in chosen:
+            if (b.scenario, b.cell) == (p.cell.scenario.name, p.cell.number) and b.observer in p.labels:
+                work = blocks.Work("", claimed.study.name, claimed.study.root_seed)
+                task = blocks.Task(pack(p), ((b.first, b.last, (b.observer,)),))
+                ((_, made),) = blocks.tables_of(work, task)[0]
+                yield from _difference(b, ledger.read(place, b), made)
+                tell("compared", 1.0)
+
+
+def _difference(b: Block, there: pa.Table, here: pa.Table) -> Any:
+    """Yield how a block differs from what comes out now, if it does: rows to the bit, then what it says of itself."""
+    if there.equals(here):
+        return
+    worst = largest_difference(there, here)
+    if worst is None:
+        yield f"{b.name}: has other rows than come out now."
+        return
+    old, new = ledger.about(there)["versions"], machine.versions()
+    made = f"made with {', '.join(f'{k} {v}' for k, v in old.items() if new.get(k) != v)}; " if old != new else ""
+    kind = "rounding" if worst < ROUNDING else "more than rounding"
+    yield f"{b.name}: {made}numbers differ by {worst:.1e} of themselves ({kind})."
+
+
+def largest_difference(a: pa.Table, b: pa.Table) -> float | None:
+    """Return the largest relative difference of two tables' numbers; None where they differ in anything else."""
+    if a.schema.names != b.schema.names or len(a) != len(b):
+        return None
+    worst = 0.0
+    for name in a.schema.names:
+        x, y = a[name], b[name]
+        if x.equals(y):
+            continue
+        if not pa.types.is_floating(x.type) or x.null_count != y.null_count:
+            return None
+        u, v = (np.nan_to_num(column.to_numpy()) for column in (x, y))
+        size = np.maximum(np.abs(u), np.abs(v))
+        worst = max(worst, float((np.abs(u - v) / np.where(size > 0, size, 1)).max()))
+    return worst
+
+
+def _closing_differs(place: store.Target, claimed: Claim, kept: list[Block]) -> Any:
+    """Yield a sentence for every closing table that does not follow from the blocks."""
+    if not closing.is_closed(place, kept):
+        return ["stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."]
+    stats, pairs, _ = closing.closing_tables(place, claimed, kept)
+    out = []
+    for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
+        there = pq.read_table(pa.BufferReader(store.get(place, name)))
+        if not there.equals(pq.read_table(pa.BufferReader(made))):
+            out.append(f"{name}: does not follow from the blocks; run the study again to have it made anew.")
+    return out
+
+
+def missing(out: Any) -> int:
+    """Return how many runs a place lacks."""
+    place = store.target(out)
+    claimed = folder.opened(place)
+    todo = campaign.missing(claimed, ledger.present(place), campaign.everything(claimed), partial(lambda cell: 2**40))
+    return sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)

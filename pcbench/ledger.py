@@ -1,0 +1,131 @@
+"""The blocks of a dataset: what is there, what is whole, what is missing. No jax.
+
+A block is the runs of one observer in one cell over a range of seeds: one file, whose name says which. Nothing else is
+remembered: what is done is what is on disk. Ranges need not be of one size: a gap is a gap, whoever cut the rest.
+"""
+
+import json
+import re
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+from urllib.parse import quote, unquote
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pcbench import store
+from pcbench.errors import UserError
+from pcbench.tables import SCHEMA
+
+ABOUT = b"pcbench.block"  # the key in a file's metadata
+NAME = re.compile(r"runs/scenario=([^/]+)/observer=([^/]+)/cell-(\d+)-seeds-(\d+)-(\d+)\.parquet")
+Range = tuple[int, int]  # first seed, one past the last
+
+
+class Block(NamedTuple):
+    """The runs of one observer in one cell over the seeds first .. last - 1."""
+
+    scenario: str
+    observer: str
+    cell: int
+    first: int
+    last: int
+
+    @property
+    def name(self) -> str:
+        """Return the file it stands in, below the dataset's folder."""
+        folder = f"runs/scenario={quote(self.scenario, safe='')}/observer={quote(self.observer, safe='')}"
+        return f"{folder}/cell-{self.cell:05d}-seeds-{self.first:010d}-{self.last - 1:010d}.parquet"
+
+
+def block_of(name: str) -> Block | None:
+    """Return the block that a file's name says; None where it is the name of no block."""
+    found = NAME.fullmatch(name)
+    if not found:
+        return None
+    scenario, observer, cell, first, last = found.groups()
+    return Block(unquote(scenario), unquote(observer), int(cell), int(first), int(last) + 1)
+
+
+def present(place: store.Target) -> list[Block]:
+    """Return the blocks that have a file, sorted; raise UserError for a table that is none."""
+    out = []
+    for name in store.names(place, "runs"):
+        block = block_of(name)
+        if block is None:
+            raise UserError(
+                f"{place.name}/{name}: is no block of a study, expected cell-*-seeds-*.parquet; move it away."
+            )
+        out.append(block)
+    return sorted(out)
+
+
+def read(place: store.Target, block: Block) -> pa.Table:
+    """Return a block's rows, every page checked; raise UserError, naming the file, where it is damaged."""
+    found = _whole(place, block)
+    if isinstance(found, str):
+        raise UserError(
+            f"{place.name}/{block.name}: is damaged ({found}), expected a whole block; run the study again to have it redone."
+        )
+    return found
+
+
+def _whole(place: store.Target, block: Block) -> pa.Table | str:
+    content = store.get(place, block.name)
+    if content is None:
+        return "it is gone"
+    try:
+        with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
+            return file.read()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        return str(error).splitlines()[0].rstrip(".")
+
+
+def about(table: pa.Table) -> dict[str, Any]:
+    """Return what a block says of itself."""
+    return dict(json.loads((table.schema.metadata or {}).get(ABOUT, b"{}")))
+
+
+def damage(place: store.Target, block: Block, cell: str) -> str | None:
+    """Return what is wrong with a block's file; None where it is whole and of the cell with this digest."""
+    table = _whole(place, block)
+    if isinstance(table, str):
+        return table
+    said, metadata = about(table), table.schema.metadata or {}
+    if metadata.get(b"pcbench.schema") != SCHEMA.encode():
+        return "it is of another version of the schema"
+    if said.get("cell") != cell:
+        return "it is of another cell"
+    if (said.get("observer"), said.get("first"), said.get("last")) != (block.observer, block.first, block.last):
+        return "it is another block than its name says"
+    if len(table) != said.get("rows") or len(table) % (block.last - block.first):
+        return f"it has {len(table)} rows, expected {said.get('rows')}"
+    return None
+
+
+def settle(blocks: Iterable[Block]) -> tuple[list[Block], list[Block]]:
+    """Return the blocks of one observer and cell that follow one another, and those that would double a row."""
+    kept: list[Block] = []
+    doubled: list[Block] = []
+    for block in sorted(blocks, key=lambda b: (b.first, -b.last)):
+        (kept if not kept or block.first >= kept[-1].last else doubled).append(block)
+    return kept, doubled
+
+
+def settled(blocks: Iterable[Block]) -> list[Block]:
+    """Return the blocks of all observers and cells without those that would double a row, sorted."""
+    each: dict[tuple[str, str, int], list[Block]] = {}
+    for b in blocks:
+        each.setdefault((b.scenario, b.observer, b.cell), []).append(b)
+    return sorted(b for mine in each.values() for b in settle(mine)[0])
+
+
+def gaps(blocks: Iterable[Block], first: int, last: int, size: int) -> list[Range]:
+    """Return the ranges of first .. last - 1 that no block holds, cut at multiples of `size`."""
+    out, at = [], first
+    for start, end in [*sorted((b.first, b.last) for b in blocks), (last, last)]:
+        while at < min(start, last):
+            out.append((at, min(start, last, (at // size + 1) * size)))
+            at = out[-1][1]
+        at = max(at, end)
+    return out

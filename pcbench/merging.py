@@ -1,0 +1,157 @@
+"""Several datasets of one study made one: other seeds, other machines. What two of them hold must be equal, row by row."""
+
+import json
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+import pyarrow as pa
+
+from pcbench import closing, folder, ledger, machine, store, tables
+from pcbench.cells import cells_of, digest, identity, to_toml
+from pcbench.errors import UserError
+from pcbench.folder import Claim
+from pcbench.inspection import largest_difference
+from pcbench.ledger import Block
+
+
+class Part(NamedTuple):
+    """A block where it stands, and as it is called in the merged dataset."""
+
+    place: store.Target
+    there: Block
+    block: Block
+
+
+class Merged(NamedTuple):
+    """What a merge made."""
+
+    blocks: int
+    doubled: int  # runs that more than one dataset held, all of them equal
+    missing: int  # runs that no dataset held
+
+
+def merge(given: list[Any], out: Any, tell: Callable[[str, float], None] = lambda event, value: None) -> Merged:
+    """Copy the blocks of several datasets of one study into a new one and close it; raise UserError where they disagree.
+
+    Nothing is written before every overlap has been found equal.
+    """
+    if len(given) < 2:
+        raise UserError(f"merge: got {len(given)} dataset, expected two or more; name them.")
+    places = [store.target(each) for each in given]
+    claims = [folder.opened(place) for place in places]
+    for place, claimed in zip(places[1:], claims[1:], strict=True):
+        if changed := folder.differences(claims[0], claimed):
+            raise UserError(
+                f"{place.name}: is of another study than {places[0].name} ({'; '.join(changed[:3])}), expected the same study "
+                "with other seeds; merge datasets of one study."
+            )
+    target = store.target(out)
+    if found := store.names(target):
+        raise UserError(
+            f"{target.name}: holds files already ({found[0]}), expected a new folder; give another with --out."
+        )
+    parts = _parts(places, claims)
+    tell("merging", float(2 * sum(map(len, parts.values()))))
+    for mine in parts.values():  # first look, then write
+        for _ in _pieces(mine):
+            tell("merged", 1.0)
+    whole = _whole(claims)
+    folder.begin(target, whole)
+    doubled = 0
+    for mine in parts.values():
+        for name, content, twice in _pieces(mine):
+            doubled += twice
+            if content is not None:
+                store.put(target, name, content)
+            tell("merged", 1.0)
+    return _closed(target, whole, places, doubled)
+
+
+def _parts(places: list[store.Target], claims: list[Claim]) -> dict[tuple[str, int, str], list[Part]]:
+    """Return the blocks of all datasets by what they will be part of; numbers of cells are those of the first."""
+    first = claims[0]
+    numbers = {(c.scenario.name, identity(c, first.study.root_seed)): c.number for c in first.cells}
+    out: dict[tuple[str, int, str], list[Part]] = {}
+    for place, claimed in zip(places, claims, strict=True):
+        digests = {(c.scenario.name, c.number): identity(c, claimed.study.root_seed) for c in claimed.cells}
+        for b in ledger.present(place):
+            if wrong := ledger.damage(place, b, digests.get((b.scenario, b.cell), "")):
+                raise UserError(
+                    f"{place.name}/{b.name}: is damaged ({wrong}), expected a whole block; run its study again first."
+                )
+            number = numbers[b.scenario, digests[b.scenario, b.cell]]
+            part = Part(place, b, b._replace(cell=number))
+            out.setdefault((b.scenario, number, b.observer), []).append(part)
+    return {key: sorted(parts, key=lambda p: (p.block.first, -p.block.last)) for key, parts in sorted(out.items())}
+
+
+def _pieces(parts: list[Part]) -> Iterator[tuple[str, Any, int]]:
+    """Yield for each part of one observer and cell: a name, its bytes or None, and how many runs it held again."""
+    kept: list[Part] = []
+    for part in parts:
+        at = max((p.block.last for p in kept), default=part.block.first)
+        twice = max(min(at, part.block.last) - part.block.first, 0)
+        if twice:
+            _equal(part, kept)
+        start = max(at, part.block.first)
+        if start >= part.block.last:
+            yield part.block.name, None, twice
+            continue
+        kept.append(part)
+        block = part.block._replace(first=start)
+        if block == part.there:
+            yield block.name, store.get(part.place, block.name), twice
+        else:
+            yield block.name, store.encoded(cut(ledger.read(part.place, part.there), block)), twice
+
+
+def cut(table: pa.Table, block: Block) -> pa.Table:
+    """Return the rows of a table that a block is to hold, with the block's number of the cell."""
+    said = ledger.about(table)
+    many = len(table) // (said["last"] - said["first"])
+    rows = table.slice((block.first - said["first"]) * many, (block.last - block.first) * many)
+    said |= {"first": block.first, "last": block.last, "rows": len(rows)}
+    i = rows.schema.get_field_index("cell")
+    rows = rows.set_column(i, rows.schema.field(i), pa.array([block.cell] * len(rows), pa.int64()))
+    return rows.replace_schema_metadata(
+        (rows.schema.metadata or {}) | {ledger.ABOUT: json.dumps(said, sort_keys=True).encode()}
+    )
+
+
+def _equal(part: Part, kept: list[Part]) -> None:
+    """Raise UserError where a part disagrees with one that holds the same seeds."""
+    for other in kept:
+        first, last = max(part.block.first, other.block.first), min(part.block.last, other.block.last)
+        if first < last:
+            same = part.block._replace(first=first, last=last)
+            a, b = (cut(ledger.read(p.place, p.there), same) for p in (other, part))
+            if not a.equals(b):
+                worst = largest_difference(a, b)
+                how = "in more than numbers" if worst is None else f"by {worst:.1e} of themselves"
+                raise UserError(
+                    f"{part.place.name}/{part.there.name}: its seeds {first} .. {last - 1} differ {how} from those in "
+                    f"{other.place.name}, expected equal rows; find out with pcbench verify which of them comes out again."
+                )
+
+
+def _whole(claims: list[Claim]) -> Claim:
+    """The study over all seeds, with the cells as the first dataset numbers them."""
+    studies = [c.study for c in claims]
+    first = min(s.first_seed for s in studies)
+    last = max(s.first_seed + s.seeds for s in studies)
+    study = studies[0].model_copy(update={"first_seed": first, "seeds": last - first})
+    every = cells_of(study, folder.numbers_in(claims[0]))
+    return Claim(study, every, to_toml(study, every), True)
+
+
+def _closed(target: store.Target, whole: Claim, places: list[store.Target], doubled: int) -> Merged:
+    """Close the merged dataset, where every observer has the same seeds."""
+    from pcbench.inspection import missing
+
+    there, lacking = ledger.present(target), missing(target.name)
+    if not lacking:
+        certificates = closing.close(target, whole, there)
+        about: dict[str, Any] = {"schema": tables.SCHEMA, "study": whole.study.name, "study_sha256": digest(whole.study)}
+        about |= {"root_seed": whole.study.root_seed, "merged": [p.name for p in places], "blocks": len(there)}
+        store.put_json(target, "provenance.json", machine.describe() | about | {"certificates": certificates})
+    return Merged(len(there), doubled, lacking)

@@ -1,0 +1,35 @@
+"""A planned cell as bytes, to be laid aside or sent to another process, and back.
+
+Numbers travel; functions do not: they are found again by name, so that a program compiled for one cell serves the next, and
+the gains are those that were designed and certified once, in one place.
+"""
+
+import pickle
+from types import MappingProxyType
+from typing import Any
+
+from pcbench import closed_loop
+from pcbench.observers import base_of, entry_of
+from pcbench.plants import PLANTS
+from pcbench.shapes import Planned
+
+
+def pack(p: Planned) -> bytes:
+    """Return a planned cell as bytes."""
+    plain: dict[str, Any] = {
+        k: dict(v) for k, v in p.cell.scenario._asdict().items() if isinstance(v, MappingProxyType)
+    }
+    proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
+    layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
+    cell = p.cell._replace(scenario=p.cell.scenario._replace(**plain))
+    return pickle.dumps(p._replace(cell=cell, layout=layout, certificates=proofs))
+
+
+def unpack(parcel: bytes) -> Planned:
+    """Return the planned cell that `pack` was given, with the functions of this process."""
+    p: Planned = pickle.loads(parcel)
+    s = p.cell.scenario
+    names = [(base_of(o) or o) if s.controller else o for o in p.labels]
+    each = tuple((name, entry_of(o).observer) for name, o in zip(names, p.labels, strict=True))
+    plant, controller = PLANTS[s.plant].plant, closed_loop.controller(p.cell)
+    return p._replace(layout=p.layout._replace(plant=plant, observers=each, controller=controller))

@@ -1,0 +1,102 @@
+"""Seeds until a standard error is reached: which cells need more, and how many.
+
+The number of seeds is a function of the runs that are there, so the same command gives the same seeds again. A rule that
+stops on the data makes intervals a little too narrow: with 256 seeds and more to start from, by less than their coverage
+is known to (see tests).
+"""
+
+from collections.abc import Iterator
+from math import ceil, isfinite
+from typing import Any, NamedTuple
+
+from pcbench import closing, ledger, statistics, store
+from pcbench.campaign import Wanted
+from pcbench.cells import Cell
+from pcbench.errors import UserError, unknown
+from pcbench.folder import Claim
+from pcbench.plants import signals_of
+from pcbench.study import scenarios_of
+
+MARGIN = 1.05  # the standard error is an estimate itself
+GROWTH = 16  # times as many seeds a round at most
+BUDGET = 100  # times the study's seeds, where no budget is given
+METRICS = (*statistics.RUN_METRICS, *statistics.POOLED, "divergence", "unsettled")
+
+
+class Goal(NamedTuple):
+    """A standard error to be reached."""
+
+    metric: str
+    signal: str | None  # of this signal; None: of those that each scenario's closing table shows
+    value: float
+    most: int | None  # seeds a cell
+
+
+def parse(text: str, most: int | None) -> Goal:
+    """Return the goal that METRIC=VALUE or METRIC.SIGNAL=VALUE states; raise UserError where it states none."""
+    name, equals, number = text.partition("=")
+    metric, _, signal = name.strip().partition(".")
+    try:
+        value = float(number)
+    except ValueError:
+        value = -1.0
+    if not equals or not (isfinite(value) and value > 0):
+        raise UserError(
+            f"--until-se: got {text!r}, expected METRIC=VALUE with a standard error above 0; write mae=0.001."
+        )
+    if metric not in METRICS:
+        raise unknown("--until-se", "metric", metric, METRICS)
+    if most is not None and most < 1:
+        raise UserError(f"--max-seeds: got {most}, expected a number of seeds, 1 or more; leave it out.")
+    return Goal(metric, signal or None, value, most)
+
+
+def rounds(goal: Goal, place: store.Target, claimed: Claim) -> Iterator[Wanted]:
+    """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent."""
+    first, seeds = claimed.study.first_seed, claimed.study.seeds
+    most, need = goal.most or BUDGET * seeds, {}
+    _checked(goal, claimed)
+    pending = list(claimed.cells)
+    while pending:
+        there = by_cell(ledger.present(place))
+        for cell in list(pending):
+            has = max(b.last for b in there[cell.scenario.name, cell.number]) - first
+            wanted = min(_needed(goal, place, claimed, cell, there, has), most)
+            need[_key(cell)] = max(wanted, has)
+            if wanted <= has:
+                pending.remove(cell)
+        if pending:
+            yield lambda cell: (first, first + need.get(_key(cell), seeds))
+
+
+def by_cell(there: list[ledger.Block]) -> dict[tuple[str, int], list[ledger.Block]]:
+    """Return blocks by scenario and number of the cell."""
+    out: dict[tuple[str, int], list[ledger.Block]] = {}
+    for b in there:
+        out.setdefault((b.scenario, b.cell), []).append(b)
+    return out
+
+
+def _key(cell: Cell) -> tuple[str, int]:
+    return cell.scenario.name, cell.number
+
+
+def _checked(goal: Goal, claimed: Claim) -> None:
+    names = {name for c in claimed.cells for name, _ in signals_of(c.scenario)}
+    if goal.signal is not None and goal.signal not in names:
+        raise unknown("--until-se", "signal", goal.signal, names)
+
+
+def _needed(goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: Any, has: int) -> int:
+    """Return the seeds at which the worst observer's standard error should be small enough: it falls with their root."""
+    blocks: dict[tuple[str, int, str], list[ledger.Block]] = {}
+    for b in there[_key(cell)]:
+        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    rows, _ = closing.summary(place, claimed.study.name, cell, closing.observed(place, claimed, cell, blocks))
+    shown = scenarios_of(claimed.study)[cell.scenario.name].headline or (signals_of(cell.scenario)[0][0],)
+    signals = [goal.signal] if goal.signal else shown
+    errors = [r["se"] for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
+    worst = max((e for e in errors if e == e), default=0.0)
+    if worst <= goal.value:
+        return has
+    return min(ceil(has * MARGIN * (worst / goal.value) ** 2), GROWTH * has)
