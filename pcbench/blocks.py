@@ -21,7 +21,6 @@ from pcbench.statistics import RUN_METRICS
 from pcbench.study import Study, observers_of
 
 ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
-SPARE = 3  # copies of what a call takes and leaves: of this one, of the next, and of what is read
 
 
 class Work(NamedTuple):
@@ -70,7 +69,7 @@ def tables_of(work: Work, task: Task, device: Any = None) -> tuple[list[tuple[st
         seeds = np.concatenate([np.arange(first, last) for first, last, _ in task.pieces])
         jobs = list(sweep.jobs(p, work.root_seed, seeds))
         made = ensemble.program(p.layout, jobs[0], device)
-        _fits(p, bytes_of_a_call(made), work.memory)
+        _fits(p, made.memory, work.memory)
         results = sweep.results(p, ensemble.serial(made, jobs))
     files, at = [], 0
     for first, last, labels in task.pieces:
@@ -125,15 +124,6 @@ def tasks(parcel: bytes, width: int, missing: dict[str, list[ledger.Range]]) -> 
         pieces.append((first, last, tuple(labels)))
     if pieces:
         yield Task(parcel, tuple(pieces))
-
-
-def bytes_of_a_call(made: ensemble.Program) -> int:
-    """Return the memory that a program needs while it computes, as its compiler says."""
-    try:
-        m = made.compiled.memory_analysis()
-        return int(m.temp_size_in_bytes + SPARE * (m.argument_size_in_bytes + m.output_size_in_bytes))
-    except (AttributeError, NotImplementedError, RuntimeError):  # not every backend says
-        return 0
 
 
 def bytes_of_a_block(cell: Cell, study: Study, seeds: int) -> int:

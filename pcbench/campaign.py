@@ -19,6 +19,8 @@ from pcbench.parcel import pack, unpack
 from pcbench.shapes import Planned
 from pcbench.study import observers_of
 
+CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
+TASKS = 64  # to share among cores and workers
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
 Wanted = Callable[[Cell], Range]  # the seeds of a cell, first and one past the last
 Missing = dict[tuple[str, int], dict[str, list[Range]]]  # by cell and observer
@@ -122,15 +124,18 @@ def fill(
 
 
 def _block(claimed: Claim, wanted: Wanted, options: Options, cell: Cell) -> int:
-    """Seeds a block: as many as a call computes, more where there would be too many files, fewer only if asked."""
+    """Seeds a block: up to four calls, while tasks enough are left to share; more where there would be too many files."""
     if options.block:
         return options.block
-    width, pairs = planning.width(cell), sum(len(observers_of(claimed.study, c.scenario.name)) for c in claimed.cells)
-    size, (first, last) = width, wanted(cell)
-    while (
-        pairs * (last - first) / size > MANY_FILES
-        and blocks.bytes_of_a_block(cell, claimed.study, 2 * size) < options.memory
-    ):
+    first, last = wanted(cell)
+    size, pairs = planning.width(cell), sum(len(observers_of(claimed.study, c.scenario.name)) for c in claimed.cells)
+
+    def may_double() -> bool:
+        tasks = len(claimed.cells) * (last - first) / (2 * size)
+        few = size < CALLS * planning.width(cell) and tasks >= TASKS
+        return few or pairs * (last - first) / size > MANY_FILES
+
+    while may_double() and blocks.bytes_of_a_block(cell, claimed.study, 2 * size) < options.memory:
         size *= 2
     return size
 

@@ -44,6 +44,7 @@ class Program(NamedTuple):
     width: int
     compile_seconds: float
     compiled: Any  # the executable itself, for those who want to read it
+    memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
 
 
 def places(count: int | None = None) -> list[Any]:
@@ -84,7 +85,17 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     start = perf_counter()
     lowered = jax.jit(lambda *a: simulation.simulate(layout, *a)).lower(*given)
     call = lowered.compile(ONE_THREAD if device.platform == "cpu" else None)
-    return Program(lambda *a: call(*jax.device_put(a, device)), device, layout.width, perf_counter() - start, call)
+    took = perf_counter() - start
+    return Program(lambda *a: call(*jax.device_put(a, device)), device, layout.width, took, call, _memory(call))
+
+
+def _memory(call: Any) -> int:
+    """What a call works with, and three times what it takes and leaves: of this one, of the next, of what is read."""
+    try:
+        m = call.memory_analysis()
+        return int(m.temp_size_in_bytes + 3 * (m.argument_size_in_bytes + m.output_size_in_bytes))
+    except (AttributeError, NotImplementedError, RuntimeError):
+        return 0
 
 
 def compilations() -> int:

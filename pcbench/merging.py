@@ -151,7 +151,11 @@ def _closed(target: store.Target, whole: Claim, places: list[store.Target], doub
     there, lacking = ledger.present(target), missing(target.name)
     if not lacking:
         certificates = closing.close(target, whole, there)
-        about: dict[str, Any] = {"schema": tables.SCHEMA, "study": whole.study.name, "study_sha256": digest(whole.study)}
+        about: dict[str, Any] = {
+            "schema": tables.SCHEMA,
+            "study": whole.study.name,
+            "study_sha256": digest(whole.study),
+        }
         about |= {"root_seed": whole.study.root_seed, "merged": [p.name for p in places], "blocks": len(there)}
         store.put_json(target, "provenance.json", machine.describe() | about | {"certificates": certificates})
     return Merged(len(there), doubled, lacking)

@@ -122,25 +122,30 @@ def runs_table(
     `about` goes into the schema's metadata.
     """
     many = len(results["mae"])  # what this observer estimates
-    signals, rows = signals[:many], len(seeds) * many
-    columns: dict[str, Any] = {
-        name: [value] * rows
-        for name, value in head.items()
-        if name != "scenario"  # in the path, as `observer` is
-    }
-    columns["seed"] = np.repeat(seeds, many)
-    columns["signal"] = [name for name, _ in signals] * len(seeds)
-    columns["unit"] = [unit for _, unit in signals] * len(seeds)
-    columns["carries_input"] = [carries_input] * rows
-    for metric in RUN_METRICS:
-        columns[metric] = _column(results.get(metric), many, len(seeds))
+    rows = len(seeds) * many
+    said = {name: [value] for name, value in head.items() if name != "scenario"}  # in the path, as `observer` is
+    said |= {"carries_input": [carries_input]}
+    names, units = zip(*signals[:many], strict=True)
     bad = np.broadcast_to(results["diverged"], results["unsettled"].shape)
-    said = np.where(bad, "diverged", np.where(results["unsettled"], "unsettled", "settled"))
-    columns["status"] = said.T.ravel().tolist()
-    for name in ("diverged", "first_bad_time"):
-        columns[name] = np.repeat(results[name], many)
-    made = table(columns, bools=("diverged",))
+    columns = {
+        "seed": np.repeat(seeds, many),
+        "signal": _words(names, np.tile(np.arange(many), len(seeds))),
+        "unit": _words(units, np.tile(np.arange(many), len(seeds))),
+        "carries_input": None,
+        **{metric: _column(results.get(metric), many, len(seeds)) for metric in RUN_METRICS},
+        "status": _words(("settled", "unsettled", "diverged"), np.where(bad, 2, results["unsettled"]).T.ravel()),
+        "diverged": np.repeat(results["diverged"], many),
+        "first_bad_time": np.repeat(results["first_bad_time"], many),
+    }
+    same = {name: pa.repeat(column[0], rows) for name, column in zip(said, table(said).columns, strict=True)}
+    order = [*(name for name in said if name != "carries_input"), *columns]
+    made = table({name: same.get(name, columns.get(name)) for name in order}, bools=("diverged",))
     return made.replace_schema_metadata((made.schema.metadata or {}) | about) if about else made
+
+
+def _words(words: tuple[str, ...], which: Any) -> pa.Array:
+    """A column of few words."""
+    return pa.DictionaryArray.from_arrays(pa.array(which, pa.int32()), pa.array(words)).cast(pa.string())
 
 
 def _column(values: Any, many: int, seeds: int) -> Any:
@@ -160,10 +165,14 @@ def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:
     """Return a table with types, units and meanings fixed by column name; NaN is null."""
     arrays, fields = [], []
     for name, values in columns.items():
-        if any(isinstance(v, list) for v in values):  # channels that differ in one cell: a list in every one
-            values = [v if isinstance(v, list) else [v] for v in values]
-        kind = _type(name, values, bools)
-        arrays.append(pa.array(values, kind, from_pandas=True))
+        if isinstance(values, pa.Array):
+            kind = values.type
+        else:
+            if isinstance(values, list) and any(isinstance(v, list) for v in values):
+                values = [v if isinstance(v, list) else [v] for v in values]  # channels that differ in one cell
+            kind = _type(name, values, bools)
+            values = pa.array(values, kind, from_pandas=True)
+        arrays.append(values)
         unit = AXIS_UNITS.get(name, "s" if name in SECONDS else "")
         about = {"meaning": MEANING.get(name, "the plant's parameter in this cell")} | ({"unit": unit} if unit else {})
         fields.append(pa.field(name, kind, metadata=about))
