@@ -1,6 +1,6 @@
 """Mean and sum of squares of values that come in parts, for many rows at once. NumPy, no jax.
 
-Parts are merged without cancellation, after Chan, Golub, LeVeque, Am. Stat. 37 (1983), 242-247, eqs. (1.4)-(1.5):
+Parts are merged without cancellation, after Chan, Golub, LeVeque, Am. Stat. 37 (1983), 242-247:
 
     d = mean_b - mean_a,   mean = mean_a + d n_b / n,   m2 = m2_a + m2_b + d^2 n_a n_b / n.
 
