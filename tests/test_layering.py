@@ -26,6 +26,10 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"closed_loop"},
     {"tables", "cells"},
     {"study", "machine", "store", "statistics"},
+    {"description", "pairing"},
+    {"comparison"},
+    {"stack", "estimates", "quantiles", "selection"},
+    {"moments"},
     {"own_plant"},
     {"axes"},
     {"ensemble", "recording", "conformance"},
@@ -46,7 +50,8 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
 ]
 NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov", "synthesis.sampled", "synthesis.late",
           "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "synthesis.unknown_input",
-          "synthesis.sliding_mode", "synthesis.pi_lmi", "statistics",
+          "synthesis.sliding_mode", "synthesis.pi_lmi", "statistics", "description", "pairing",
+          "comparison", "stack", "estimates", "quantiles", "selection", "moments",
           "tables", "store", "ledger", "scenarios", "sampling", "signals", "errors"]  # fmt: skip
 
 

@@ -1,12 +1,16 @@
-"""The numbers over runs against SciPy, and against what is known of them."""
+"""The numbers over runs against SciPy, against loops over whole arrays, and against what is known of them.
+
+How often the intervals cover is tested in test_coverage.py.
+"""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from reference import statistics as reference
 from scipy import stats
 
-from pcbench import statistics
+from pcbench import quantiles, selection, statistics
 
 RNG = np.random.default_rng(5)
 A, B = RNG.gamma(3.0, size=60), RNG.gamma(3.3, size=60)
@@ -20,9 +24,44 @@ def test_mean_interval_equals_scipy():
     assert (got["ci_low"], got["ci_high"]) == pytest.approx((low, high))
 
 
-def test_quantiles_equal_numpy():
+@settings(max_examples=200, deadline=None)
+@given(st.integers(1, 400), st.integers(0, 2**32 - 1))
+def test_quantiles_equal_numpy_to_the_bit(n, seed):
+    x = np.random.default_rng(seed).lognormal(size=n)
+    got = statistics.quantiles(x)
+    assert [got[q] for q in statistics.QUANTILES] == np.quantile(x, [0.05, 0.25, 0.5, 0.75, 0.95]).tolist()
+
+
+@pytest.mark.parametrize(
+    ("column", "first"),
+    [
+        *[("p05_low", 72), ("p05_high", 2), ("p25_low", 13), ("p25_high", 3), ("p50_low", 6), ("p50_high", 6)],
+        *[("p75_low", 3), ("p75_high", 13), ("p95_low", 2), ("p95_high", 72)],
+    ],
+)
+def test_an_interval_is_open_below_as_many_runs_as_the_docstring_says(column, first):
+    for n in range(1, 100):
+        assert np.isnan(statistics.quantiles(np.arange(float(n)))[column]) == (n < first)
+
+
+def test_the_interval_of_a_quantile_lies_around_it():
+    for n in [*range(1, 300), 1000, 4097, 10**5, 10**7]:
+        at = quantiles.places(n)
+        middle, low, high = (at.rank + at.part)[0::3], (at.rank + at.part)[1::3], (at.rank + at.part)[2::3]
+        assert not ((low > middle) | (middle > high)).any()  # NaN where open
+        assert ((at.rank >= 0) & (at.rank < max(n - 1, 1))).all()
+
+
+def test_the_median_has_hettmanspergers_and_sheathers_interval():
+    """Their equation: w = (n - d) I / (d + (n - 2 d) I), I = (c_d - c) / (c_d - c_{d+1}), c_d = 1 - 2 P(Bin(n, 1/2) < d)."""
+    n, x = 60, np.sort(A)
+    c = [1 - 2 * stats.binom.cdf(d - 1, n, 0.5) for d in range(n // 2)]
+    d = max(d for d in range(1, n // 2) if c[d] >= 0.95)
+    share = (c[d] - 0.95) / (c[d] - c[d + 1])
+    w = (n - d) * share / (d + (n - 2 * d) * share)
     got = statistics.quantiles(A)
-    assert [got[q] for q in ("p05", "p25", "p50", "p75", "p95")] == pytest.approx(np.percentile(A, [5, 25, 50, 75, 95]))
+    assert got["p50_low"] == pytest.approx((1 - w) * x[d - 1] + w * x[d], rel=1e-12)
+    assert got["p50_high"] == pytest.approx((1 - w) * x[n - d] + w * x[n - d - 1], rel=1e-12)
 
 
 def test_pooled_interval_is_the_root_of_the_mean_squares_interval():
@@ -62,7 +101,9 @@ def test_diverged_runs_lose_and_are_never_averaged():
     assert got["mean_diff"] == pytest.approx((A - B)[6:].mean())
     assert got["prob_a_better"] == pytest.approx((A < B)[6:].sum() / 60)
     results = {m: np.stack([a]) for m in statistics.RUN_METRICS} | {"diverged": bad}
-    for row in statistics.describe(results | {"unsettled": np.stack([GOOD])}, 0, None):
+    rows = statistics.describe(lambda: [{"a": results | {"unsettled": np.stack([GOOD])}}], {"a": None})["a"]
+    assert len(rows) == len(statistics.RUN_METRICS) + 4
+    for row in rows:
         assert row["diverged"] == 6
         assert row["n"] == (60 if row["metric"] == "divergence" else 54)
         assert np.isfinite(row["mean"])
@@ -124,9 +165,148 @@ def test_rounding_of_zero_is_no_difference():
     assert np.isnan(got["p_value"])
 
 
-@pytest.mark.slow
-def test_intervals_cover():
-    """2000 experiments of 40 runs of a skewed metric: 95 % intervals cover 93 to 97 % of the time."""
-    draws = RNG.gamma(4.0, size=(2000, 40))
-    inside = [(m := statistics.mean(d))["ci_low"] < 4.0 < m["ci_high"] for d in draws]
-    assert 0.93 < np.mean(inside) < 0.97
+SIGNALS, SIZES = ["position", "velocity"], (1.0, 0.01)
+TRACKED = ("tracking_rmse", "tail_tracking_rmse")
+
+
+def cell(seed, n, observers, divergence, kind):
+    """Whole arrays of a cell's runs; the last observer estimates one signal only."""
+    rng, out = np.random.default_rng(seed), {}
+    draw = {
+        "smooth": lambda shape: rng.gamma(2.0, size=shape),
+        "ties": lambda shape: rng.integers(0, 4, shape) / 4.0,
+        "horizon": lambda shape: np.minimum(rng.gamma(2.0, size=shape), 1.5),
+        "constant": lambda shape: np.full(shape, 0.1),
+    }[kind]
+    for k in range(observers):
+        many = 1 if k == observers - 1 and k > 0 else 2
+        bad = rng.random(n) < divergence
+        metrics = {m: draw((1 if m in TRACKED else many, n)) for m in statistics.RUN_METRICS if m != "recovery_time"}
+        metrics["final"] = metrics["final"] - 1.0
+        unsettled = (rng.random((many, n)) < 0.2) & ~bad
+        out[f"observer-{k}"] = {m: np.where(bad, np.nan, v) for m, v in metrics.items()} | {
+            "diverged": bad,
+            "unsettled": unsettled,
+        }
+    return out
+
+
+def cut(cell, size):
+    """Passes over a cell in chunks; how often one was asked for is in the list."""
+    n, passes = len(next(iter(cell.values()))["diverged"]), []
+
+    def chunks():
+        passes.append(None)
+        for first in range(0, n, size):
+            part = slice(first, first + size)
+            yield {label: {m: v[..., part] for m, v in results.items()} for label, results in cell.items()}
+
+    return chunks, passes
+
+
+def assert_rows_agree(got, want):
+    assert len(got) == len(want)
+    for g, w in zip(got, want, strict=True):
+        assert g.keys() == w.keys()
+        for name, value in w.items():
+            if isinstance(value, float):
+                assert g[name] == pytest.approx(value, rel=1e-10, abs=1e-13, nan_ok=True), (w["metric"], name)
+            else:
+                assert g[name] == value, name
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.one_of(st.integers(1, 12), st.integers(13, 160)),
+    observers=st.integers(1, 3),
+    divergence=st.sampled_from([0.0, 0.1, 0.6, 1.0]),
+    kind=st.sampled_from(["smooth", "ties", "horizon", "constant"]),
+    size=st.integers(1, 170),
+    held=st.sampled_from([0, 5, 4096]),
+    splitters=st.integers(1, 40),
+)
+def test_any_chunks_agree_with_loops_over_whole_arrays(seed, n, observers, divergence, kind, size, held, splitters):
+    whole = cell(seed, n, observers, divergence, kind)
+    chunks, passes = cut(whole, size)
+    bounds = {label: np.array([0.5, np.nan]) for label in whole} | {"observer-0": None}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(selection, "HELD", held)
+        patch.setattr(selection, "SPLITTERS", splitters)
+        stats_rows, pair_rows = statistics.summarise(chunks, bounds, SIGNALS, SIZES)
+        assert len(passes) <= (1 if n <= held else 2)
+        assert statistics.describe(chunks, bounds).keys() == stats_rows.keys()
+        assert_rows_agree(statistics.pairs(chunks, SIGNALS, SIZES), pair_rows)
+    for label, rows in stats_rows.items():
+        assert_rows_agree(rows, reference.describe(whole[label], bounds[label]))
+    assert_rows_agree(pair_rows, reference.pairs(whole, SIGNALS, SIZES))
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(1, 500),
+    kind=st.sampled_from(["smooth", "ties", "constant", "sorted", "backwards"]),
+    borders=st.lists(st.integers(0, 500), max_size=8),
+    held=st.integers(0, 60),
+    splitters=st.integers(1, 40),
+)
+def test_selection_is_exact_to_the_bit_whatever_the_parts(seed, n, kind, borders, held, splitters):
+    """Also where the first part is unlike the rest."""
+    rng = np.random.default_rng(seed)
+    x = {"ties": lambda: rng.integers(0, 5, (3, n)) / 3.0, "constant": lambda: np.full((3, n), 0.1)}.get(
+        kind, lambda: rng.lognormal(size=(3, n))
+    )()
+    x = np.sort(x)[:, :: -1 if kind == "backwards" else 1] if kind in ("sorted", "backwards") else x
+    parts = np.split(x, sorted(b for b in borders if b <= n), axis=1)
+    ranks = rng.integers(0, n, 30)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(selection, "HELD", held)
+        patch.setattr(selection, "SPLITTERS", splitters)
+        order = selection.EMPTY
+        for part in parts:
+            order = selection.add(order, part)
+        sought = selection.seek(order, ranks)
+        found = [] if selection.settled(order) else [selection.collect(sought, part) for part in parts]
+        got = selection.select(order, sought, ranks, found)
+    np.testing.assert_array_equal(got, np.sort(x)[:, ranks])
+
+
+def test_quantiles_of_many_runs_keep_few_of_them_and_equal_numpy():
+    """200,000 runs, a third of them at the horizon: what is kept of a metric is 3 splitters' worth and 2 % of its values."""
+    x = np.minimum(RNG.gamma(3.0, size=(2, 200_000)), 3.5)
+    order = selection.EMPTY
+    for part in np.split(x, 50, axis=1):
+        order = selection.add(order, part)
+    at = quantiles.places(order.n)
+    ranks = quantiles.ranks(at, order.n)
+    sought = selection.seek(order, ranks)
+    found = [selection.collect(sought, part) for part in np.split(x, 50, axis=1)]
+    assert sum(values.size for part in found for values in part) < 0.02 * x.size
+    got = quantiles.read(at, selection.select(order, sought, ranks, found))
+    np.testing.assert_array_equal(got[:, 0::3].T, np.quantile(x, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1))
+    assert got[0, 12] == got[0, 13] == got[0, 14] == 3.5
+
+
+def test_two_thousand_chunks_lose_no_digits():
+    """Of values that vary by 1e-6 about 1000, one at a time."""
+    x = 1000 + 1e-6 * RNG.normal(size=2000)
+    whole = {"a": dict.fromkeys(statistics.RUN_METRICS, x[None]) | {"diverged": x < 0, "unsettled": x[None] < 0}}
+    (row, *_), want = statistics.describe(cut(whole, 1)[0], {"a": None})["a"], statistics.mean(x)
+    assert row["mean"] == pytest.approx(want["mean"], rel=1e-14)
+    assert row["se"] == pytest.approx(want["se"], rel=1e-6)
+
+
+def test_numbers_do_not_depend_on_how_the_arrays_lie_in_memory():
+    whole = cell(3, 3000, 3, 0.1, "smooth")
+    turned = {label: {m: np.asfortranarray(v) for m, v in results.items()} for label, results in whole.items()}
+    bounds = dict.fromkeys(whole, np.array([0.5, 0.5]))
+    got = [statistics.summarise(cut(each, 1000)[0], bounds, SIGNALS, SIZES) for each in (whole, turned)]
+    assert repr(got[0]) == repr(got[1])
+
+
+def test_many_runs_are_read_twice_and_few_once():
+    for n, want in [(4096, 1), (4097, 2)]:
+        chunks, passes = cut(cell(1, n, 2, 0.0, "smooth"), statistics.CHUNK)
+        statistics.summarise(chunks, {"observer-0": None, "observer-1": None}, SIGNALS, SIZES)
+        assert len(passes) == want

@@ -1,0 +1,81 @@
+"""Two observers on the same draws: paired differences, who wins, and p-values. NumPy and SciPy, no jax.
+
+p-values are of the paired t-test on common draws (Student's interval of the mean difference excludes 0 where p < .05), with
+Holm's correction where many are made. Source: Holm, Scand. J. Stat. 6 (1979), 65-70. It bounds the probability of any false
+alarm in a family whatever the tests' dependence. A test's false alarms are at most 5 % (tests/test_coverage.py) from 64 runs
+on where both observers' errors are distributed alike, from 256 on where their difference has skewness 1.3; not claimed for
+fewer: 5.7 % of 64 runs, 6.5 % of 16. Where the runs do not vary (no noise) there is no test: p is NaN.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtr
+
+from pcbench.estimates import Estimate, student
+from pcbench.moments import Moments, Values, merge, moments
+from pcbench.stack import kept
+
+SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie: rounding, not merit
+
+
+class Contest(NamedTuple):
+    """What is kept of two observers' values [K, n] on the same draws; counts [K] are over runs in which neither diverged."""
+
+    difference: Moments  # of a - b, over runs in which neither diverged
+    wins: NDArray[np.int64]  # a is smaller, and no tie
+    ties: NDArray[np.int64]
+    only: tuple[int, int]  # runs in which a alone diverged, and b alone
+    neither: int  # runs in which both diverged
+
+
+def contest(a: Values, b: Values, bad_a: NDArray[np.bool_], bad_b: NDArray[np.bool_], floor: Values) -> Contest:
+    """Compare values [K, n] of two observers; those that differ by no more than floor [K] are a tie: rounding of zero."""
+    both = ~(bad_a | bad_b)
+    a, b = kept(a, both), kept(b, both)
+    apart = a - b
+    room = np.maximum(np.abs(a), np.abs(b))
+    room *= SAME
+    room += floor[:, None]
+    ties = (np.abs(apart) <= room).sum(-1)
+    wins = (apart < -room).sum(-1)
+    only = int((bad_a & ~bad_b).sum()), int((bad_b & ~bad_a).sum())
+    return Contest(moments(apart), wins, ties, only, int((bad_a & bad_b).sum()))
+
+
+def join(a: Contest, b: Contest) -> Contest:
+    """Return two parts of a contest together."""
+    only = a.only[0] + b.only[0], a.only[1] + b.only[1]
+    return Contest(merge(a.difference, b.difference), a.wins + b.wins, a.ties + b.ties, only, a.neither + b.neither)
+
+
+def beside(parts: list[Contest]) -> Contest:
+    """Return contests of the same runs over more metrics, one after the other."""
+    wins, ties = (np.concatenate([getattr(c, name) for c in parts]) for name in ("wins", "ties"))
+    n, *each = zip(*(c.difference for c in parts), strict=True)
+    return parts[0]._replace(difference=Moments(n[0], *map(np.concatenate, each)), wins=wins, ties=ties)
+
+
+def judged(c: Contest) -> tuple[Estimate, Values, Values]:
+    """Return the mean differences, the fractions of runs in which a is better, and the p-values, each [K].
+
+    Of all runs: a diverged run loses against one that did not, and a tie, or both diverged, counts half.
+    """
+    d = student(c.difference)
+    runs = d.n + sum(c.only) + c.neither
+    better = (c.wins + 0.5 * c.ties + c.only[1] + 0.5 * c.neither) / max(runs, 1)
+    better = better if d.n or any(c.only) else np.full(len(c.wins), np.nan)
+    varies = (d.n > 1) & (d.se > 0) & (c.ties < d.n)
+    t = np.abs(d.mean) / np.where(varies, d.se, 1.0)
+    return d, better, np.where(varies, 2 * stdtr(max(d.n - 1, 1), -t), np.nan)
+
+
+def holm(p_values: Values) -> Values:
+    """Return Holm's step-down adjustment of p-values [k]; NaN stays NaN and is not counted."""
+    out = np.full(len(p_values), np.nan)
+    known = np.flatnonzero(~np.isnan(p_values))
+    order = known[np.argsort(p_values[known], kind="stable")]
+    steps = p_values[order] * (len(order) - np.arange(len(order)))
+    out[order] = np.minimum(np.maximum.accumulate(steps), 1.0) if len(order) else steps
+    return out

@@ -1,0 +1,103 @@
+"""What is known of each observer's runs in one cell, in chunks: rows of the table `stats`. NumPy and SciPy, no jax."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench import selection
+from pcbench.estimates import Estimate, reached, root, student, wilson
+from pcbench.moments import Moments, Values, merge, moments
+from pcbench.quantiles import COLUMNS, places, ranks, read
+from pcbench.stack import POOLED, RUN_METRICS, Chunks, Named, Stack, kept, stack
+
+Row = dict[str, Any]
+DESCRIBED = (*RUN_METRICS, *POOLED, "divergence", "unsettled", "efficiency")
+BLANK = dict.fromkeys(COLUMNS, float("nan"))
+
+
+class Seen(NamedTuple):
+    """What is kept of one observer's runs; of those that diverged only how many there are."""
+
+    rows: dict[Named, int]
+    moments: Moments  # [K]
+    order: selection.Order  # [K]
+    diverged: int
+    unsettled: NDArray[np.int64]  # [signals]
+
+
+def see(before: Seen | None, s: Stack) -> Seen:
+    """Return what is kept after one more chunk of an observer's runs."""
+    good = ~s.diverged
+    values = kept(s.values, good)
+    diverged, unsettled, found = int(s.diverged.sum()), kept(s.unsettled, good).sum(-1), moments(values)
+    if before is None:
+        return Seen(s.rows, found, selection.add(selection.EMPTY, values), diverged, unsettled)
+    return Seen(
+        s.rows,
+        merge(before.moments, found),
+        selection.add(before.order, values),
+        before.diverged + diverged,
+        before.unsettled + unsettled,
+    )
+
+
+def spread(seen: Mapping[str, Seen], chunks: Chunks) -> dict[str, Values]:
+    """Return the quantiles and their intervals [K, COLUMNS] by observer; one more pass where not all values are held."""
+    at = {n: places(n) for n in {s.moments.n for s in seen.values()} if n}
+    where = {label: at[s.moments.n] for label, s in seen.items() if s.moments.n}
+    asked = {label: ranks(each, seen[label].moments.n) for label, each in where.items()}
+    sought = {label: selection.seek(seen[label].order, asked[label]) for label in where}
+    open_ = [label for label in where if not selection.settled(seen[label].order)]
+    parts: dict[str, list[list[Values]]] = {label: [] for label in where}
+    for chunk in chunks() if open_ else ():
+        for label in open_:
+            new = stack(chunk[label])
+            parts[label].append(selection.collect(sought[label], kept(new.values, ~new.diverged)))
+    out = {}
+    for label, s in seen.items():
+        out[label] = np.full((len(s.rows), len(COLUMNS)), np.nan)
+        if label in where:
+            found = read(where[label], selection.select(s.order, sought[label], asked[label], parts[label]))
+            out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, found)
+    return out
+
+
+def described(s: Seen, quantiles: Values, bound: Values | None) -> list[Row]:
+    """Return the rows of one observer: by signal every metric, pooled rms, divergence, unsettled and efficiency.
+
+    quantiles are [K, COLUMNS]; bound [signals], NaN where there is none.
+    """
+    many, means = len(s.unsettled), student(s.moments)
+    known = [
+        row | dict(zip(COLUMNS, q, strict=True)) for row, q in zip(columns(means), quantiles.tolist(), strict=True)
+    ]
+    rows = {name: known[k] for name, k in s.rows.items()}
+
+    def put(metric: str, e: Estimate) -> None:
+        rows.update({(metric, i): row | BLANK for i, row in enumerate(columns(e))})
+
+    for metric, square in POOLED.items():
+        at = [s.rows[square, i] for i in range(many)]
+        pooled = root(Estimate(means.n, *(values[at] for values in means[1:])))
+        put(metric, pooled)
+        if bound is not None and metric == "tail_pooled_rmse":
+            put("efficiency", reached(bound[:many], pooled))
+    put("divergence", wilson(np.full(many, s.diverged), means.n + s.diverged))
+    put("unsettled", wilson(s.unsettled, means.n))
+    for i in range(many):
+        if bound is not None and np.isnan(bound[i]):
+            del rows["efficiency", i]
+    return [
+        {"signal": i, "metric": metric, "n": row["n"], "diverged": s.diverged} | row
+        for i in range(many)
+        for metric in DESCRIBED
+        if (row := rows.get((metric, i)))
+    ]
+
+
+def columns(e: Estimate) -> list[Row]:
+    """Return estimates [K] as K parts of rows."""
+    names = Estimate._fields[1:]
+    return [{"n": e.n} | dict(zip(names, row, strict=True)) for row in np.stack(e[1:], 1).tolist()]

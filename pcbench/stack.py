@@ -1,0 +1,47 @@
+"""The metrics of runs, and all those of one observer as the rows of one array. NumPy, no jax."""
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.moments import Values
+
+RUN_METRICS = (
+    *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
+    *("tail_mae", "tail_rmse", "tail_mse", "tail_peak"),
+    *("tracking_rmse", "tail_tracking_rmse"),
+)  # recovery_time where an unknown input jumps, tracking_* of what a controller is to lead along a path
+COMPARED = tuple(m for m in RUN_METRICS if m != "final")  # a signed error is neither better nor worse
+POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
+
+CHUNK = 4096  # seeds in a chunk: numbers depend on where chunks end (in the last bit), so it is where seeds % CHUNK = 0
+
+Results = dict[str, NDArray[Any]]  # of one observer: metric -> [signals, n], `diverged` [n], `unsettled` [signals, n]
+Chunks = Callable[
+    [], Iterable[dict[str, Results]]
+]  # a pass over a cell's runs: by observer, the same seeds for all, in order
+Named = tuple[str, int]  # a metric of a signal (by its number)
+
+
+class Stack(NamedTuple):
+    """One observer's metrics over n runs. Of tracking_* only the first signals have a row: those with a set point."""
+
+    rows: dict[Named, int]
+    values: Values  # [K, n]
+    diverged: NDArray[np.bool_]  # [n]
+    unsettled: NDArray[np.bool_]  # [signals, n]
+
+
+def stack(results: Results) -> Stack:
+    """Return all metrics of an observer as rows."""
+    present = [m for m in RUN_METRICS if m in results]
+    names = [(m, i) for m in present for i in range(len(results[m]))]
+    values = np.concatenate([results[m] for m in present], dtype=np.float64)
+    return Stack({name: k for k, name in enumerate(names)}, values, results["diverged"], results["unsettled"])
+
+
+def kept(values: NDArray[Any], keep: NDArray[np.bool_]) -> NDArray[Any]:
+    """Return the columns of values [K, n] to keep [n]."""
+    return values if keep.all() else np.take(values, np.flatnonzero(keep), axis=-1)  # C order, unlike values[:, keep]
