@@ -3,7 +3,6 @@
 A pure function of its description: wherever and however often a task is done, its files hold the same bytes.
 """
 
-import json
 from collections.abc import Iterator
 from math import isfinite
 from time import perf_counter
@@ -92,7 +91,6 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: in
         "observer": label,
         "first": first,
         "last": last,
-        "rows": (last - first) * many,
         "metrics": {m: len(results[m]) for m in RUN_METRICS if m in results},
         "carries_input": p.carries_input[label],
         "bound": bound,
@@ -104,10 +102,10 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: in
         },
         "versions": machine.versions(),
     }
-    said = {ledger.ABOUT: json.dumps(about, sort_keys=True).encode()}
     head = tables.keys(work.study, p.cell)
-    table = tables.runs_table(head, results, np.arange(first, last), signals, p.carries_input[label], said)
-    return ledger.Block(p.cell.scenario.name, label, p.cell.number, first, last).name, table
+    table = tables.runs_table(head, results, np.arange(first, last), signals, p.carries_input[label])
+    name = ledger.Block(p.cell.scenario.name, label, p.cell.number, first, last).name
+    return name, ledger.sealed(table, about)
 
 
 def tasks(parcel: bytes, width: int, missing: dict[str, list[ledger.Range]]) -> Iterator[Task]:

@@ -4,6 +4,7 @@ A block is the runs of one observer in one cell over a range of seeds: one file,
 remembered: what is done is what is on disk. Ranges need not be of one size: a gap is a gap, whoever cut the rest.
 """
 
+import hashlib
 import json
 import re
 from collections.abc import Iterable
@@ -77,13 +78,43 @@ def _whole(place: store.Target, block: Block) -> pa.Table | str:
     try:
         with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
             return file.read()
-    except (pa.ArrowException, OSError, ValueError) as error:
-        return str(error).splitlines()[0].rstrip(".")
+    except (pa.ArrowException, OSError, ValueError) as error:  # UnicodeDecodeError is a ValueError
+        return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
 
 
 def about(table: pa.Table) -> dict[str, Any]:
-    """Return what a block says of itself."""
-    return dict(json.loads((table.schema.metadata or {}).get(ABOUT, b"{}")))
+    """Return what a block says of itself; nothing where that cannot be read."""
+    try:
+        return dict(json.loads((table.schema.metadata or {}).get(ABOUT, b"{}")))
+    except ValueError:
+        return {}
+
+
+def sealed(table: pa.Table, said: dict[str, Any]) -> pa.Table:
+    """Return rows with what they say of themselves, their digest with it."""
+    said = said | {"rows": len(table), "digest": digest(table)}
+    return table.replace_schema_metadata(
+        (table.schema.metadata or {}) | {ABOUT: json.dumps(said, sort_keys=True).encode()}
+    )
+
+
+def digest(table: pa.Table) -> str:
+    """Return the digest of a table's rows: of names, types and values, to the bit."""
+    out = hashlib.sha256()
+    for field in table.schema:
+        column = table[field.name].combine_chunks()
+        out.update(f"{field.name}:{field.type}:{column.null_count}".encode())
+        if pa.types.is_floating(field.type):
+            out.update(column.to_numpy(zero_copy_only=False).tobytes())
+        elif pa.types.is_string(field.type) or pa.types.is_boolean(field.type):
+            few = column.dictionary_encode()
+            out.update(few.indices.fill_null(-1).to_numpy(zero_copy_only=False).tobytes())
+            out.update(repr(few.dictionary.to_pylist()).encode())
+        elif pa.types.is_integer(field.type):
+            out.update(column.to_numpy(zero_copy_only=False).tobytes())
+        else:
+            out.update(repr(column.to_pylist()).encode())
+    return out.hexdigest()[:32]
 
 
 def damage(place: store.Target, block: Block, cell: str) -> str | None:
@@ -100,6 +131,8 @@ def damage(place: store.Target, block: Block, cell: str) -> str | None:
         return "it is another block than its name says"
     if len(table) != said.get("rows") or len(table) % (block.last - block.first):
         return f"it has {len(table)} rows, expected {said.get('rows')}"
+    if digest(table) != said.get("digest"):
+        return "its rows are not those that were written"
     return None
 
 

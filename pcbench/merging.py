@@ -1,6 +1,5 @@
 """Several datasets of one study made one: other seeds, other machines. What two of them hold must be equal, row by row."""
 
-import json
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -110,12 +109,9 @@ def cut(table: pa.Table, block: Block) -> pa.Table:
     said = ledger.about(table)
     many = len(table) // (said["last"] - said["first"])
     rows = table.slice((block.first - said["first"]) * many, (block.last - block.first) * many)
-    said |= {"first": block.first, "last": block.last, "rows": len(rows)}
     i = rows.schema.get_field_index("cell")
     rows = rows.set_column(i, rows.schema.field(i), pa.array([block.cell] * len(rows), pa.int64()))
-    return rows.replace_schema_metadata(
-        (rows.schema.metadata or {}) | {ledger.ABOUT: json.dumps(said, sort_keys=True).encode()}
-    )
+    return ledger.sealed(rows, said | {"first": block.first, "last": block.last})
 
 
 def _equal(part: Part, kept: list[Part]) -> None:

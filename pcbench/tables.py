@@ -115,12 +115,8 @@ def runs_table(
     seeds: Any,
     signals: tuple[tuple[str, str], ...],
     carries_input: bool | None,
-    about: dict[bytes, bytes] | None = None,
 ) -> pa.Table:
-    """Return the runs of one observer in one cell, whose `keys` are in `head`: a row per seed and signal.
-
-    `about` goes into the schema's metadata.
-    """
+    """Return the runs of one observer in one cell, whose `keys` are in `head`: a row per seed and signal."""
     many = len(results["mae"])  # what this observer estimates
     rows = len(seeds) * many
     said = {name: [value] for name, value in head.items() if name != "scenario"}  # in the path, as `observer` is
@@ -139,8 +135,7 @@ def runs_table(
     }
     same = {name: pa.repeat(column[0], rows) for name, column in zip(said, table(said).columns, strict=True)}
     order = [*(name for name in said if name != "carries_input"), *columns]
-    made = table({name: same.get(name, columns.get(name)) for name in order}, bools=("diverged",))
-    return made.replace_schema_metadata((made.schema.metadata or {}) | about) if about else made
+    return table({name: same.get(name, columns.get(name)) for name in order}, bools=("diverged",))
 
 
 def _words(words: tuple[str, ...], which: Any) -> pa.Array:

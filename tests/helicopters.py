@@ -10,8 +10,8 @@ from reference import helicopter_ekf, high_gain
 from pcbench import closed_loop, draws, planning, recording, sampling, shapes
 from pcbench.cells import Cell
 from pcbench.observers import entry_of
-from pcbench.shapes import Planned
 from pcbench.scenarios import SCENARIOS
+from pcbench.shapes import Planned
 from pcbench.study import Choices, Study, options_of
 
 REACH = closed_loop.Reach(1024, 256)  # room for every test's delays and periods

@@ -10,8 +10,8 @@ from scipy.stats import binomtest
 import pcbench
 from pcbench import closed_loop, draws, ensemble, machine, show, statistics, sweep
 from pcbench.errors import UserError
-from pcbench.shapes import tail_tick
 from pcbench.scenarios import SCENARIOS
+from pcbench.shapes import tail_tick
 from pcbench.study import Study
 
 SECOND = 1.0

@@ -1,0 +1,142 @@
+"""Blocks on disk: every seed once, whoever cut them; names say what they hold; damage is seen."""
+
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pcbench
+from pcbench import ledger, store
+from pcbench.errors import UserError
+from pcbench.ledger import Block
+
+
+def block(first, last, observer="o"):
+    return Block("s/t", observer, 3, first, last)
+
+
+@given(st.text(min_size=1), st.text(min_size=1), st.integers(0, 10**6), st.integers(0, 10**9), st.integers(1, 10**6))
+def test_a_name_says_its_block(scenario, observer, cell, first, many):
+    made = Block(scenario, observer, cell, first, first + many)
+    assert ledger.block_of(made.name) == made
+    assert made.name.count("/") == 3
+
+
+RANGES = st.lists(st.tuples(st.integers(0, 200), st.integers(1, 60)), max_size=8)
+
+
+@settings(max_examples=300)
+@given(RANGES, st.integers(0, 100), st.integers(1, 200), st.integers(1, 70))
+def test_gaps_and_blocks_hold_every_seed_once(ranges, first, many, size):
+    """Whatever stands, what is settled and the gaps between hold each wanted seed exactly once, in pieces of the grid."""
+    kept, doubled = ledger.settle(block(a, a + n) for a, n in ranges)
+    assert sorted(kept + doubled) == sorted(block(a, a + n) for a, n in ranges)
+    gaps = ledger.gaps(kept, first, first + many, size)
+    count = np.zeros(600, int)
+    for a, b in [*((k.first, k.last) for k in kept), *gaps]:
+        count[a:b] += 1
+    assert count.max(initial=0) <= 1
+    assert (count[first : first + many] == 1).all()
+    for a, b in gaps:
+        assert first <= a < b <= first + many
+        assert a // size == (b - 1) // size, "no piece crosses the grid"
+    ends = sorted(kept, key=lambda b: b.first)
+    assert all(x.last <= y.first for x, y in itertools.pairwise(ends))
+
+
+@given(RANGES)
+def test_what_is_settled_depends_on_no_order(ranges):
+    blocks = [block(a, a + n) for a, n in ranges]
+    assert ledger.settle(blocks) == ledger.settle(blocks[::-1])
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    out = tmp_path_factory.mktemp("ledger") / "out"
+    pcbench.run("cart/slow", observers=["kfbo"], seeds=6, block=4, out=out)
+    return out
+
+
+def damaged(dataset, tmp_path, change):
+    """What is found wrong with a block that was changed."""
+    place, b = store.target(dataset), ledger.present(store.target(dataset))[0]
+    cell = ledger.about(ledger.read(place, b))["cell"]
+    assert ledger.damage(place, b, cell) is None
+    path = tmp_path / b.name
+    path.parent.mkdir(parents=True)
+    path.write_bytes(change((dataset / b.name).read_bytes()))
+    found = ledger.damage(store.target(tmp_path), b, cell)
+    if found is not None:
+        assert "\n" not in found
+    return found
+
+
+@pytest.mark.parametrize("keep", [0, 4, 100, -1, -8])
+def test_a_file_cut_short_is_damaged(dataset, tmp_path, keep):
+    assert damaged(dataset, tmp_path, lambda content: content[:keep])
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(0, 1, exclude_max=True), st.integers(0, 7))
+def test_a_flipped_bit_is_seen_or_changes_nothing(dataset, tmp_path_factory, where, bit):
+    """A flip is found, or the rows are what they were (flipped was what no reader looks at)."""
+    tmp_path = tmp_path_factory.mktemp("flip")
+
+    def flip(content):
+        changed = bytearray(content)
+        changed[int(where * len(changed))] ^= 1 << bit
+        return bytes(changed)
+
+    if damaged(dataset, tmp_path, flip) is None:
+        b = ledger.present(store.target(tmp_path))[0]
+        assert ledger.read(store.target(tmp_path), b).equals(pq.read_table(dataset / b.name, partitioning=None))
+
+
+def rewritten(change):
+    """A change of a block's table or of what it says of itself, sealed again."""
+
+    def rewrite(content):
+        table = pq.read_table(pa.BufferReader(content))
+        said = ledger.about(table)
+        return store.encoded(ledger.sealed(change(table, said), said)).to_pybytes()
+
+    return rewrite
+
+
+def unsealed(content):
+    """A number that was changed, and nothing said."""
+    table = pq.read_table(pa.BufferReader(content))
+    i, values = table.schema.get_field_index("mae"), table["mae"].to_numpy().copy()
+    values[3] = np.nextafter(values[3], 1.0)
+    return store.encoded(table.set_column(i, table.schema.field(i), [values])).to_pybytes()
+
+
+CHANGES = {
+    "other seeds": lambda t, said: (said.update(first=1), t)[1],
+    "other observer": lambda t, said: (said.update(observer="pccebo"), t)[1],
+    "other cell": lambda t, said: (said.update(cell="0"), t)[1],
+    "a row less": lambda t, said: t.slice(1),
+    "older schema": lambda t, said: t.replace_schema_metadata(t.schema.metadata | {b"pcbench.schema": b"3"}),
+}
+
+
+def test_a_number_that_was_changed_is_damage(dataset, tmp_path):
+    assert damaged(dataset, tmp_path, unsealed) == "its rows are not those that were written"
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_block_that_is_another_than_its_name_says_is_damaged(dataset, tmp_path, change):
+    assert damaged(dataset, tmp_path, rewritten(CHANGES[change]))
+
+
+def test_a_table_that_is_no_block_is_named(dataset, tmp_path):
+    stray = tmp_path / "runs" / "scenario=x" / "mine.parquet"
+    stray.parent.mkdir(parents=True)
+    stray.write_bytes(Path(next((dataset / "runs").rglob("*.parquet"))).read_bytes())
+    with pytest.raises(UserError, match=r"mine.parquet: is no block"):
+        ledger.present(store.target(tmp_path))

@@ -1,0 +1,143 @@
+"""A file appears whole or not at all, in a folder and in an object store; what a file system refuses is one sentence."""
+
+import errno
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.fs as pafs
+import pyarrow.parquet as pq
+import pytest
+
+from pcbench import store
+from pcbench.errors import UserError
+
+TABLE = pa.table({"seed": list(range(1000)), "mae": [0.1 * i for i in range(1000)]})
+
+
+@pytest.fixture
+def place(tmp_path):
+    made = store.target(tmp_path / "out")
+    store.make(made)
+    return made
+
+
+@pytest.fixture(scope="module")
+def s3():
+    """A place in an S3 store of this process."""
+    server = pytest.importorskip("moto.server").ThreadedMotoServer(port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    ours = {"AWS_ACCESS_KEY_ID": "test", "AWS_SECRET_ACCESS_KEY": "test", "AWS_EC2_METADATA_DISABLED": "true"}
+    before = {k: os.environ.get(k) for k in ours}
+    os.environ.update(ours)
+    where = f"endpoint_override={host}:{port}&scheme=http&region=us-east-1&allow_bucket_creation=true"
+    fs, _ = pafs.FileSystem.from_uri(f"s3://bench?{where}")
+    fs.create_dir("bench")
+    yield lambda name: f"s3://bench/{name}?{where}"
+    server.stop()
+    for k, v in before.items():
+        os.environ.pop(k) if v is None else os.environ.__setitem__(k, v)
+
+
+def test_what_is_put_is_there_in_a_folder_and_in_a_bucket(place, s3):
+    for each in (place, store.target(s3("a/b"))):
+        store.put_table(each, "runs/scenario=x/part.parquet", TABLE)
+        store.put_json(each, "provenance.json", {"a": 1})
+        assert store.names(each) == ["provenance.json", "runs/scenario=x/part.parquet"]
+        assert pq.read_table(pa.BufferReader(store.get(each, "runs/scenario=x/part.parquet"))).equals(TABLE)
+        assert store.get(each, "nothing") is None
+        store.remove(each, "provenance.json")
+        store.remove(each, "provenance.json")
+        assert store.names(each) == ["runs/scenario=x/part.parquet"]
+
+
+def test_equal_tables_give_equal_bytes():
+    assert store.encoded(TABLE).equals(store.encoded(TABLE.slice(0)))
+
+
+def test_a_page_that_was_touched_is_seen():
+    content = bytearray(store.encoded(TABLE))
+    content[len(content) // 2] ^= 1
+    with (
+        pytest.raises(OSError, match=r"(?i)crc|checksum|corrupt|decompress"),
+        pq.ParquetFile(pa.BufferReader(bytes(content)), page_checksum_verification=True) as file,
+    ):
+        file.read()
+
+
+def refusing(monkeypatch, name, code):
+    def refuse(*args, **kwargs):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(store.os, name, refuse)
+
+
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EDQUOT, errno.EIO])
+def test_a_refusal_is_one_sentence_and_keeps_the_old_file(place, monkeypatch, call, code):
+    store.put_json(place, "a.json", {"old": 1})
+    refusing(monkeypatch, call, code)
+    with pytest.raises(UserError, match=rf"a.json: cannot be written \({os.strerror(code)}\)") as caught:
+        store.put_json(place, "a.json", {"new": 1})
+    assert "\n" not in str(caught.value)
+    monkeypatch.undo()
+    assert store.get(place, "a.json") == b'{\n  "old": 1\n}\n'
+    assert store.names(place) == ["a.json"]
+    assert [p.name for p in Path(place.root).iterdir()] == ["a.json"], "nothing unfinished is left"
+
+
+def test_a_folder_that_was_removed_is_not_made_again(place):
+    Path(place.root).rmdir()
+    with pytest.raises(UserError, match="No such file or directory"):
+        store.put_table(place, "runs/part.parquet", TABLE)
+    assert not Path(place.root).exists()
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root may mount")
+def test_a_disk_that_is_full_indeed(tmp_path):
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=64k", "none", str(tmp_path)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("no mount here")
+    try:
+        full = store.target(tmp_path)
+        store.put(full, "small", b"x" * 1000)
+        with pytest.raises(UserError, match="No space left on device"):
+            store.put(full, "large", b"x" * 100_000)
+        assert store.names(full) == ["small"]
+        assert [p.name for p in tmp_path.iterdir()] == ["small"]
+    finally:
+        subprocess.run(["umount", str(tmp_path)], check=True)
+
+
+def test_what_a_killed_writer_left_is_cleared_and_a_living_ones_is_not(place):
+    code = "import os; from pcbench import store; print(os.getpid(), flush=True); os.kill(os.getpid(), 9)"
+    dead = int(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout)
+    host, root = store.socket.gethostname(), Path(place.root)
+    for name in (f".{host}-{dead}-0.partial", f".{host}-{os.getpid()}-7.partial", ".elsewhere-1-0.partial"):
+        (root / name).write_bytes(b"half")
+    os.utime(root / ".elsewhere-1-0.partial", (0, 0))
+    store.make(place)
+    assert [p.name for p in root.iterdir()] == [f".{host}-{os.getpid()}-7.partial"]
+    assert store.names(place) == []
+
+
+def test_two_writers_of_one_name_leave_one_whole_file(place):
+    content = store.encoded(TABLE).to_pybytes()
+    threads = [threading.Thread(target=store.put, args=(place, "runs/a.parquet", content)) for _ in range(8)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join()
+    assert store.get(place, "runs/a.parquet") == content
+    assert store.names(place) == ["runs/a.parquet"]
+
+
+@pytest.mark.parametrize("uri", ["nosuch://a/b", "s3://", "hdfs://nowhere:1/x"])
+def test_a_place_that_cannot_be_reached_is_one_sentence(uri):
+    with pytest.raises(UserError, match=r"cannot be|no place") as caught:
+        store.names(store.target(uri))
+    assert "\n" not in str(caught.value)
