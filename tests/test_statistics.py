@@ -310,3 +310,17 @@ def test_many_runs_are_read_twice_and_few_once():
         chunks, passes = cut(cell(1, n, 2, 0.0, "smooth"), statistics.CHUNK)
         statistics.summarise(chunks, {"observer-0": None, "observer-1": None}, SIGNALS, SIZES)
         assert len(passes) == want
+
+
+@pytest.mark.parametrize(
+    ("metric", "zero"), [("mae", 1e-13), ("tail_peak", 1e-13), ("mse", 1e-15), ("tail_mse", 1e-15)]
+)
+def test_zero_is_a_part_of_the_signals_size_squared_for_squares(metric, zero):
+    """Of velocity, of size 0.01: what differs by less than 1e-11 of it is a tie, and what differs by more is not."""
+    for times, better in [(0.5, 0.5), (2.0, 1.0)]:
+        a = {m: np.zeros((2, 8)) for m in statistics.RUN_METRICS} | {"diverged": np.zeros(8, bool)}
+        a["unsettled"] = np.zeros((2, 8), bool)
+        b = a | {metric: np.full((2, 8), times * zero)}
+        rows = statistics.pairs(cut({"a": a, "b": b}, 8)[0], SIGNALS, SIZES)
+        (row,) = (r for r in rows if r["signal"] == "velocity" and r["metric"] == metric)
+        assert row["prob_a_better"] == better
