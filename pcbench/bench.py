@@ -18,20 +18,9 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
-from pcbench import (
-    campaign,
-    closing,
-    ensemble,
-    executors,
-    folder,
-    ledger,
-    machine,
-    recording,
-    store,
-    tables,
-    until,
-)
+from pcbench import ensemble, machine, recording, tables
 from pcbench.cells import cells, digest
+from pcbench.dataset import campaign, closing, executors, folder, ledger, store, until
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
 from pcbench.planning import alone, plan, setting
@@ -140,6 +129,8 @@ def run(
         if fresh:
             folder.clear(place)
         claimed = folder.claim(place, chosen)
+        if goal:
+            until.check(goal, claimed)
         there = [] if claimed.new else campaign.whole(place, claimed, say)
         at_once = workers or len(ensemble.places(devices))
         choice = campaign.Options(checked_block(block), machine.allowed(memory) / (2 * at_once))

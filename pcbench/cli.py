@@ -197,7 +197,8 @@ def trace(
     Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.parquet
     """
     _setup()
-    from pcbench import bench, store, tables
+    from pcbench import bench, tables
+    from pcbench.dataset import store
     from pcbench.plants import signals_of
 
     frame = bench.trace(scenario, [name.strip() for name in observer.split(",")], seed=seed, overrides=changes)
@@ -262,7 +263,8 @@ def status(
 
     Example: pcbench status results/quick
     """
-    from pcbench import inspection, show
+    from pcbench import show
+    from pcbench.dataset import inspection
 
     found = inspection.status(folder)
     if as_json:
@@ -283,7 +285,8 @@ def merge(
 
     Example: pcbench merge monday tuesday --out both
     """
-    from pcbench import merging, show
+    from pcbench import show
+    from pcbench.dataset import merging
 
     with show.counting(quiet) as tell:
         made = merging.merge(folders, out, tell)
@@ -310,7 +313,8 @@ def verify(
     Example: pcbench verify results/quick --sample 8
     """
     _setup()
-    from pcbench import inspection, show
+    from pcbench import show
+    from pcbench.dataset import inspection
 
     with show.counting(quiet or as_json) as tell:
         found = inspection.verify(folder, None if every else max(sample, 0), seed, tell)

@@ -14,7 +14,8 @@ from pathlib import Path
 
 SERVER = """
 import json, os, sys, traceback
-from pcbench import bench, catalogue, cli, machine, show, store, study_file, tables
+from pcbench import bench, catalogue, cli, machine, show, study_file, tables
+from pcbench.dataset import store
 
 for line in sys.stdin:
     words, cwd, outputs = json.loads(line)

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pcbench import quantiles, statistics
-from pcbench.comparison import contest, judged
-from pcbench.estimates import root, student, wilson
-from pcbench.moments import moments
+from pcbench import statistics
+from pcbench.statistics import order_statistics
+from pcbench.statistics.comparison import contest, judged
+from pcbench.statistics.estimates import root, student, wilson
+from pcbench.statistics.moments import moments
 
 REPEATS, BLOCK = 20_000, 2_000
 LEVELS = np.array([0.05, 0.25, 0.5, 0.75, 0.95])
@@ -74,10 +75,10 @@ def test_students_interval_fails_for_few_runs_of_heavy_tails(name, n, coverage):
 @pytest.mark.parametrize("n", [24, 64, 256, 1024])
 def test_quantiles_are_covered_and_miss_on_either_side_in_2_5_percent(name, n):
     """An open side misses never, and the other in 2.5 % still. 0.5 % is three standard errors and what step 3 leaves."""
-    at, truth, below, above = quantiles.places(n), DRAW[name][1].ppf(LEVELS), [], []
+    at, truth, below, above = order_statistics.places(n), DRAW[name][1].ppf(LEVELS), [], []
     for x in experiments(name, n):
         x.sort()
-        ends = quantiles.read(at, x[:, quantiles.ranks(at, n)])
+        ends = order_statistics.read(at, x[:, order_statistics.ranks(at, n)])
         below.append((truth < ends[:, 1::3]).mean(0))
         above.append((truth > ends[:, 2::3]).mean(0))
     misses, is_open = np.mean([below, above], 1), np.isnan(np.stack([ends[0, 1::3], ends[0, 2::3]]))
@@ -91,10 +92,10 @@ def test_quantiles_are_covered_and_miss_on_either_side_in_2_5_percent(name, n):
 def test_quantiles_are_covered_where_runs_tie():
     """A settling time at the horizon for the slowest third, whole ticks for the others: covered at least as often."""
     n, rng, found = 256, np.random.default_rng(8), []
-    at, truth = quantiles.places(n), np.minimum(np.ceil(10 * stats.gamma(4.0).ppf(LEVELS)), 50.0)
+    at, truth = order_statistics.places(n), np.minimum(np.ceil(10 * stats.gamma(4.0).ppf(LEVELS)), 50.0)
     for _ in range(5):
         x = np.sort(np.minimum(np.ceil(10 * rng.standard_gamma(4.0, (BLOCK, n))), 50.0))
-        q = quantiles.read(at, x[:, quantiles.ranks(at, n)])
+        q = order_statistics.read(at, x[:, order_statistics.ranks(at, n)])
         found.append(((q[:, 1::3] <= truth) & (truth <= q[:, 2::3])).mean(0))
     assert (np.mean(found, 0) >= 0.94).all()
 

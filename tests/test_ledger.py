@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pcbench
-from pcbench import ledger, store
+from pcbench.dataset import ledger, store
+from pcbench.dataset.ledger import Block
 from pcbench.errors import UserError
-from pcbench.ledger import Block
 
 
 def block(first, last, observer="o"):

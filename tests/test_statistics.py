@@ -4,13 +4,17 @@ How often the intervals cover is tested in test_coverage.py.
 """
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from reference import statistics as reference
 from scipy import stats
 
-from pcbench import quantiles, selection, statistics
+from pcbench import statistics, tables
+from pcbench.dataset import growing
+from pcbench.statistics import order_statistics, selection
 
 RNG = np.random.default_rng(5)
 A, B = RNG.gamma(3.0, size=60), RNG.gamma(3.3, size=60)
@@ -46,7 +50,7 @@ def test_an_interval_is_open_below_as_many_runs_as_the_docstring_says(column, fi
 
 def test_the_interval_of_a_quantile_lies_around_it():
     for n in [*range(1, 300), 1000, 4097, 10**5, 10**7]:
-        at = quantiles.places(n)
+        at = order_statistics.places(n)
         middle, low, high = (at.rank + at.part)[0::3], (at.rank + at.part)[1::3], (at.rank + at.part)[2::3]
         assert not ((low > middle) | (middle > high)).any()  # NaN where open
         assert ((at.rank >= 0) & (at.rank < max(n - 1, 1))).all()
@@ -145,14 +149,21 @@ def test_holm_leaves_missing_tests_out():
     np.testing.assert_allclose(got, [0.02, np.nan, 0.03])
 
 
-def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells():
+@pytest.mark.parametrize("at_once", [1, 5, 100])
+def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells(at_once, monkeypatch):
+    """However many rows of the table are written at a time."""
+    monkeypatch.setattr(growing, "ROWS", at_once)
     names = [(s, g, m) for s in "ab" for g in "xy" for m in ("mae", "rmse")]
     rows = [
         {"scenario": s, "signal": g, "metric": m, "cell": cell, "p_value": 0.001 * (1 + i + 8 * cell)}
         for cell in range(2)
         for i, (s, g, m) in enumerate(names)
     ]
-    for i, row in enumerate(statistics.adjusted(rows)):
+    table = growing.Gathered({})
+    for row in rows:
+        table.add(tables.rows_table([row | {"p_holm": np.nan}], [*row, "p_holm"]))
+    done = pq.read_table(pa.BufferReader(growing.adjusted(table.content(), {})))
+    for i, row in enumerate(done.to_pylist()):
         small, large = 0.001 * (1 + i % 8), 0.001 * (9 + i % 8)
         assert row["p_holm"] == pytest.approx(2 * small if row["cell"] == 0 else max(2 * small, large))
 
@@ -278,12 +289,12 @@ def test_quantiles_of_many_runs_keep_few_of_them_and_equal_numpy():
     order = selection.EMPTY
     for part in np.split(x, 50, axis=1):
         order = selection.add(order, part)
-    at = quantiles.places(order.n)
-    ranks = quantiles.ranks(at, order.n)
+    at = order_statistics.places(order.n)
+    ranks = order_statistics.ranks(at, order.n)
     sought = selection.seek(order, ranks)
     found = [selection.collect(sought, part) for part in np.split(x, 50, axis=1)]
     assert sum(values.size for part in found for values in part) < 0.02 * x.size
-    got = quantiles.read(at, selection.select(order, sought, ranks, found))
+    got = order_statistics.read(at, selection.select(order, sought, ranks, found))
     np.testing.assert_array_equal(got[:, 0::3].T, np.quantile(x, [0.05, 0.25, 0.5, 0.75, 0.95], axis=1))
     assert got[0, 12] == got[0, 13] == got[0, 14] == 3.5
 

@@ -7,12 +7,14 @@ import sys
 import threading
 from pathlib import Path
 
+import pandas as pd
 import pyarrow as pa
 import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 import pytest
 
-from pcbench import store
+import pcbench
+from pcbench.dataset import inspection, merging, store
 from pcbench.errors import UserError
 
 TABLE = pa.table({"seed": list(range(1000)), "mae": [0.1 * i for i in range(1000)]})
@@ -53,6 +55,18 @@ def test_what_is_put_is_there_in_a_folder_and_in_a_bucket(place, s3):
         store.remove(each, "provenance.json")
         store.remove(each, "provenance.json")
         assert store.names(each) == ["runs/scenario=x/part.parquet"]
+
+
+def test_a_study_in_a_bucket_is_that_in_a_folder(s3, tmp_path):
+    study = {"name": "far", "scenarios": ["cart/slow"], "observers": ["kfbo"], "seeds": 6}
+    here = pcbench.run(study, out=tmp_path / "out", block=4)
+    pcbench.run(study, out=s3("far"), seeds=5, block=4)
+    there = pcbench.run(study, out=s3("far"), block=4)
+    pd.testing.assert_frame_equal(here.runs, there.runs)
+    pd.testing.assert_frame_equal(here.stats, there.stats)
+    assert inspection.status(s3("far")).closed
+    assert not inspection.verify(s3("far"), None, 0, lambda *a: None).differing
+    assert merging.merge([s3("far"), tmp_path / "out"], s3("both")).doubled == 6
 
 
 def test_equal_tables_give_equal_bytes():

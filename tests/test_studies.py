@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 import pcbench
-from pcbench import blocks, executors, inspection, ledger, merging, store
+from pcbench.dataset import blocks, executors, inspection, ledger, merging, store
 from pcbench.errors import UserError
 
 STUDY = {

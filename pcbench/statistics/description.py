@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench import selection
-from pcbench.estimates import Estimate, reached, root, student, wilson
-from pcbench.moments import Moments, Values, merge, moments
-from pcbench.quantiles import COLUMNS, places, ranks, read
-from pcbench.stack import POOLED, RUN_METRICS, Chunks, Named, Stack, kept, stack
+from pcbench.statistics import selection
+from pcbench.statistics.estimates import Estimate, reached, root, student, wilson
+from pcbench.statistics.moments import Moments, Values, merge, moments
+from pcbench.statistics.order_statistics import COLUMNS, places, ranks, read
+from pcbench.statistics.stack import POOLED, RUN_METRICS, Chunks, Named, Stack, kept, stack
 
 Row = dict[str, Any]
 DESCRIBED = (*RUN_METRICS, *POOLED, "divergence", "unsettled", "efficiency")

@@ -7,8 +7,8 @@ Cells keep their numbers; new ones follow.
 import tomllib
 from typing import Any, NamedTuple
 
-from pcbench import store
 from pcbench.cells import Cell, cells_of, to_toml
+from pcbench.dataset import store
 from pcbench.errors import UserError
 from pcbench.study import Study
 from pcbench.study_file import parse

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from pcbench.moments import Moments, Values
+from pcbench.statistics.moments import Moments, Values
 
 Z95 = 1.959963984540054  # quantile of the normal distribution
 

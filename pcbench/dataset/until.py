@@ -1,19 +1,20 @@
 """Seeds until a standard error is reached: which cells need more, and how many.
 
 The number of seeds is a function of the runs that are there, so the same command gives the same seeds again. A rule that
-stops on the data makes intervals a little too narrow: with 256 seeds and more to start from, by less than their coverage
-is known to (see tests).
+stops on the data makes intervals a little too narrow: from 256 seeds on they cover within the band that all others do (a
+test).
 """
 
 from collections.abc import Iterator
 from math import ceil, isfinite
 from typing import Any, NamedTuple
 
-from pcbench import closing, ledger, statistics, store
-from pcbench.campaign import Wanted
+from pcbench import statistics
 from pcbench.cells import Cell
+from pcbench.dataset import closing, ledger, store
+from pcbench.dataset.campaign import Wanted
+from pcbench.dataset.folder import Claim
 from pcbench.errors import UserError, unknown
-from pcbench.folder import Claim
 from pcbench.plants import signals_of
 from pcbench.study import scenarios_of
 
@@ -55,7 +56,6 @@ def rounds(goal: Goal, place: store.Target, claimed: Claim) -> Iterator[Wanted]:
     """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent."""
     first, seeds = claimed.study.first_seed, claimed.study.seeds
     most, need = goal.most or BUDGET * seeds, {}
-    _checked(goal, claimed)
     pending = list(claimed.cells)
     while pending:
         there = by_cell(ledger.present(place))
@@ -81,7 +81,8 @@ def _key(cell: Cell) -> tuple[str, int]:
     return cell.scenario.name, cell.number
 
 
-def _checked(goal: Goal, claimed: Claim) -> None:
+def check(goal: Goal, claimed: Claim) -> None:
+    """Raise UserError where a goal is of a signal that no scenario has."""
     names = {name for c in claimed.cells for name, _ in signals_of(c.scenario)}
     if goal.signal is not None and goal.signal not in names:
         raise unknown("--until-se", "signal", goal.signal, names)
@@ -97,6 +98,11 @@ def _needed(goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: 
     signals = [goal.signal] if goal.signal else shown
     errors = [r["se"] for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
     worst = max((e for e in errors if e == e), default=0.0)
-    if worst <= goal.value:
+    return enough(has, worst, goal.value)
+
+
+def enough(has: int, error: float, goal: float) -> int:
+    """Return the seeds at which a standard error that `has` seeds give should reach its goal."""
+    if error <= goal:
         return has
-    return min(ceil(has * MARGIN * (worst / goal.value) ** 2), GROWTH * has)
+    return min(ceil(has * MARGIN * (error / goal) ** 2), GROWTH * has)

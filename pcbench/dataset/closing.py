@@ -11,14 +11,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pcbench import ledger, statistics, store, tables
+from pcbench import statistics, tables
 from pcbench.cells import Cell
-from pcbench.folder import Claim
-from pcbench.ledger import Block
+from pcbench.dataset import ledger, store
+from pcbench.dataset.folder import Claim
+from pcbench.dataset.growing import Gathered, adjusted
+from pcbench.dataset.ledger import Block
 from pcbench.plants import signals_of
 from pcbench.study import observers_of
 
-ROWS = 20_000  # of a closing table that are gathered before they are written
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
 
 
@@ -57,8 +58,7 @@ def closing_tables(
         rows, compared = summary(place, claimed.study.name, cell, found)
         axes = tables.axes_of(rows[0])
         stats.add(tables.rows_table(rows, tables.stats_order(axes)))
-        if compared:
-            pairs.add(tables.rows_table(compared, tables.pairs_order(axes)))
+        pairs.add(tables.rows_table(compared, tables.pairs_order(axes)))
         mine = weakest.setdefault(cell.scenario.name, {})
         for name, each in found.items():
             c = each.about["certificate"]
@@ -172,56 +172,3 @@ def results_of(table: pa.Table) -> statistics.Results:
 
     out = {m: square(m)[:many] for m, many in said["metrics"].items()}
     return out | {"diverged": square("diverged")[0].astype(bool), "unsettled": square("status") == "unsettled"}
-
-
-class Gathered:
-    """A table that is written as it grows, into memory and compressed."""
-
-    def __init__(self, about: dict[bytes, bytes]) -> None:
-        self.about, self.sink = about, pa.BufferOutputStream()
-        self.waiting: list[pa.Table] = []
-        self.writer: Any = None
-
-    def add(self, table: pa.Table) -> None:
-        """Add some rows."""
-        self.waiting.append(table.replace_schema_metadata((table.schema.metadata or {}) | self.about))
-        if sum(map(len, self.waiting)) >= ROWS:
-            self._write()
-
-    def content(self) -> pa.Buffer:
-        """Return the file's bytes."""
-        self._write()
-        if self.writer is None:
-            return store.encoded(tables.table({}))
-        self.writer.close()
-        return self.sink.getvalue()
-
-    def _write(self) -> None:
-        if self.waiting:
-            table = pa.concat_tables(self.waiting)
-            self.writer = self.writer or pq.ParquetWriter(
-                self.sink, table.schema, compression="zstd", write_page_checksum=True
-            )
-            self.writer.write_table(table)
-            self.waiting = []
-
-
-def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
-    """Put Holm's adjusted p-values into the rows of pairs: one family a scenario, signal and metric."""
-    file = pq.ParquetFile(pa.BufferReader(content))
-    families: dict[tuple[str, ...], list[float]] = {}
-    keys = ["scenario", "signal", "metric"]
-    if "p_value" not in file.schema_arrow.names:
-        return content
-    for batch in file.iter_batches(columns=[*keys, "p_value"]):
-        for *family, p in zip(*(batch[c].to_pylist() for c in [*keys, "p_value"]), strict=True):
-            families.setdefault(tuple(family), []).append(np.nan if p is None else p)
-    after = {family: iter(statistics.holm(np.array(p))) for family, p in families.items()}
-    out = Gathered(about)
-    for i in range(file.num_row_groups):
-        table = file.read_row_group(i)
-        mine = zip(*(table[c].to_pylist() for c in keys), strict=True)
-        column = pa.array([float(next(after[family])) for family in mine], pa.float64(), from_pandas=True)
-        place = table.schema.get_field_index("p_holm")
-        out.add(table.set_column(place, table.schema.field(place), column))
-    return out.content()

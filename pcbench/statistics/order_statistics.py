@@ -29,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc
 
-from pcbench.moments import Values
+from pcbench.statistics.moments import Values
 
 QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 COLUMNS = tuple(name + end for name in QUANTILES for end in ("", "_low", "_high"))

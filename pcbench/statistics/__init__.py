@@ -2,7 +2,7 @@
 
 The face of the modules below, each one idea:
 `moments` (means in parts), `estimates` (Student's and Wilson's intervals), `selection` (order statistics in two passes),
-`quantiles` (their intervals), `description` (rows of `stats`), `comparison` (tests), `pairing` (rows of `pairs`).
+`order_statistics` (their intervals), `description` (rows of `stats`), `comparison` (tests), `pairing` (rows of `pairs`).
 
 All intervals are 95 % over seeds. Diverged runs are counted, never averaged. Where the runs do not vary (no noise) an
 interval has no width and there is no test: p is NaN. Runs come in chunks, any number of them; what is kept of them does not
@@ -12,19 +12,19 @@ grow with their number (quantiles: hardly, see `selection`). The functions of wh
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.comparison import SAME, contest, holm
-from pcbench.description import Row, Seen, columns, described, see, spread
 from pcbench.errors import unknown
-from pcbench.estimates import Z95, reached, root, student, wilson
-from pcbench.moments import Values, moments
-from pcbench.pairing import ZERO, Met, Pair, meet, verdict, verdicts
-from pcbench.quantiles import COLUMNS, QUANTILES, places, ranks, read
-from pcbench.stack import CHUNK, COMPARED, POOLED, RUN_METRICS, Chunks, Results, stack
+from pcbench.statistics.comparison import SAME, contest, holm
+from pcbench.statistics.description import Row, Seen, columns, described, see, spread
+from pcbench.statistics.estimates import Z95, reached, root, student, wilson
+from pcbench.statistics.moments import Values, moments
+from pcbench.statistics.pairing import ZERO, Met, Pair, meet, verdict, verdicts
+from pcbench.statistics.order_statistics import COLUMNS, QUANTILES, places, ranks, read
+from pcbench.statistics.stack import CHUNK, COMPARED, POOLED, RUN_METRICS, Chunks, Results, stack
 
 __all__ = [
     "CHUNK", "COLUMNS", "COMPARED", "POOLED", "QUANTILES", "RUN_METRICS", "SAME", "SEEN", "Z95", "ZERO",
     "Chunks", "Results", "Row", "Values",
-    "adjusted", "compare", "compared", "describe", "efficiency", "fraction", "holm", "mean", "pairs", "pooled", "quantiles",
+    "compare", "compared", "describe", "efficiency", "fraction", "holm", "mean", "pairs", "pooled", "quantiles",
     "summarise",
 ]  # fmt: skip
 
@@ -103,17 +103,6 @@ def summarise(
         seen = {label: see(seen.get(label), s) for label, s in stacks.items()}
         met = meet(met, stacks, sizes)
     return _described(seen, bounds, chunks), verdicts(met, signals)
-
-
-def adjusted(rows: list[Row]) -> list[Row]:
-    """Put Holm's adjusted p-value into the rows of `pairs`, one family a scenario, signal and metric."""
-    families: dict[tuple[str, str, str], list[Row]] = {}
-    for row in rows:
-        families.setdefault((row["scenario"], row["signal"], row["metric"]), []).append(row)
-    for family in families.values():
-        for row, p in zip(family, holm(np.array([r["p_value"] for r in family])), strict=True):
-            row["p_holm"] = float(p)
-    return rows
 
 
 def compared(metric: str, where: str) -> str:

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.moments import Values
+from pcbench.statistics.moments import Values
 
 HELD = 4096  # with no more values than this there are no splitters and no second pass
 SPLITTERS = 2048

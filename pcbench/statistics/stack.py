@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.moments import Values
+from pcbench.statistics.moments import Values
 
 RUN_METRICS = (
     *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),

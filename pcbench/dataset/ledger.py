@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pcbench import store
+from pcbench.dataset import store
 from pcbench.errors import UserError
 from pcbench.tables import SCHEMA
 

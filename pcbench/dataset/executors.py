@@ -17,6 +17,7 @@ from pcbench.errors import UserError
 Executor = Callable[[Callable[..., Any], Iterable[Any]], Iterator[Any]]
 AHEAD = 2  # tasks a Dask worker has at hand: one under way, one waiting
 LIVES = 10  # times a task may lose its worker
+PATIENCE = "20s"  # for a scheduler to answer
 
 
 @contextmanager
@@ -63,7 +64,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
     distributed = _distributed()
     try:
         cluster = _local(distributed, workers) if address == "local" else None
-        client = distributed.Client(cluster or address, timeout="20s", set_as_default=False)
+        client = distributed.Client(cluster or address, timeout=PATIENCE, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         raise UserError(
             f"--dask: got {address!r}, which cannot be reached ({type(error).__name__}); expected 'local', or the address of a "

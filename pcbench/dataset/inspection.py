@@ -8,11 +8,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pcbench import blocks, campaign, closing, folder, ledger, machine, planning, shapes, store
+from pcbench import machine, planning, shapes
 from pcbench.cells import identity
-from pcbench.folder import Claim
-from pcbench.ledger import Block
-from pcbench.parcel import pack
+from pcbench.dataset import blocks, campaign, closing, folder, ledger, store
+from pcbench.dataset.folder import Claim
+from pcbench.dataset.ledger import Block
+from pcbench.dataset.parcel import pack
 from pcbench.study import observers_of
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only

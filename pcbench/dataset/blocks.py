@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench import ensemble, ledger, machine, store, sweep, tables
+from pcbench import ensemble, machine, sweep, tables
 from pcbench.cells import Cell
+from pcbench.dataset import ledger, store
+from pcbench.dataset.parcel import unpack
 from pcbench.errors import UserError
-from pcbench.parcel import unpack
 from pcbench.plants import signals_of
 from pcbench.shapes import Planned
 from pcbench.statistics import RUN_METRICS

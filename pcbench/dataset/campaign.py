@@ -9,13 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pcbench import blocks, folder, ledger, planning, shapes, store
+from pcbench import planning, shapes
 from pcbench.cells import Cell, identity
+from pcbench.dataset import blocks, folder, ledger, store
+from pcbench.dataset.executors import Executor
+from pcbench.dataset.folder import Claim
+from pcbench.dataset.ledger import Block, Range
+from pcbench.dataset.parcel import pack, unpack
 from pcbench.errors import UserError
-from pcbench.executors import Executor
-from pcbench.folder import Claim
-from pcbench.ledger import Block, Range
-from pcbench.parcel import pack, unpack
 from pcbench.shapes import Planned
 from pcbench.study import observers_of
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
-from pcbench.estimates import Estimate, student
-from pcbench.moments import Moments, Values, merge, moments
-from pcbench.stack import kept
+from pcbench.statistics.estimates import Estimate, student
+from pcbench.statistics.moments import Moments, Values, merge, moments
+from pcbench.statistics.stack import kept
 
 SAME = 1e-9  # two metrics of a run that differ by less than this part are a tie: rounding, not merit
 

@@ -5,12 +5,13 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from pcbench import closing, folder, ledger, machine, store, tables
+from pcbench import machine, tables
 from pcbench.cells import cells_of, digest, identity, to_toml
+from pcbench.dataset import closing, folder, ledger, store
+from pcbench.dataset.folder import Claim
+from pcbench.dataset.inspection import largest_difference
+from pcbench.dataset.ledger import Block
 from pcbench.errors import UserError
-from pcbench.folder import Claim
-from pcbench.inspection import largest_difference
-from pcbench.ledger import Block
 
 
 class Part(NamedTuple):
@@ -142,7 +143,7 @@ def _whole(claims: list[Claim]) -> Claim:
 
 def _closed(target: store.Target, whole: Claim, places: list[store.Target], doubled: int) -> Merged:
     """Close the merged dataset, where every observer has the same seeds."""
-    from pcbench.inspection import missing
+    from pcbench.dataset.inspection import missing
 
     there, lacking = ledger.present(target), missing(target.name)
     if not lacking:

@@ -1,0 +1,82 @@
+"""Dask's workers leave what this process leaves, byte for byte; one that dies costs nothing but time."""
+
+import os
+import signal
+import threading
+import time
+
+import pytest
+
+import pcbench
+from pcbench.dataset import executors
+from pcbench.errors import UserError
+
+distributed = pytest.importorskip("distributed")
+STUDY = {"name": "shared", "scenarios": ["cart/slow"], "observers": ["pccebo", "kfbo"], "seeds": 600, "root_seed": 3}
+SMALL = {"block": 25}
+
+
+def tables(out):
+    """Every table of a folder by name, as bytes."""
+    return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*.parquet"))}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole") / "out"
+    pcbench.run(STUDY, out=out, **SMALL)
+    return tables(out)
+
+
+@pytest.mark.parametrize(
+    "workers", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow)]
+)
+def test_workers_leave_the_same_bytes(whole, tmp_path, workers):
+    pcbench.run(STUDY, out=tmp_path / "out", dask="local", workers=workers, **SMALL)
+    assert tables(tmp_path / "out") == whole
+
+
+@pytest.mark.slow
+def test_a_killed_worker_costs_nothing_but_time(tmp_path):
+    study = STUDY | {"scenarios": ["cart/white"], "seeds": 8192, "axes": {"noise_std": [0.1, 0.2, 0.4, 0.8]}}
+    out, killed, over = tmp_path / "out", [], threading.Event()
+
+    def kill():
+        """Kill a worker whenever some more blocks stand."""
+        import psutil
+
+        for many in (4, 10, 16):
+            while len(list(out.rglob("cell-*.parquet"))) < many and not over.is_set():
+                time.sleep(0.05)
+            mine = [p for p in psutil.Process().children(recursive=True) if "spawn_main" in " ".join(p.cmdline())]
+            if mine and not over.is_set():
+                youngest = max(mine, key=lambda p: p.cpu_times().user)
+                os.kill(youngest.pid, signal.SIGKILL)
+                killed.append(youngest.pid)
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    pcbench.run(study, out=out, dask="local", workers=2, block=1024)
+    over.set()
+    killer.join()
+    assert killed
+    pcbench.run(study, out=tmp_path / "undisturbed", block=1024)
+    assert tables(out) == tables(tmp_path / "undisturbed")
+
+
+def test_a_mistake_on_a_worker_is_its_sentence():
+    def work(task, device):
+        if task == 3:
+            raise UserError("disk: is full, expected room; make some.")
+        return task
+
+    with executors.dask("local", 1) as execute, pytest.raises(UserError, match="disk: is full"):
+        list(execute(work, range(6)))
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense", "tcp:/x"])
+def test_a_scheduler_that_is_not_there_is_one_sentence(address, monkeypatch):
+    monkeypatch.setattr(executors, "PATIENCE", "1s")
+    with pytest.raises(UserError, match="--dask: got") as caught, executors.dask(address):
+        pass
+    assert "\n" not in str(caught.value)
