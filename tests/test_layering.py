@@ -22,6 +22,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"study", "machine", "store", "statistics"},
     {"own_plant"},
     {"axes"},
+    {"limits"},
     {"ensemble", "recording", "conformance"},
     {"simulation"},
     {"own_events"},
