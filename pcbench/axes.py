@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pcbench import sampling
-from pcbench.errors import UserError, unknown
+from pcbench import limits, sampling
+from pcbench.errors import UserError, shown, unknown
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.plants import nonlinear, parameters_of, positive_of
 from pcbench.sampling import PROFILES, Clock
@@ -33,7 +33,7 @@ def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Any]:
         raise UserError(f"{where}: got an empty list, expected at least one value; leave the axis out or fill it.")
     out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
     if len({str(v) for v in out}) < len(out):
-        raise UserError(f"{where}: got a value twice in {values}, expected each once; remove the repeated one.")
+        raise UserError(f"{where}: got a value twice in {shown(values)}, expected each once; remove the repeated one.")
     return out
 
 
@@ -47,9 +47,11 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Any:
         if name in TIMES:
             _whole_ticks(name, n, base, where)
         if name.removeprefix("plant.") in positive_of(base.plant) and n <= 0:
-            raise UserError(f"{where}: got {value!r}, expected a number greater than 0: it divides, or is a size.")
+            raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
         if name == "loss" and n > 1:
-            raise UserError(f"{where}: got {value!r}, expected a probability from 0 to 1; divide a percentage by 100.")
+            raise UserError(
+                f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."
+            )
         return n
     channels = len(base.delay)
     each = value if isinstance(value, list) else [value] * channels
@@ -59,7 +61,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Any:
         )
     if name == "delay" and isinstance(value, str):
         if value != INTERVAL:
-            raise UserError(f"{where}: got {value!r}, expected seconds or '{INTERVAL}' (one sampling interval).")
+            raise UserError(f"{where}: got {shown(value)}, expected seconds or '{INTERVAL}' (one sampling interval).")
         return (None,) * channels
     numbers = [number(v, where, least=0.0) for v in each]
     if name in TIMES:
@@ -70,10 +72,12 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Any:
 
 def number(value: Any, where: str, least: float | None) -> float:
     """Return a finite number of sensible size, not below `least`."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise UserError(f"{where}: got {value!r}, expected a finite number; write a number in SI units.")
+    if isinstance(value, bool) or not isinstance(value, int | float) or value != value or abs(value) == math.inf:
+        raise UserError(f"{where}: got {shown(value)}, expected a finite number; write a number in SI units.")
     if abs(value) > LARGEST:
-        raise UserError(f"{where}: got {value!r}, expected a number of at most {LARGEST:g} in size; write SI units.")
+        raise UserError(
+            f"{where}: got {shown(value)}, expected a number of at most {LARGEST:g} in size; write SI units."
+        )
     if 0 < abs(value) < SMALLEST:
         raise UserError(f"{where}: got {value!r}, expected 0 or a number of at least {SMALLEST:g} in size; write 0.")
     if least is not None and value < least:
@@ -89,7 +93,9 @@ def _profile(value: Any, base: Scenario, where: str) -> str | tuple[float, ...]:
             raise unknown(where, "profile (or list of intervals)", value, PROFILES)
         return value
     if not isinstance(value, list | tuple) or not value:
-        raise UserError(f"{where}: got {value!r}, expected one of {', '.join(PROFILES)} or a list of intervals [s].")
+        raise UserError(
+            f"{where}: got {shown(value)}, expected one of {', '.join(PROFILES)} or a list of intervals [s]."
+        )
     out = tuple(number(v, where, least=None) for v in value)
     for v in out:
         if v <= 0:
@@ -166,6 +172,8 @@ def fits(s: Scenario, where: str) -> None:
                 f"{youngest * s.dt:g} s late, expected an assumed delay of 0 or more; write at least "
                 f"{-youngest * s.dt:g}."
             )
+    if not s.continuous:
+        limits.require_few_samples(clocks(s), ticks, s.dt, where)
 
 
 def _at_every_stage(s: Scenario, where: str) -> None:

@@ -3,11 +3,13 @@
 import hashlib
 import itertools
 import json
+import math
 from typing import Any, NamedTuple
 
 import tomli_w
 
 from pcbench import axes as axis
+from pcbench import limits
 from pcbench.axes import AXES
 from pcbench.errors import UserError
 from pcbench.scenarios import Scenario
@@ -28,6 +30,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     """Return every combination of the axes in one scenario, in the order of the axes as written."""
     base, where = scenarios_of(study)[scenario], where or study.name
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
+    limits.require_few_cells(math.prod(len(values) for values in axes.values()), round(base.horizon / base.dt), where)
     choices, out, apart = choices_of(study), [], channels_apart(study)
     for index, point in enumerate(itertools.product(*axes.values())):
         given = dict(zip(axes, point, strict=True))

@@ -7,20 +7,23 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from pcbench.errors import UserError, unknown
+from pcbench import axes
+from pcbench.errors import UserError, short, shown, unknown
 from pcbench.observers import OBSERVERS, base_of, entry_of
 from pcbench.own_plant import Lti
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.signals import PATHS, SIGNALS, SINGLE
 
 Values = list[Any]
+KINDS = ("float", "str")  # how pydantic's names end for a value that may be of several kinds
+LEAST = 1e-30  # a number of an option is 0 or no smaller: the square of the least noise is larger
 OWN = "lti"  # the scenario of a study's own plant
 
 
 class Choices(BaseModel):
     """`[options.scenario]`: choices left open by a scenario's source, for all scenarios of a study."""
 
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     random_start: bool = Field(
         False,
         description="draw x(0) from N(xhat(0), P0) for each seed, or xhat(0) in a box about x(0) where there is one",
@@ -52,7 +55,7 @@ class Study(BaseModel):
     """A study as it stands in a TOML file; seconds and SI units."""
 
     model_config = ConfigDict(extra="forbid")
-    name: str = Field(min_length=1, pattern=r"^[\w./+-]+$")
+    name: str = Field(pattern=r"^\w[\w./+-]*$", max_length=100)
     scenarios: list[str] = Field(min_length=1)
     observers: list[str] | None = None
     seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
@@ -156,6 +159,11 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
     for key in dashes(given):
         if key not in model.model_fields:
             raise unknown(where, "key here", key, [field.replace("_", "-") for field in model.model_fields])
+    if len(dashes(given)) < len(given):
+        twice = next(key for key in given if "-" in key and key.replace("-", "_") in given)
+        raise UserError(f"{where}: got {twice} twice, with - and with _, expected it once; remove one.")
+    for key, value in given.items():
+        _of_sensible_size(value, f"{where}.{key}")
     try:
         options = model.model_validate(dashes(given))
     except ValidationError as error:
@@ -176,15 +184,48 @@ def dashes(given: dict[str, Any]) -> dict[str, Any]:
     return {key.replace("-", "_"): value for key, value in given.items()}
 
 
+def _of_sensible_size(value: Any, where: str) -> None:
+    """Raise UserError where a number, or one in a list, is so large or so small that its square is of no use."""
+    for each in value if isinstance(value, list) else []:
+        _of_sensible_size(each, where)
+    if not isinstance(value, int | float) or value != value:
+        return
+    if LEAST <= abs(value) <= axes.LARGEST or value == 0:
+        return
+    raise UserError(
+        f"{where}: got {shown(value)}, expected 0 or a number of {LEAST:g} to {axes.LARGEST:g} in size; write SI units."
+    )
+
+
 def sentence(where: str, error: ValidationError, model: type[BaseModel]) -> UserError:
-    """The first of pydantic's findings as a sentence."""
-    first = error.errors()[0]
-    place = ".".join(str(part) for part in first["loc"])
-    if first["type"] == "extra_forbidden":
-        names = [name if model is Study else name.replace("_", "-") for name in model.model_fields]
-        return unknown(where, "key here", str(first["loc"][-1]), names)
-    if first["type"] == "missing":
-        return UserError(f"{where}: {place} is missing; write {place} = ...")
-    got = f"got {first['input']!r}, "
-    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return UserError(f"{where}: {place + ': ' if place else ''}{got}expected {message[0].lower() + message[1:]}.")
+    """The first of pydantic's findings as a sentence; of a value that may be of several kinds, the one that comes nearest."""
+    findings = error.errors()
+    loc, kind = findings[0]["loc"], findings[0]["type"]
+    place = _place(loc)
+    if kind == "extra_forbidden":
+        inside = ".".join(str(part) for part in loc[:-1])
+        names = (Lti if inside == "lti" else model).model_fields
+        shape = [name if model is Study else name.replace("_", "-") for name in names]
+        return unknown(f"{where}: {inside}" if inside else where, "key here", str(loc[-1]), shape)
+    if kind == "missing":
+        return UserError(f"{where}: {place} is missing; write {loc[-1]} = ...")
+    same = [each for each in findings if each["loc"][:1] == loc[:1] and _place(each["loc"]).startswith(place)]
+    deepest = max(len(_place(each["loc"])) for each in same)
+    near = [each for each in same if len(_place(each["loc"])) == deepest]
+    expected = " or ".join(dict.fromkeys(_expected(each["msg"]) for each in near))
+    place = _place(near[0]["loc"])
+    return UserError(f"{where}: {place + ': ' if place else ''}got {shown(near[0]['input'])}, expected {expected}.")
+
+
+def _place(loc: tuple[int | str, ...]) -> str:
+    """Where pydantic found something, as TOML writes it; without its names for the kinds that a value may be of."""
+    parts = [part for i, part in enumerate(loc) if not i or not str(part).rstrip("]").endswith(KINDS)]
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{short(part)}" for part in parts).removeprefix(".")
+
+
+def _expected(message: str) -> str:
+    """Pydantic's message as what was expected."""
+    text = message.removeprefix("Value error, ").removeprefix("Input should be ")
+    text = text.replace("dictionary", "table").replace("table or instance of Lti", "table")
+    text = text.replace("String should", "a string that should").replace("List should", "a list that should")
+    return (text[0].lower() + text[1:]).rstrip(".")

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from pcbench import axes as axis
 from pcbench.cells import cells
-from pcbench.errors import UserError, unknown
+from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import (
@@ -26,6 +26,8 @@ from pcbench.study import (
     sentence,
 )
 
+NOT_TOML = (ValueError, RecursionError)  # what tomllib raises: also of numbers too long, and of lists too deep
+
 
 def load(what: str, overrides: list[str] | None = None) -> Study:
     """Return a checked study from a built-in name, a scenario's name or a TOML file, with `key=value` overrides put in."""
@@ -34,7 +36,7 @@ def load(what: str, overrides: list[str] | None = None) -> Study:
         raw = STUDIES[what].model_dump(exclude_none=True)
     elif what in SCENARIOS:
         raw = {"name": what, "scenarios": [what]}
-    elif what.endswith(".toml") or Path(what).is_file():
+    elif what.endswith(".toml") or _is_file(what):
         raw = _read(Path(what))
     else:
         raise unknown("study", "study, scenario or TOML file", what, [*STUDIES, *SCENARIOS])
@@ -48,6 +50,9 @@ def parse(raw: dict[str, Any], where: str) -> Study:
     axes = raw.get("axes")
     if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # `plant.lam = [...]` is a table to TOML
         nested = {f"plant.{name}": values for name, values in axes["plant"].items()}
+        for key in nested:
+            if key in axes:
+                raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
     if raw.get("lti") is not None and not raw.get("scenarios"):
         raw = raw | {"scenarios": [OWN]}
@@ -60,13 +65,10 @@ def parse(raw: dict[str, Any], where: str) -> Study:
         if name not in known:
             raise unknown(f"{where}: scenarios", "scenario", name, known)
     _unique(study.scenarios, f"{where}: scenarios")
-    for name in study.observers or []:
-        if name not in labels_of(study):
-            raise unknown(f"{where}: observers", "observer", name, labels_of(study))
     if study.observers is not None:
-        _unique(study.observers, f"{where}: observers")
-        if not study.observers:
-            raise UserError(f"{where}: observers: got an empty list, expected at least one of {', '.join(OBSERVERS)}.")
+        _observers(study, study.observers, f"{where}: observers")
+    if study.lti is not None:
+        _observers(study, study.lti.observers, f"{where}: lti.observers")
     for name, given in study.options.items():
         checked_options(name, given, f"{where}: options.{name}")
     for name in study.scenarios:
@@ -78,16 +80,39 @@ def parse(raw: dict[str, Any], where: str) -> Study:
     return study
 
 
+def _observers(study: Study, names: list[str], where: str) -> None:
+    """Raise UserError where a list of observers is empty, or holds a name that is none or stands there twice."""
+    if not names:
+        raise UserError(f"{where}: got an empty list, expected at least one of {', '.join(OBSERVERS)}.")
+    for name in names:
+        if name not in labels_of(study):
+            raise unknown(where, "observer", name, labels_of(study))
+    _unique(names, where)
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
-        raw = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a name that cannot be one
         reason = getattr(error, "strerror", None) or error
-        raise UserError(f"{path}: cannot be read ({reason}); expected a TOML file that describes a study.") from None
-    except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{path}: is not valid TOML: {error}; mend that line.") from None
+        raise UserError(
+            f"{short(str(path))}: cannot be read ({reason}); expected a TOML file that describes a study."
+        ) from None
+    try:
+        raw = tomllib.loads(text)
+    except NOT_TOML as error:
+        raise UserError(
+            f"{path}: got what is not valid TOML ({short(str(error))}), expected a study; mend that line."
+        ) from None
     raw.pop("resolved", None)
     return {"name": path.stem} | raw
+
+
+def _is_file(what: str) -> bool:
+    try:
+        return Path(what).is_file()
+    except OSError:  # a name too long to be one
+        return False
 
 
 def override(raw: dict[str, Any], change: str) -> None:
@@ -95,17 +120,20 @@ def override(raw: dict[str, Any], change: str) -> None:
     key, equals, text = change.partition("=")
     path = [part.strip() for part in key.split(".", 1 if key.strip().startswith("axes.") else -1)]
     if not equals or not all(path):
-        raise UserError(f"--set {change}: expected KEY=VALUE, such as axes.noise_std=0.1 or options.kfbo.R=0.3.")
+        raise UserError(f"--set {short(change)}: expected KEY=VALUE, such as axes.noise_std=0.1 or options.kfbo.R=0.3.")
     try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        found = tomllib.loads(f"value = {text}")
+        value = found["value"] if len(found) == 1 else text.strip()
+    except NOT_TOML:
         value = text.strip()
     if path[0] == "axes" and len(path) > 1 and not isinstance(value, list):
         value = [value]
     for part in path[:-1]:
         raw = raw.setdefault(part, {})
         if not isinstance(raw, dict):
-            raise UserError(f"--set {change}: {part} holds a value, not a table; expected KEY=VALUE below a table.")
+            raise UserError(
+                f"--set {short(change)}: {short(part)} holds a value, not a table; expected KEY=VALUE below a table."
+            )
     raw[path[-1]] = value
 
 

@@ -10,7 +10,8 @@ from chains import DELAYS, OUTPUTS, PLANTS, START, links_of, recorded, slow
 from reference import chain as ref
 
 import pcbench
-from pcbench import machine
+from pcbench import machine, planning, study_file
+from pcbench.cells import cells
 from pcbench.errors import UserError
 from pcbench.observers import chain
 from pcbench.synthesis import chain as synthesis
@@ -133,9 +134,15 @@ def test_vanishing_poles_over_long_delays_are_certified():
 
 
 def test_a_model_that_outgrows_its_delay_is_refused():
-    study, _, _ = slow(A=[[60.0, 1.0], [0.0, -1.0]], delay=[0.1, 3.9], tail=0.5)
+    """By the design itself: a study's own plant is refused before, where it outgrows its horizon."""
+    study, _, _ = slow(delay=[0.1, 3.9], tail=0.5)
+    (cell,) = cells(study_file.parse(study, "slow"), "lti")
+    known = planning.setting(cell)
+    faster = known._replace(model=known.model._replace(A=np.array([[60.0, 1.0], [0.0, -1.0]])))
     with pytest.raises(UserError, match=r"grows by \d+ a sample over a delay of 39 samples.*shorten the delay"):
-        pcbench.design(study, "chain")
+        chain.design(faster, chain.Options())
+    with pytest.raises(UserError, match=r"lti\.A: got a plant that grows by 1e104 over the horizon of 4 s"):
+        pcbench.design(slow(A=[[60.0, 1.0], [0.0, -1.0]])[0], "chain")
 
 
 def test_a_belief_that_is_no_whole_sample_is_refused_by_its_own_name():

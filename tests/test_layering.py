@@ -33,6 +33,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"statistics.moments"},
     {"own_plant"},
     {"axes"},
+    {"limits"},
     {"ensemble", "recording", "conformance"},
     {"simulation"},
     {"own_events"},

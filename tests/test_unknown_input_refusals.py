@@ -71,7 +71,7 @@ REFUSED = {
     ),
     "link sensors, pio": (own("pio", C=np.eye(2, 4).tolist()), r"pio in lti: got modes .* -0\.000625[+-]1\.936j"),
     "too fast": (own("pio", {"beta": 1.3}), r"got a rate beta of 1\.3 1/s, expected less than the 1\.24\d* 1/s"),
-    "discrete": (own(dt=1e-3), "got a discrete model, expected x' = A x"),
+    "discrete": (own(dt=1e-3, horizon=0.04), "got a discrete model, expected x' = A x"),
     # what the observers do not take
     "two delays": (
         own(delay=[0.02, 0.04]),

@@ -9,6 +9,7 @@ from pcbench.observers import chain, dkf, ekf, equal_delay, high_gain, kfbo, no_
 from pcbench.synthesis.certificate import Design, Setting
 from pcbench.types import Observer
 
+LONGEST = 80  # characters of a label, which names a folder
 Takes = Literal["any schedule", "one clock", "one constant delay", "constant delays"]
 
 
@@ -146,7 +147,8 @@ OBSERVERS = {
 def base_of(label: str) -> str | None:
     """Return the observer that a label names: its own name, or name-anything (an observer run with other options)."""
     found = [name for name in OBSERVERS if label == name or label.startswith(name + "-")]
-    return max(found, key=len, default=None)
+    plain = label.isprintable() and len(label) <= LONGEST
+    return max(found, key=len, default=None) if plain else None
 
 
 def entry_of(label: str) -> Entry:

@@ -67,7 +67,7 @@ class Memory(NamedTuple):
 class Options(BaseModel):
     """How the links' gains and outputs are found."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     gain: Literal["poles", "companion", "riccati"] = Field(
         "poles",
         description="each link's: F = pole I (or distinct poles, where C is not invertible), the paper's, Kalman's",

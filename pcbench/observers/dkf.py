@@ -60,7 +60,7 @@ class Filtered(NamedTuple):
 class Options(BaseModel):
     """What the filter assumes, where it is not what the scenario has."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     R: float | None = Field(None, gt=0, description="assumed variance of one sample; default: the scenario's")
     q: float | None = Field(None, ge=0, description="assumed intensity of process noise through the input")
     bias_variance: float | None = Field(

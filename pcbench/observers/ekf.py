@@ -67,7 +67,7 @@ class Memory(NamedTuple):
 class Options(BaseModel):
     """What the filter assumes."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     R: float | None = Field(None, gt=0, description="assumed variance of one sample; default: the scenario's")
     q: float | None = Field(None, ge=0, description="assumed intensity of process noise through the input")
     walk: float = Field(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")

@@ -31,7 +31,7 @@ OBSERVER = output_error.OBSERVER
 class Options(BaseModel):
     """Which of the two, and the delay it believes in."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     variant: Literal["held", "theorem1"] = Field("held", description="the slow one, or a single link of the chain")
     delay: int | None = Field(None, ge=1, le=200, description="samples; default: the shortest of the channels'")
     pole: Pole = Field(1e-4, description="theorem1: F = pole I, or distinct poles where C is not invertible")

@@ -63,7 +63,7 @@ class Memory(NamedTuple):
 class Options(BaseModel):
     """The tuning."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     theta: float = Field(4.0, gt=0, description="tuning [1/s]")
     robust: bool = Field(False, description="speeds and parameters clipped, a leak in S")
     rho: float = Field(0.1, gt=0, description="robust: the leak")

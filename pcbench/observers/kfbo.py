@@ -55,7 +55,7 @@ class Memory(NamedTuple):
 class Options(BaseModel):
     """Weights of the Riccati equation and the two variants."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     R: float = Field(1.0, gt=0, description="assumed intensity of measurement noise")
     Q: float = Field(0.002, gt=0, description="assumed intensity of process noise through the input")
     lag_aware: bool = Field(False, description="use d + te/2 in place of d")

@@ -28,7 +28,7 @@ OBSERVER = output_error.OBSERVER
 class Options(BaseModel):
     """Which of the two, and its pole."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     variant: Literal["aligned", "plain"] = Field(
         "aligned", description="samples against their own time, or against now"
     )

@@ -46,7 +46,7 @@ class Gains(NamedTuple):
 class Options(BaseModel):
     """How the gain is found."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     gain: Literal["lmi", "riccati"] = Field("lmi", description="LMI (23), or a stationary Kalman filter's gain")
     q: float = Field(0.002, gt=0, description="riccati: assumed intensity of process noise through the input")
 

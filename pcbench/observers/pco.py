@@ -63,7 +63,7 @@ class Reduced(NamedTuple):
 class Proportional(BaseModel):
     """PCO's gain, in the coordinates [y; w]."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     Kp: Given = Field(None, description="gain [n-l, l] (a number where that is 1 x 1); default: by LMI")
 
 

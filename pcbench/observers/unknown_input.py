@@ -71,7 +71,7 @@ class Memory(NamedTuple):
 class Options(BaseModel):
     """What the two have in common."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     gains: Literal["design", "paper"] = Field("design", description="by LMI, or as printed (for the arm)")
     measurement: Literal["predict", "hold"] = Field("predict", description="y between samples")
     reconstruct: bool = Field(False, description="the prediction to now carries the input found")

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import matrix_balance, solve_discrete_are
 
-from pcbench.errors import DesignError
+from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.sampled import Sampled, by_poles, invertible, noise_over, power, require_seen
@@ -70,7 +70,7 @@ def by_riccati(plant: Sampled, d: int, where: str) -> Matrix:
         K = np.asarray(np.linalg.solve(C @ P @ C.T + plant.R, C @ P @ Ad.T).T, float)
         found = "F is stable" if radius(Ad - K @ C) < 1 else "its F is not stable"
     except (np.linalg.LinAlgError, ValueError) as error:
-        found = f"SciPy said '{error}'"
+        found = f"SciPy said '{said(error)}'"
     if found != "F is stable":
         raise DesignError(
             f"{where}: the Riccati equation over d = {d} samples has no stabilising solution ({found}), expected process noise "

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.errors import DesignError
+from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 from pcbench.synthesis.linear import Matrix
 
@@ -45,9 +45,13 @@ def solve(J: Matrix, H: Matrix | None, where: str, solver: str = "CLARABEL") -> 
             warnings.simplefilter("ignore", UserWarning)  # an inaccurate answer is judged by its certificate
             problem.solve(solver=solver)
     except cp.SolverError as error:
-        raise DesignError(f"{where}: the LMI was not solved: {solver} said '{error}'; narrow the intervals.") from error
+        raise DesignError(
+            f"{where}: got an LMI without an answer ({solver} said '{said(error)}'), expected one; narrow the intervals."
+        ) from error
     if P.value is None or (Y is not None and Y.value is None):
-        raise DesignError(f"{where}: the LMI has no solution: {solver} said '{problem.status}'; narrow the intervals.")
+        raise DesignError(
+            f"{where}: got an LMI without a solution ({solver} said '{problem.status}'), expected one; narrow the intervals."
+        )
     G = np.zeros((0, 0)) if Y is None else np.linalg.solve(P.value, np.asarray(Y.value))
     return Solution(P.value, G, str(problem.status), solver)
 

@@ -17,9 +17,9 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
+from scipy.linalg import LinAlgWarning, solve_discrete_lyapunov
 
-from pcbench.errors import DesignError
+from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 from pcbench.synthesis.linear import Matrix
 
@@ -56,9 +56,13 @@ def solve(Phi: Matrix, C: Matrix, solver: str = "CLARABEL") -> Solution:
             warnings.simplefilter("ignore", UserWarning)  # an inaccurate answer is judged by its certificate
             problem.solve(solver=solver)
     except cp.SolverError as error:
-        raise DesignError(f"pccebo: LMI (23) was not solved: {solver} said '{error}'; try another period.") from error
+        raise DesignError(
+            f"pccebo: LMI (23) was not solved ({solver} said '{said(error)}'), expected a solution; try another period."
+        ) from error
     if P.value is None or Y.value is None:
-        raise DesignError(f"pccebo: LMI (23) has no solution: {solver} said '{problem.status}'; try another period.")
+        raise DesignError(
+            f"pccebo: LMI (23) got no solution ({solver} said '{problem.status}'), expected one; try another period."
+        )
     return Solution(P.value, np.linalg.solve(P.value, Y.value), float(np.asarray(t.value)), str(problem.status), solver)
 
 
@@ -67,7 +71,9 @@ def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> Solution:
     closed = (np.eye(len(Phi)) - L @ C) @ Phi
     P = np.eye(len(Phi))
     if np.abs(np.linalg.eigvals(closed)).max() < 1:
-        P = np.asarray(solve_discrete_lyapunov(closed.T, P), dtype=np.float64)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LinAlgWarning)  # an ill-conditioned P is judged by its certificate
+            P = np.asarray(solve_discrete_lyapunov(closed.T, P), dtype=np.float64)
         P = P / np.linalg.norm(P, 2)
     return Solution(P, L, 0.0, "solved", "scipy")
 

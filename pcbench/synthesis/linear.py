@@ -75,14 +75,19 @@ def _doublings(A: bytes, n: int, discrete: bool, h: float, bits: int) -> Matrix:
 
 
 def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
-    """Return int_0^h e^{As} Qc e^{A's} ds for one (short) tick, by Van Loan's exponential; Qc is an intensity, per second.
+    """Return int_0^h e^{As} Qc e^{A's} ds for one tick, by Van Loan's exponential; Qc is an intensity, per second.
 
+    A tick in which a fast mode dies is halved until |A| h is at most 1, for e^{-Ah} would overflow, and doubled again.
     Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978).
     """
-    n = A.shape[0]
-    block = np.block([[-A, Qc], [np.zeros((n, n)), A.T]]) * h
-    whole = expm(block)
-    Q = whole[n:, n:].T @ whole[:n, n:]
+    n, size = A.shape[0], float(np.linalg.norm(A, 2)) * h
+    halvings = int(np.ceil(np.log2(size))) if size > 1 else 0
+    short = h / 2**halvings
+    whole = expm(np.block([[-A, Qc], [np.zeros((n, n)), A.T]]) * short)
+    E = whole[n:, n:].T
+    Q = E @ whole[:n, n:]
+    for _ in range(halvings):
+        Q, E = E @ Q @ E.T + Q, E @ E
     return (Q + Q.T) / 2
 
 

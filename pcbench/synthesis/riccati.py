@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
-from pcbench.errors import DesignError
+from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 from pcbench.synthesis.linear import Matrix, Model, noise_over, over
 
@@ -33,12 +33,12 @@ def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
         P: Matrix = np.asarray(solve_continuous_are(A.T, C.T, Q, R), dtype=np.float64)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
-            f"{where}: the Riccati equation (27) was not solved: SciPy said '{error}'; "
-            "(A, C) must be detectable and Q, R positive."
+            f"{where}: the Riccati equation (27) was not solved (SciPy said '{said(error)}'), "
+            "expected (A, C) detectable and Q, R positive; change what they are made of."
         ) from error
     K: Matrix = np.asarray(np.linalg.solve(R, C @ P).T, dtype=np.float64)
     residual = A @ P + P @ A.T - P @ C.T @ K.T + Q
-    scale = np.abs(A @ P).max() + np.abs(Q).max()
+    scale = max(np.abs(A @ P).max() + np.abs(Q).max(), 1e-300)
     solved = least_eigenvalue(P) > 0 and np.abs(residual).max() < 1e-9 * scale
     poles = np.linalg.eigvals(A - K @ C)
     margin = float(-poles.real.max()) if solved else float("nan")
@@ -52,8 +52,8 @@ def current_gain(Phi: Matrix, C: Matrix, Q: Matrix, R: Matrix, where: str) -> Ma
         P = solve_discrete_are(Phi.T, C.T, Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise DesignError(
-            f"{where}: the discrete Riccati equation was not solved: SciPy said '{error}'; "
-            "(Phi, C) must be detectable and Q, R positive."
+            f"{where}: the discrete Riccati equation was not solved (SciPy said '{said(error)}'), "
+            "expected (Phi, C) detectable and Q, R positive; change what they are made of."
         ) from error
     return np.asarray(np.linalg.solve(C @ P @ C.T + R, C @ P).T, dtype=np.float64)
 

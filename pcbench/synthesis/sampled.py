@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import place_poles
 
-from pcbench.errors import DesignError, UserError
+from pcbench.errors import DesignError, UserError, said
 from pcbench.synthesis import linear
 from pcbench.synthesis.certificate import NO_NOISE, Setting
 from pcbench.synthesis.linear import Matrix
@@ -119,7 +119,7 @@ def by_poles(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
                 G = np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float)
         except ValueError as error:
             raise DesignError(
-                f"{where}: the poles were not placed: SciPy said '{error}'; take another pole."
+                f"{where}: the poles were not placed (SciPy said '{said(error)}'), expected another pole; change it."
             ) from error
     return np.asarray(G @ np.linalg.pinv(C @ M.T) * plant.scale[:, None] / plant.sizes, float)
 

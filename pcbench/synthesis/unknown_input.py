@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import eigh
 
-from pcbench.errors import DesignError, UserError
+from pcbench.errors import DesignError, UserError, said
 from pcbench.synthesis.certificate import Certificate, certified
 from pcbench.synthesis.linear import Matrix, Model
 from pcbench.synthesis.observability import RANK, shown, unobservable
@@ -119,7 +119,9 @@ def minimise(
     except cp.SolverError as error:
         status = str(error)
     if status not in ("optimal", "optimal_inaccurate"):
-        raise DesignError(f"{where}: the LMI was not solved: {solver} said '{status}'; ask for a slower rate.")
+        raise DesignError(
+            f"{where}: the LMI was not solved ({solver} said '{said(status)}'), expected a solution; ask for a slower rate."
+        )
     return status, [np.asarray(unknown.value, dtype=np.float64) for unknown in unknowns]
 
 
