@@ -64,13 +64,7 @@ def compute(work: Work, task: Task, device: Any = None) -> Report:
 
 def tables_of(work: Work, task: Task, device: Any = None) -> tuple[list[tuple[str, Any]], ensemble.Program]:
     """Return the blocks of a task, (name, rows) each, and the program that computed them."""
-    with machine.float64():
-        p = unpack(task.parcel)
-        seeds = np.concatenate([np.arange(first, last) for first, last, _ in task.pieces])
-        jobs = list(sweep.jobs(p, work.root_seed, seeds))
-        made = ensemble.program(p.layout, jobs[0], device)
-        _fits(p, made.memory, work.memory)
-        results = sweep.results(p, ensemble.serial(made, jobs))
+    p, results, made = simulated(work, task, device)
     files, at = [], 0
     for first, last, labels in task.pieces:
         for label in labels:
@@ -78,6 +72,17 @@ def tables_of(work: Work, task: Task, device: Any = None) -> tuple[list[tuple[st
             files.append(block(work, p, label, mine, first, last))
         at += last - first
     return files, made
+
+
+def simulated(work: Work, task: Task, device: Any = None) -> tuple[Planned, sweep.Results, ensemble.Program]:
+    """Return what the runs of a task leave; raise UserError where a call takes more memory than there is for it."""
+    with machine.float64():
+        p = unpack(task.parcel)
+        seeds = np.concatenate([np.arange(first, last) for first, last, _ in task.pieces])
+        jobs = list(sweep.jobs(p, work.root_seed, seeds))
+        made = ensemble.program(p.layout, jobs[0], device)
+        _fits(p, made.memory, work.memory)
+        return p, sweep.results(p, ensemble.serial(made, jobs)), made
 
 
 def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: int, last: int) -> tuple[str, Any]:

@@ -10,6 +10,7 @@ name write the same bytes. Nothing is locked anywhere: what is done is what is t
 import itertools
 import json
 import os
+import re
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -24,6 +25,7 @@ import pyarrow.parquet as pq
 from pcbench.errors import UserError
 
 PARTIAL = ".partial"
+UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
 FORGOTTEN = 86400.0  # [s] an unfinished file of another machine is cleared away after so long
 _COUNT = itertools.count()
 
@@ -85,7 +87,8 @@ def encoded(table: pa.Table) -> pa.Buffer:
     """Return a table as the bytes of a Parquet file with a checksum on every page; equal tables give equal bytes."""
     sink = pa.BufferOutputStream()
     words = [field.name for field in table.schema if not pa.types.is_floating(field.type)]  # numbers hardly repeat
-    pq.write_table(table, sink, compression="zstd", use_dictionary=words, write_page_checksum=True)
+    how: dict[str, Any] = {"use_dictionary": words, "write_statistics": words, "write_page_checksum": True}
+    pq.write_table(table, sink, compression="snappy", **how)  # 3 ms of 8 less a block than zstd, for a third more bytes
     content = sink.getvalue()
     back = pq.ParquetFile(pa.BufferReader(content))
     if back.metadata.num_rows != table.num_rows or not back.schema_arrow.equals(table.schema, check_metadata=True):
@@ -151,13 +154,15 @@ def unfinished(place: Target) -> list[Path]:
 
 
 def _forgotten(path: Path) -> bool:
-    host, pid, _ = path.name.removeprefix(".").removesuffix(PARTIAL).rsplit("-", 2)
-    if host == socket.gethostname():
+    ours = UNFINISHED.fullmatch(path.name)
+    if not ours:
+        return False
+    if ours[1] == socket.gethostname():
         try:
-            os.kill(int(pid), 0)
+            os.kill(int(ours[2]), 0)
         except ProcessLookupError:
             return True
-        except (PermissionError, ValueError, OverflowError):
+        except (PermissionError, OverflowError):
             return False
     with suppress(OSError):
         return time() - path.stat().st_mtime > FORGOTTEN

@@ -17,8 +17,8 @@ from pcbench.statistics.comparison import SAME, contest, holm
 from pcbench.statistics.description import Row, Seen, columns, described, see, spread
 from pcbench.statistics.estimates import Z95, reached, root, student, wilson
 from pcbench.statistics.moments import Values, moments
-from pcbench.statistics.pairing import ZERO, Met, Pair, meet, verdict, verdicts
 from pcbench.statistics.order_statistics import COLUMNS, QUANTILES, places, ranks, read
+from pcbench.statistics.pairing import ZERO, Met, Pair, meet, verdict, verdicts
 from pcbench.statistics.stack import CHUNK, COMPARED, POOLED, RUN_METRICS, Chunks, Results, stack
 
 __all__ = [

@@ -1,0 +1,125 @@
+"""What a study costs besides its simulation: writing, workers, memory. Ratios within one run; the machine may be shared.
+
+    python benchmarks/studies.py              # a few minutes
+    python benchmarks/studies.py --only memory
+
+writing: the same tasks with and without their files, in turn; the files' share of the time.
+workers: the same study on one and on two local Dask workers, warm; time on one / (2 x time on two).
+memory:  peak resident memory of a small study, of one with 16 times the seeds, and of one with 16 times the cells.
+"""
+
+import argparse
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pcbench import bench, machine
+from pcbench.dataset import blocks, campaign, executors, folder, store
+
+STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
+WRITTEN = {  # of about a minute on two cores, from the cheapest runs to dear ones
+    "cart/white": (400_000, ["pccebo", "kfbo", "dkf"]),
+    "csth/10s-noise": (60_000, ["chain", "equal-delay", "dkf"]),
+    "arm/sampled": (6_000, ["smo", "pio", "dkf"]),
+}
+MANY = {"noise_std": [0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.2], "drift": [0.0, 1.0]}
+
+
+def without_files(work: blocks.Work, task: blocks.Task, device: Any = None) -> blocks.Report:
+    """Simulate a task's seeds and leave it at that."""
+    made = blocks.simulated(work, task, device)[2]
+    return blocks.Report(task.runs, ("", 0), made.compile_seconds, 0.0)
+
+
+def timed(study: dict[str, Any], execute: executors.Executor) -> float:
+    """Return the seconds in which a study's blocks are filled, planning and statistics left out."""
+    with tempfile.TemporaryDirectory() as out, machine.float64():
+        place, began = store.target(out), []
+        claimed = folder.claim(place, bench.study_of(study, {}, []))
+
+        def tell(event: str, value: float) -> None:
+            if event == "planned":
+                began.append(time.perf_counter())
+
+        campaign.fill(place, claimed, [], execute, campaign.everything(claimed), campaign.Options(), tell)
+        return time.perf_counter() - began[0]
+
+
+def writing(turns: int) -> None:
+    """Print what files cost of studies of about a minute."""
+    whole = blocks.compute
+    for scenario, (seeds, observers) in WRITTEN.items():
+        study = {"name": "cost", "scenarios": [scenario], "observers": observers}
+        with executors.here() as execute:
+            timed(study | {"seeds": 2048}, execute)
+            shares, base = [], []
+            for _ in range(turns):
+                blocks.compute = without_files
+                base.append(timed(study | {"seeds": seeds}, execute))
+                blocks.compute = whole
+                shares.append(timed(study | {"seeds": seeds}, execute) / base[-1] - 1)
+        each = ", ".join(f"{100 * share:+.2f}" for share in shares)
+        print(f"writing: {scenario}: {100 * statistics.median(shares):+.2f} % of {base[0]:.0f} s ({each})", flush=True)
+
+
+def workers(seeds: int, turns: int) -> None:
+    """Print how much of two workers a study gets."""
+    study, seconds = STUDY | {"seeds": seeds}, {}
+    for _ in range(turns):
+        for count in (1, 2):
+            with executors.dask("local", count) as execute:
+                timed(study | {"seeds": 8192}, execute)  # every worker has its program
+                seconds.setdefault(count, []).append(timed(study, execute))
+    each = [one / (2 * two) for one, two in zip(seconds[1], seconds[2], strict=True)]
+    print(f"workers: efficiency of two {statistics.median(each):.3f} (turns: ", end="")
+    print(
+        ", ".join(f"{one:.1f} s / {two:.1f} s" for one, two in zip(seconds[1], seconds[2], strict=True)) + ")",
+        flush=True,
+    )
+
+
+def memory() -> None:
+    """Print the peak memory of studies of several sizes, each in a process of its own."""
+    sizes = {"1024 seeds, 1 cell": (1024, {}), "16384 seeds, 1 cell": (16384, {}), "1024 seeds, 16 cells": (1024, MANY)}
+    sizes |= {"262144 seeds, 1 cell": (262144, {})}
+    for what, (seeds, axes) in sizes.items():
+        code = f"from benchmarks import studies; studies.peak({STUDY | {'seeds': seeds, 'axes': axes}!r})"
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=Path(__file__).parent.parent
+        )
+        print(f"memory: {what}: peak {done.stdout.strip()}", flush=True)
+
+
+def peak(study: dict[str, Any]) -> None:
+    """Run a study and print the most memory that this process held."""
+    machine.setup()
+    with tempfile.TemporaryDirectory() as out:
+        bench.run(study, out=out)
+    print(f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
+
+
+def main() -> None:
+    """Print the figures."""
+    machine.setup()
+    parts: dict[str, Callable[[], None]] = {
+        "writing": partial(writing, 3),
+        "workers": partial(workers, 200_000, 3),
+        "memory": memory,
+    }
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", choices=parts)
+    only = parser.parse_args().only
+    for name, part in parts.items():
+        if only in (None, name):
+            part()
+
+
+if __name__ == "__main__":
+    main()
