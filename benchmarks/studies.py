@@ -25,16 +25,17 @@ from pcbench.dataset import blocks, campaign, executors, folder, store
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
 WRITTEN = {  # of about a minute on two cores, from the cheapest runs to dear ones
-    "cart/white": (400_000, ["pccebo", "kfbo", "dkf"]),
+    "cart/white": (100_000, ["pccebo", "kfbo", "dkf"]),
     "csth/10s-noise": (60_000, ["chain", "equal-delay", "dkf"]),
     "arm/sampled": (6_000, ["smo", "pio", "dkf"]),
 }
 MANY = {"noise_std": [0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.2], "drift": [0.0, 1.0]}
 
 
-def without_files(work: blocks.Work, task: blocks.Task, device: Any = None) -> blocks.Report:
+def without_files(work: blocks.Work, task: blocks.Task, place: Callable[[], Any]) -> blocks.Report:
     """Simulate a task's seeds and leave it at that."""
-    made = blocks.simulated(work, task, device)[2]
+    with place() as device:
+        made = blocks.simulated(work, task, device)[2]
     return blocks.Report(task.runs, ("", 0), made.compile_seconds, 0.0)
 
 
@@ -48,7 +49,7 @@ def timed(study: dict[str, Any], execute: executors.Executor) -> float:
             if event == "planned":
                 began.append(time.perf_counter())
 
-        campaign.fill(place, claimed, [], execute, campaign.everything(claimed), campaign.Options(), tell)
+        campaign.fill(place, claimed, [], execute, campaign.everything(claimed, []), campaign.Options(), tell)
         return time.perf_counter() - began[0]
 
 
@@ -109,7 +110,7 @@ def main() -> None:
     """Print the figures."""
     machine.setup()
     parts: dict[str, Callable[[], None]] = {
-        "writing": partial(writing, 3),
+        "writing": partial(writing, 5),
         "workers": partial(workers, 200_000, 3),
         "memory": memory,
     }

@@ -135,7 +135,7 @@ def run(
         at_once = workers or len(ensemble.places(devices))
         choice = campaign.Options(checked_block(block), machine.allowed(memory) / (2 * at_once))
         execute = stack.enter_context(executors.dask(dask, workers) if dask else executors.here(devices))
-        effort = campaign.fill(place, claimed, there, execute, campaign.everything(claimed), choice, tell)
+        effort = campaign.fill(place, claimed, there, execute, campaign.everything(claimed, there), choice, tell)
         there = ledger.present(place)
         for wanted in until.rounds(goal, place, claimed) if goal else ():
             effort = campaign.added(effort, campaign.fill(place, claimed, there, execute, wanted, choice, tell))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import call
 from harness import CART, Case, trace
 
 import pcbench
@@ -117,3 +118,11 @@ def test_the_top_level_is_as_promised():
     tracked = subprocess.run(["git", "-C", str(ROOT), "ls-files"], capture_output=True, text=True, check=False).stdout
     top = {line.split("/")[0] for line in tracked.splitlines()}
     assert {name for name in top if not name.startswith(".")} <= allowed
+
+
+def test_every_option_that_the_readme_names_exists():
+    said = set(re.findall(r"(?<![\w-])(--[a-z][a-z-]+)", "\n".join(blocks("text"))))
+    there = set()
+    for command in ("run", "status", "verify", "merge", "trace", "design"):
+        there |= set(re.findall(r"--[a-z][a-z-]+", call(command, "--help").stdout))
+    assert said <= there, said - there

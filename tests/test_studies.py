@@ -1,12 +1,11 @@
 """A study in its folder: stopped and gone on with, grown, refused when changed, cut as you like, merged, verified."""
 
 import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
 import pytest
+from commands import call
 
 import pcbench
 from pcbench.dataset import blocks, executors, inspection, ledger, merging, store
@@ -330,19 +329,16 @@ def test_a_cell_has_the_same_bits_alone_and_among_others(whole, tmp_path):
 
 
 def test_commands_on_a_dataset_answer(copy, tmp_path):
-    def pcbench_command(*words):
-        return subprocess.run([sys.executable, "-m", "pcbench.cli", *words], capture_output=True, text=True)
-
-    assert "Every run is there" in pcbench_command("status", str(copy)).stdout
-    done = pcbench_command("verify", str(copy), "--sample", "1")
+    assert "Every run is there" in call("status", str(copy)).stdout
+    done = call("verify", str(copy), "--sample", "1")
     assert "1 of 1 blocks came out again" in done.stdout, done.stderr
-    done = pcbench_command("merge", str(copy), str(copy), "--out", str(tmp_path / "m"))
+    done = call("merge", str(copy), str(copy), "--out", str(tmp_path / "m"))
     assert "160 runs stood in more than one" in done.stdout, done.stderr
     for words in (
         ["status", str(tmp_path)],
         ["verify", str(tmp_path)],
         ["merge", str(copy), "--out", str(tmp_path / "n")],
     ):
-        done = pcbench_command(*words)
+        done = call(*words)
         assert done.returncode == 2
         assert done.stderr.count("\n") == 1, done.stderr

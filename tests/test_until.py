@@ -1,5 +1,8 @@
 """Seeds are added until a standard error is reached or the budget ends; the same command then adds none."""
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -52,6 +55,19 @@ def test_the_same_command_again_adds_nothing(done):
     assert {p: p.stat().st_mtime_ns for p in done.out.rglob("*.parquet")} == before
 
 
+def test_a_run_that_was_stopped_ends_as_one_that_was_not(done, tmp_path):
+    """Blocks of the last round are lost, of some observers more than of others; a plain run levels them, the goal stays."""
+    out = shutil.copytree(done.out, tmp_path / "out")
+    want = {p.relative_to(out): p.read_bytes() for p in out.rglob("*.parquet")}
+    for path in [*out.rglob("observer=kfbo/cell-00002-*"), *list(out.rglob("observer=pccebo/cell-00001-*"))[1:]]:
+        path.unlink()
+    plain = pcbench.run(STUDY, out=shutil.copytree(out, tmp_path / "plain"))
+    assert plain.stats.groupby(["cell", "metric"]).n.nunique().max() == 1
+    pcbench.run(STUDY, out=out, until_se="tail_rmse=0.002", max_seeds=3000)
+    for name in ("stats.parquet", "pairs.parquet"):
+        assert (out / name).read_bytes() == want[Path(name)]
+
+
 def test_seeds_that_were_added_are_those_that_a_longer_study_has(done, tmp_path):
     many = int(done.stats[done.stats.noise_std == 0.1].n.max())
     at_once = pcbench.run(STUDY | {"axes": {"noise_std": [0.1]}, "seeds": many}, out=tmp_path / "out")
@@ -80,6 +96,15 @@ def test_a_goal_that_is_none_is_one_sentence(tmp_path, text, said):
         pcbench.run(STUDY, out=tmp_path / "out", until_se=text)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists(), "nothing is written"
+
+
+def test_a_metric_that_a_scenario_lacks_is_one_sentence(done):
+    with pytest.raises(UserError, match="tracking_rmse of position, which cart/slow does not have"):
+        pcbench.run(STUDY, out=done.out, until_se="tracking_rmse=0.1")
+
+
+def test_one_seed_is_no_standard_error():
+    assert until.enough(1, np.inf, 0.1) == until.GROWTH
 
 
 def test_stopping_at_a_standard_error_hardly_narrows_the_intervals():

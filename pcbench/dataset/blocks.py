@@ -3,7 +3,8 @@
 A pure function of its description: wherever and however often a task is done, its files hold the same bytes.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from math import isfinite
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -53,25 +54,24 @@ class Report(NamedTuple):
     writing_seconds: float
 
 
-def compute(work: Work, task: Task, device: Any = None) -> Report:
-    """Do a task: simulate its seeds, and put its blocks; raise UserError where they cannot be written."""
-    files, made = tables_of(work, task, device)
-    start, place = perf_counter(), store.target(work.out)
-    for name, table in files:
-        store.put_table(place, name, table)
+def compute(work: Work, task: Task, place: Callable[[], Any] = nullcontext) -> Report:
+    """Do a task: simulate its seeds while holding a place, then put its blocks; raise UserError where that cannot be."""
+    with place() as device:
+        p, results, made = simulated(work, task, device)
+    start, target = perf_counter(), store.target(work.out)
+    for name, table in files(work, task, p, results):
+        store.put_table(target, name, table)
     return Report(task.runs, (machine.process(), id(made)), made.compile_seconds, perf_counter() - start)
 
 
-def tables_of(work: Work, task: Task, device: Any = None) -> tuple[list[tuple[str, Any]], ensemble.Program]:
-    """Return the blocks of a task, (name, rows) each, and the program that computed them."""
-    p, results, made = simulated(work, task, device)
-    files, at = [], 0
+def files(work: Work, task: Task, p: Planned, results: sweep.Results) -> Iterator[tuple[str, Any]]:
+    """Yield the blocks of a task, (name, rows) each."""
+    at = 0
     for first, last, labels in task.pieces:
         for label in labels:
             mine = {m: values[..., at : at + last - first] for m, values in results[label].items()}
-            files.append(block(work, p, label, mine, first, last))
+            yield block(work, p, label, mine, first, last)
         at += last - first
-    return files, made
 
 
 def simulated(work: Work, task: Task, device: Any = None) -> tuple[Planned, sweep.Results, ensemble.Program]:

@@ -48,10 +48,13 @@ def added(a: Effort, b: Effort) -> Effort:
     return Effort(a.runs + b.runs, a.compile_seconds + b.compile_seconds, a.writing_seconds + b.writing_seconds)
 
 
-def everything(claimed: Claim) -> Wanted:
-    """Return the seeds that a study names."""
-    first = claimed.study.first_seed
-    return lambda cell: (first, first + claimed.study.seeds)
+def everything(claimed: Claim, there: list[Block]) -> Wanted:
+    """Return the seeds that a study names, and those that some observer of a cell has beyond: all of them are to have them."""
+    first, last = claimed.study.first_seed, claimed.study.first_seed + claimed.study.seeds
+    ends: dict[tuple[str, int], int] = {}
+    for b in there:
+        ends[b.scenario, b.cell] = max(ends.get((b.scenario, b.cell), last), b.last)
+    return lambda cell: (first, ends.get((cell.scenario.name, cell.number), last))
 
 
 def whole(place: store.Target, claimed: Claim, say: Callable[[str], None]) -> list[Block]:

@@ -102,15 +102,17 @@ def observed(
 
 
 def summary(
-    place: store.Target, study: str, cell: Cell, found: dict[str, Observed]
+    place: store.Target, study: str, cell: Cell, found: dict[str, Observed], last: int | None = None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the rows of stats and of pairs of one cell."""
+    """Return the rows of stats and of pairs of one cell, over the seeds below `last` where it is given."""
     s, signals = cell.scenario, signals_of(cell.scenario)
     names, units = [name for name, _ in signals], dict(signals)
     head = tables.keys(study, cell) | {"plant": s.plant}
     carries = {name: each.about["carries_input"] for name, each in found.items()}
     bounds = {name: _seen(each.about["bound"], s.prior_std) for name, each in found.items()}
-    described, compared = statistics.summarise(lambda: chunks(place, found), bounds, names, s.prior_std + s.unknown_std)
+    described, compared = statistics.summarise(
+        lambda: chunks(place, found, last), bounds, names, s.prior_std + s.unknown_std
+    )
     stats, pairs = [], []
     for name, rows in described.items():
         for row in rows:
@@ -131,27 +133,32 @@ def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> Any:
     return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])
 
 
-def chunks(place: store.Target, found: dict[str, Observed]) -> Iterator[dict[str, statistics.Results]]:
+def chunks(
+    place: store.Target, found: dict[str, Observed], last: int | None = None
+) -> Iterator[dict[str, statistics.Results]]:
     """Yield the runs of a cell by observer, the seeds of one chunk after the other."""
-    readers = {name: _by_chunk(place, each.blocks) for name, each in found.items()}
+    readers = {name: _by_chunk(place, each.blocks, last) for name, each in found.items()}
     while all_there := {name: next(reader, None) for name, reader in readers.items()}:
         if any(each is None for each in all_there.values()):
             return
         yield {name: each for name, each in all_there.items() if each is not None}
 
 
-def _by_chunk(place: store.Target, blocks: list[Block]) -> Iterator[statistics.Results]:
+def _by_chunk(place: store.Target, blocks: list[Block], last: int | None) -> Iterator[statistics.Results]:
     """Yield one observer's runs, cut at multiples of a chunk."""
     held: list[statistics.Results] = []
     at = None
     for block in blocks:
-        results, start = results_of(ledger.read(place, block)), block.first
-        while start < block.last:
+        stop, start = block.last if last is None else min(block.last, last), block.first
+        if start >= stop:
+            break
+        results = results_of(ledger.read(place, block))
+        while start < stop:
             chunk = start // statistics.CHUNK
             if held and chunk != at:
                 yield _joined(held)
                 held = []
-            at, end = chunk, min(block.last, (chunk + 1) * statistics.CHUNK)
+            at, end = chunk, min(stop, (chunk + 1) * statistics.CHUNK)
             held.append({m: v[..., start - block.first : end - block.first] for m, v in results.items()})
             start = end
     if held:

@@ -1,12 +1,13 @@
 """Where tasks are done: in this process, on all cores or accelerators, or by Dask's workers.
 
-An executor is a function (work, tasks) -> reports as they come, in any order: `work(task, device)` is a pure function that
-leaves whole files, `tasks` are drawn as places become free, so that memory does not grow with their number.
+An executor is a function (work, tasks) -> reports as they come, in any order: `work(task, place)` is a pure function that
+leaves whole files and computes only while it holds a place (`with place() as device`); `tasks` are drawn as places become
+free, so that memory does not grow with their number.
 """
 
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from itertools import islice
 from queue import SimpleQueue
 from typing import Any
@@ -22,26 +23,28 @@ PATIENCE = "20s"  # for a scheduler to answer
 
 @contextmanager
 def here(count: int | None = None) -> Iterator[Executor]:
-    """Yield the executor of this process: `count` tasks at a time, by default one a core or accelerator."""
+    """Yield the executor of this process: `count` calls at a time, by default one a core or accelerator.
+
+    There are twice as many tasks under way as places to compute: while one writes its files, another computes.
+    """
     places: SimpleQueue[Any] = SimpleQueue()
     for device in ensemble.places(count):
         places.put(device)
-    many = places.qsize()
+    many = 2 * places.qsize()
     pool = ThreadPoolExecutor(many, "pcbench")
 
-    def on_a_place(work: Any, task: Any) -> Any:
+    @contextmanager
+    def place() -> Iterator[Any]:
         device = places.get()
         try:
-            return work(task, device)
+            yield device
         finally:
             places.put(device)
 
     def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
         left, under_way = iter(tasks), set[Future[Any]]()
         while True:
-            under_way |= {
-                pool.submit(on_a_place, work, t) for t in islice(left, len(ensemble.places(count)) + 1 - len(under_way))
-            }
+            under_way |= {pool.submit(work, t, place) for t in islice(left, many - len(under_way))}
             if not under_way:
                 return
             done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
@@ -133,4 +136,4 @@ def _local(distributed: Any, workers: int | None) -> Any:
 def _on_a_worker(work: Callable[..., Any], task: Any) -> Any:
     """Do a task in a worker's process, which becomes pcbench's own at its first task."""
     machine.setup()
-    return work(task, None)
+    return work(task, nullcontext)

@@ -1,7 +1,6 @@
 """Looking at a dataset that stands: what is done, whether it is whole, whether it comes out again. Nothing is written."""
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -110,7 +109,7 @@ def _again(place: store.Target, claimed: Claim, chosen: list[Block], tell: Calla
             if (b.scenario, b.cell) == (p.cell.scenario.name, p.cell.number) and b.observer in p.labels:
                 work = blocks.Work("", claimed.study.name, claimed.study.root_seed)
                 task = blocks.Task(pack(p), ((b.first, b.last, (b.observer,)),))
-                ((_, made),) = blocks.tables_of(work, task)[0]
+                ((_, made),) = blocks.files(work, task, *blocks.simulated(work, task)[:2])
                 yield from _difference(b, ledger.read(place, b), made)
                 tell("compared", 1.0)
 
@@ -163,5 +162,6 @@ def missing(out: Any) -> int:
     """Return how many runs a place lacks."""
     place = store.target(out)
     claimed = folder.opened(place)
-    todo = campaign.missing(claimed, ledger.present(place), campaign.everything(claimed), partial(lambda cell: 2**40))
+    there = ledger.present(place)
+    todo = campaign.missing(claimed, there, campaign.everything(claimed, there), lambda cell: 2**40)
     return sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)

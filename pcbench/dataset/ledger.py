@@ -105,7 +105,7 @@ def digest(table: pa.Table) -> str:
     for field, column in zip(table.schema, table.columns, strict=True):
         out.update(f"{field.name}:{field.type}:{column.null_count}".encode())
         if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
-            out.update(np.ascontiguousarray(column.to_numpy()))
+            out.update(np.ascontiguousarray(column.to_numpy()).tobytes())
     return out.hexdigest()[:32]
 
 

@@ -6,8 +6,8 @@ test).
 """
 
 from collections.abc import Iterator
-from math import ceil, isfinite
-from typing import Any, NamedTuple
+from math import ceil, inf, isfinite
+from typing import NamedTuple
 
 from pcbench import statistics
 from pcbench.cells import Cell
@@ -53,20 +53,23 @@ def parse(text: str, most: int | None) -> Goal:
 
 
 def rounds(goal: Goal, place: store.Target, claimed: Claim) -> Iterator[Wanted]:
-    """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent."""
+    """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent.
+
+    Each round looks at the seeds of the last one alone, whatever else stands: a run that was stopped ends as one that was not.
+    """
     first, seeds = claimed.study.first_seed, claimed.study.seeds
-    most, need = goal.most or BUDGET * seeds, {}
+    most, size = goal.most or BUDGET * seeds, {_key(cell): seeds for cell in claimed.cells}
     pending = list(claimed.cells)
     while pending:
         there = by_cell(ledger.present(place))
         for cell in list(pending):
-            has = max(b.last for b in there[cell.scenario.name, cell.number]) - first
-            wanted = min(_needed(goal, place, claimed, cell, there, has), most)
-            need[_key(cell)] = max(wanted, has)
-            if wanted <= has:
+            has = size[_key(cell)]
+            error = _error(goal, place, claimed, cell, there[_key(cell)], first + has)
+            size[_key(cell)] = max(has, min(enough(has, error, goal.value), most))
+            if size[_key(cell)] == has:
                 pending.remove(cell)
         if pending:
-            yield lambda cell: (first, first + need.get(_key(cell), seeds))
+            yield lambda cell: (first, first + size[_key(cell)])
 
 
 def by_cell(there: list[ledger.Block]) -> dict[tuple[str, int], list[ledger.Block]]:
@@ -88,21 +91,25 @@ def check(goal: Goal, claimed: Claim) -> None:
         raise unknown("--until-se", "signal", goal.signal, names)
 
 
-def _needed(goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: Any, has: int) -> int:
-    """Return the seeds at which the worst observer's standard error should be small enough: it falls with their root."""
+def _error(goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: list[ledger.Block], last: int) -> float:
+    """Return the largest standard error of any observer over the seeds below `last`; inf where one run gives none."""
     blocks: dict[tuple[str, int, str], list[ledger.Block]] = {}
-    for b in there[_key(cell)]:
+    for b in there:
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    rows, _ = closing.summary(place, claimed.study.name, cell, closing.observed(place, claimed, cell, blocks))
+    rows, _ = closing.summary(place, claimed.study.name, cell, closing.observed(place, claimed, cell, blocks), last)
     shown = scenarios_of(claimed.study)[cell.scenario.name].headline or (signals_of(cell.scenario)[0][0],)
     signals = [goal.signal] if goal.signal else shown
-    errors = [r["se"] for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
-    worst = max((e for e in errors if e == e), default=0.0)
-    return enough(has, worst, goal.value)
+    mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
+    if not mine:
+        raise UserError(
+            f"--until-se: got {goal.metric} of {', '.join(signals)}, which {cell.scenario.name} does not have, expected a "
+            "metric that every scenario of the study has; take another one."
+        )
+    return max((inf if r["n"] == 1 else r["se"] for r in mine if r["n"]), default=0.0)
 
 
 def enough(has: int, error: float, goal: float) -> int:
-    """Return the seeds at which a standard error that `has` seeds give should reach its goal."""
+    """Return the seeds at which a standard error that `has` seeds give should reach its goal: it falls with their root."""
     if error <= goal:
         return has
-    return min(ceil(has * MARGIN * (error / goal) ** 2), GROWTH * has)
+    return ceil(has * min(MARGIN * (error / goal) ** 2, GROWTH))
