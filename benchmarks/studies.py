@@ -24,10 +24,10 @@ from pcbench import bench, machine
 from pcbench.dataset import blocks, campaign, executors, folder, store
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
-WRITTEN = {  # of about a minute on two cores, from the cheapest runs to dear ones
-    "cart/white": (100_000, ["pccebo", "kfbo", "dkf"]),
-    "csth/10s-noise": (60_000, ["chain", "equal-delay", "dkf"]),
-    "arm/sampled": (6_000, ["smo", "pio", "dkf"]),
+WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's study; from the cheapest runs to dear ones
+    "cart/white": (200_000, 4096, ["pccebo", "kfbo", "dkf"]),
+    "csth/10s-noise": (120_000, 4096, ["chain", "equal-delay", "dkf"]),
+    "arm/sampled": (3_072, 1024, ["smo", "pio", "dkf"]),
 }
 MANY = {"noise_std": [0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.2], "drift": [0.0, 1.0]}
 
@@ -39,7 +39,7 @@ def without_files(work: blocks.Work, task: blocks.Task, place: Callable[[], Any]
     return blocks.Report(task.runs, ("", 0), made.compile_seconds, 0.0)
 
 
-def timed(study: dict[str, Any], execute: executors.Executor) -> float:
+def timed(study: dict[str, Any], execute: executors.Executor, block: int | None = None) -> float:
     """Return the seconds in which a study's blocks are filled, planning and statistics left out."""
     with tempfile.TemporaryDirectory() as out, machine.float64():
         place, began = store.target(out), []
@@ -49,23 +49,23 @@ def timed(study: dict[str, Any], execute: executors.Executor) -> float:
             if event == "planned":
                 began.append(time.perf_counter())
 
-        campaign.fill(place, claimed, [], execute, campaign.everything(claimed, []), campaign.Options(), tell)
+        campaign.fill(place, claimed, [], execute, campaign.everything(claimed, []), campaign.Options(block), tell)
         return time.perf_counter() - began[0]
 
 
 def writing(turns: int) -> None:
     """Print what files cost of studies of about a minute."""
     whole = blocks.compute
-    for scenario, (seeds, observers) in WRITTEN.items():
+    for scenario, (seeds, block, observers) in WRITTEN.items():
         study = {"name": "cost", "scenarios": [scenario], "observers": observers}
         with executors.here() as execute:
             timed(study | {"seeds": 2048}, execute)
             shares, base = [], []
             for _ in range(turns):
                 blocks.compute = without_files
-                base.append(timed(study | {"seeds": seeds}, execute))
+                base.append(timed(study | {"seeds": seeds}, execute, block))
                 blocks.compute = whole
-                shares.append(timed(study | {"seeds": seeds}, execute) / base[-1] - 1)
+                shares.append(timed(study | {"seeds": seeds}, execute, block) / base[-1] - 1)
         each = ", ".join(f"{100 * share:+.2f}" for share in shares)
         print(f"writing: {scenario}: {100 * statistics.median(shares):+.2f} % of {base[0]:.0f} s ({each})", flush=True)
 
@@ -110,7 +110,7 @@ def main() -> None:
     """Print the figures."""
     machine.setup()
     parts: dict[str, Callable[[], None]] = {
-        "writing": partial(writing, 5),
+        "writing": partial(writing, 3),
         "workers": partial(workers, 200_000, 3),
         "memory": memory,
     }

@@ -14,12 +14,10 @@ from typing import Any
 import jax
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 import pyarrow.dataset as ds
-import pyarrow.parquet as pq
 
-from pcbench import ensemble, machine, recording, tables
-from pcbench.cells import cells, digest
+from pcbench import machine, recording, tables
+from pcbench.cells import cells
 from pcbench.dataset import campaign, closing, executors, folder, ledger, store, until
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
@@ -41,8 +39,10 @@ class Result:
     Without a folder of its own it stands in a temporary one, which goes when the result does.
     """
 
-    def __init__(self, study: Study, place: store.Target, out: Path | str | None, keep: Any = None):
-        self.study, self.out, self._place, self._keep = study, out, place, keep
+    def __init__(
+        self, study: Study, place: store.Target, out: Path | str | None, effort: campaign.Effort, keep: Any = None
+    ):
+        self.study, self.out, self.effort, self._place, self._keep = study, out, effort, place, keep
         self.provenance: dict[str, Any] = json.loads(store.get(place, "provenance.json") or b"{}")
 
     @cached_property
@@ -69,7 +69,10 @@ class Result:
         return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
 
     def _closing(self, name: str) -> pd.DataFrame:
-        return tables.frame(pq.read_table(pa.BufferReader(store.get(self._place, name))))
+        found = closing.table(self._place, name)
+        if found is None:
+            raise UserError(f"{self._place.name}/{name}: is gone or damaged; run the study again to have it made anew.")
+        return tables.frame(found)
 
     def __repr__(self) -> str:
         return f"<pcbench result of study '{self.study.name}': {len(self.stats)} rows of stats>"
@@ -120,51 +123,49 @@ def run(
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
-    goal = None if until_se is None else until.parse(until_se, max_seeds)
+    goal = until.parse(until_se, max_seeds)
     with machine.float64(), ExitStack() as stack:
         chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
         start, began = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
-        place = store.target(keep.name if keep else out)  # type: ignore[arg-type]
-        if fresh:
-            folder.clear(place)
-        claimed = folder.claim(place, chosen)
-        if goal:
-            until.check(goal, claimed)
-        there = [] if claimed.new else campaign.whole(place, claimed, say)
-        at_once = workers or len(ensemble.places(devices))
-        choice = campaign.Options(checked_block(block), machine.allowed(memory) / (2 * at_once))
-        execute = stack.enter_context(executors.dask(dask, workers) if dask else executors.here(devices))
+        place = store.target(keep.name if keep else str(out))
+        claimed = folder.claim(place, chosen, fresh)
+        until.check(goal, claimed)
+        choice = campaign.Options(positive(block, "--block"), executors.share(memory, dask, workers, devices))
+        made = (
+            executors.dask(dask, positive(workers, "--workers"))
+            if dask
+            else executors.here(positive(devices, "devices"))
+        )
+        execute = stack.enter_context(made)
+        there = [] if claimed.fresh else campaign.whole(place, claimed, say)
         effort = campaign.fill(place, claimed, there, execute, campaign.everything(claimed, there), choice, tell)
-        there = ledger.present(place)
-        for wanted in until.rounds(goal, place, claimed) if goal else ():
+        for wanted in until.rounds(goal, place, claimed, say):
+            there = ledger.settled(ledger.present(place))
             effort = campaign.added(effort, campaign.fill(place, claimed, there, execute, wanted, choice, tell))
-            there = ledger.present(place)
+        there = ledger.settled(ledger.present(place))
         if effort.runs or not closing.is_closed(place, there):
             tell("closing", 0.0)
-            certificates = closing.close(place, claimed, there)
-            store.put_json(place, "provenance.json", machine.describe() | {
-                "schema": tables.SCHEMA,
-                "study": chosen.name,
-                "study_sha256": digest(chosen),
-                "root_seed": chosen.root_seed,
+            about = {
                 "started": began.isoformat(timespec="seconds"),
                 "wall_seconds": round(perf_counter() - start, 3),
                 "compile_seconds": round(effort.compile_seconds, 3),
                 "writing_seconds": round(effort.writing_seconds, 3),
                 "runs_added": effort.runs,
-                "blocks": len(there),
                 "until_se": until_se,
-                "certificates": certificates,
-            })  # fmt: skip
-    return Result(chosen, place, None if keep else Path(out) if place.local else out, keep)  # type: ignore[arg-type]
+            }
+            closing.close(place, claimed, there, about)
+    where = (
+        None if keep else Path(place.root) if place.local and "://" in str(out) else Path(out) if place.local else out
+    )
+    return Result(chosen, place, where, effort, keep)  # type: ignore[arg-type]
 
 
-def checked_block(block: int | None) -> int | None:
-    """Return a block's size; raise UserError where it is none."""
-    if block is not None and block < 1:
-        raise UserError(f"--block: got {block}, expected a number of seeds, 1 or more; leave it out.")
-    return block
+def positive(count: int | None, where: str) -> int | None:
+    """Return a count that was given; raise UserError where it is none."""
+    if count is not None and count < 1:
+        raise UserError(f"{where}: got {count}, expected 1 or more; leave it out.")
+    return count
 
 
 def _one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:

@@ -304,7 +304,7 @@ def verify(
     folder: Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")],
     sample: Annotated[int, typer.Option(help="blocks to compute again")] = 4,
     every: Annotated[bool, typer.Option("--all", help="compute every block again")] = False,
-    seed: Annotated[int, typer.Option(help="draws the blocks")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="draws the blocks")] = 0,
     quiet: Annotated[bool, typer.Option("--quiet", help="no progress")] = False,
     as_json: AsJson = False,
 ) -> None:

@@ -48,10 +48,23 @@ def memory() -> int:
     import psutil
 
     total = int(psutil.virtual_memory().total)
-    for limit in (Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes")):
+    for limit in _limits():
         with suppress(OSError, ValueError):
             total = min(total, int(limit.read_text()))
     return total
+
+
+def _limits() -> list[Path]:
+    """The files that may hold a limit of this process's control group, or of one around it."""
+    out = [Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes")]
+    with suppress(OSError):
+        for line in Path("/proc/self/cgroup").read_text().splitlines():
+            _, kinds, path = line.split(":", 2)
+            if not kinds or "memory" in kinds.split(","):
+                root, name = ("memory", "memory.limit_in_bytes") if kinds else ("", "memory.max")
+                parts = Path(path).parts[1:]
+                out += [Path("/sys/fs/cgroup", root, *parts[:i], name) for i in range(1, len(parts) + 1)]
+    return out
 
 
 def free_memory() -> int:

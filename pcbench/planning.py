@@ -151,7 +151,8 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     )
     proofs, carries = {o: d.certificate for o, d in designs.items()}, {o: d.carries_input for o, d in designs.items()}
     reach = closed_loop.reach(cell, known.overtaking, n) if s.controller else None
-    return Planned(cell, layout, problem, proofs, _bound(cell, known), carries, tuple(options), reach)
+    bound = _bound(cell, known) if options else None
+    return Planned(cell, layout, problem, proofs, bound, carries, tuple(options), reach)
 
 
 def _strides(plan: Any, options: dict[str, BaseModel], heavy: bool) -> bool:

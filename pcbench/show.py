@@ -82,7 +82,7 @@ def counting(quiet: bool) -> Iterator[Any]:
 def effort(result: Any, folder: str) -> str:
     """Return what a run took, in a sentence."""
     p = result.provenance
-    if not p["runs_added"]:
+    if not result.effort.runs:
         return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
     took = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
     return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {took}."
@@ -110,9 +110,13 @@ def verdict(found: Any, folder: str, console: Console) -> None:
     for sentence in [*found.wrong, *found.differing]:
         console.print(sentence, highlight=False, markup=False)
     again = len(found.recomputed) - len(found.differing)
+    files = (
+        f"all {found.files} blocks are whole"
+        if not found.wrong
+        else f"{found.files} blocks, {len(found.wrong)} complaints"
+    )
     console.print(
-        f"{folder}: {found.files - len(found.wrong)} of {found.files} files are whole; "
-        f"{again} of {len(found.recomputed)} blocks came out again, bit for bit.",
+        f"{folder}: {files}; {again} of {len(found.recomputed)} came out again, bit for bit.",
         highlight=False,
     )
 

@@ -19,7 +19,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"dataset.campaign"},
     {"dataset.blocks", "dataset.closing"},
     {"dataset.folder"},
-    {"study_file"},
+    {"study_file", "dataset.changes"},
     {"dataset.executors", "dataset.ledger", "dataset.growing"},
     {"sweep", "planning", "dataset.parcel"},
     {"shapes"},

@@ -194,6 +194,77 @@ def test_fresh_starts_over_and_only_when_asked(copy, tmp_path):
     same(copy, tmp_path / "new")
 
 
+@pytest.mark.parametrize("mistake", [{"memory": "2Gx"}, {"block": 0}, {"until_se": "mae"}, {"dask": "nonsense"}, {"max_seeds": 3},
+                                     {"workers": 2}, {"dask": "local", "workers": 0}, {"devices": -1}], ids=str)  # fmt: skip
+def test_a_mistake_beside_fresh_removes_nothing(copy, mistake, monkeypatch):
+    monkeypatch.setattr(executors, "PATIENCE", "1s")
+    before = tables(copy)
+    with pytest.raises(UserError) as caught:
+        pcbench.run(STUDY | {"seeds": 8}, out=copy, fresh=True, **mistake)
+    assert "\n" not in str(caught.value)
+    assert tables(copy) == before
+
+
+def test_fresh_keeps_a_study_that_somebody_wrote(tmp_path):
+    (tmp_path / "study.toml").write_text('name = "mine"\nscenarios = ["cart/slow"]\n')
+    with pytest.raises(UserError, match="is not as pcbench run has written it"):
+        pcbench.run(STUDY, out=tmp_path, fresh=True)
+    assert (tmp_path / "study.toml").exists()
+
+
+@pytest.mark.parametrize(
+    "text", ["", "seeds = 3", "[resolved]", "resolved = 3", "x = [", 'seeds = "a"\nfirst_seed = 0\n[resolved]']
+)
+def test_a_study_text_that_is_not_ours_is_one_sentence(copy, text):
+    (copy / "study.toml").write_text(text)
+    for act in (lambda: pcbench.run(STUDY, out=copy), lambda: inspection.status(copy)):
+        with pytest.raises(UserError, match="is not as pcbench run has written it"):
+            act()
+
+
+def test_a_damaged_block_does_not_stand_when_a_study_grows_over_it(copy, tmp_path):
+    """The gap is cut anew, under another name."""
+    path = max((copy / "runs").rglob("*.parquet"))
+    path.write_bytes(path.read_bytes()[:-20])
+    pcbench.run(STUDY, out=copy, seeds=61, block=100)
+    pcbench.run(STUDY, out=tmp_path / "at-once", seeds=61)
+    same(copy, tmp_path / "at-once")
+
+
+def test_a_damaged_closing_table_is_made_anew(copy):
+    want = tables(copy)
+    (copy / "stats.parquet").write_bytes(want["stats.parquet"][:-9])
+    assert inspection.verify(copy, 0, 0, lambda *a: None).wrong
+    pcbench.run(STUDY, out=copy)
+    assert tables(copy) == want
+
+
+def test_more_seeds_that_never_ran_bind_nobody(copy, monkeypatch):
+    monkeypatch.setattr(
+        blocks, "compute", lambda *a: (_ for _ in ()).throw(UserError("disk: is full, expected room; make some."))
+    )
+    with pytest.raises(UserError, match="disk"):
+        pcbench.run(STUDY, out=copy, seeds=4000)
+    monkeypatch.undo()
+    pcbench.run(STUDY, out=copy)
+    assert inspection.status(copy).closed
+
+
+def test_columns_keep_their_kind_when_a_study_grows(tmp_path):
+    """One number for all channels stays one: a list beside it could not be read together."""
+    tank = {"name": "tank", "scenarios": ["csth/10s-noise"], "observers": ["dkf"], "seeds": 2}
+    pcbench.run(tank | {"axes": {"delay": [[40.0, 40.0, 40.0]]}}, out=tmp_path / "out")
+    with pytest.raises(UserError, match=r"axes.delay: a number for all channels"):
+        pcbench.run(tank | {"axes": {"delay": [[40.0, 40.0, 40.0], [20.0, 50.0, 70.0]]}}, out=tmp_path / "out")
+
+
+def test_files_that_other_systems_leave_are_passed_over(copy):
+    for name in (".DS_Store", ".nfs000001", "_SUCCESS"):
+        (next((copy / "runs").rglob("cell-*")).parent / name).write_text("")
+    pcbench.run(STUDY, out=copy)
+    assert inspection.status(copy).closed
+
+
 def test_fresh_removes_nothing_of_others(tmp_path):
     (tmp_path / "thesis.tex").write_text("precious")
     for fresh in (False, True):
@@ -276,6 +347,7 @@ def test_two_halves_merged_are_the_whole(whole, tmp_path):
     same(tmp_path / "both", whole)
     again = pcbench.run(STUDY, out=tmp_path / "both")
     assert again.provenance["merged"]
+    assert "Nothing was left to do" in call("run", str(a / "study.toml"), "--out", str(a)).stdout
     same(tmp_path / "both", whole)
 
 
@@ -342,3 +414,26 @@ def test_commands_on_a_dataset_answer(copy, tmp_path):
         done = call(*words)
         assert done.returncode == 2
         assert done.stderr.count("\n") == 1, done.stderr
+
+
+ELSEWHERE = {
+    "csth/10s-noise": ({"delay": [[20.0, 50.0, 70.0], [20.0, 50.0, 120.0]]}, {}),
+    "cart/variable": ({"delay": [0.2, 0.6], "loss": [0.0, 0.2]}, {}),
+    "arm/sampled": ({"delay": [0.02, 0.1], "drift": [0.0, 0.05]}, {}),
+    "helicopter/constant": (
+        {"delay": [0.01, 0.04], "sampling_period": [0.05, 0.2]},
+        {"observers": ["high-gain", "ekf"]},
+    ),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", ELSEWHERE)
+def test_every_scenarios_cells_have_the_same_bits_alone_and_among_others(scenario, tmp_path):
+    axes, more = ELSEWHERE[scenario]
+    study = {"name": "bits", "scenarios": [scenario], "seeds": 3} | more
+    first = {name: values[:1] for name, values in axes.items()}
+    pcbench.run(study | {"axes": axes}, out=tmp_path / "many")
+    pcbench.run(study | {"axes": first}, out=tmp_path / "one")
+    a, b = rows(tmp_path / "one"), rows(tmp_path / "many")
+    pd.testing.assert_frame_equal(a, b[b.cell == 0].reset_index(drop=True), check_exact=True)

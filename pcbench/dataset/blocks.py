@@ -52,6 +52,7 @@ class Report(NamedTuple):
     program: tuple[str, int]  # which one computed it, of which process
     compile_seconds: float  # that this program took to make
     writing_seconds: float
+    versions: dict[str, str]  # of what computed it
 
 
 def compute(work: Work, task: Task, place: Callable[[], Any] = nullcontext) -> Report:
@@ -61,7 +62,9 @@ def compute(work: Work, task: Task, place: Callable[[], Any] = nullcontext) -> R
     start, target = perf_counter(), store.target(work.out)
     for name, table in files(work, task, p, results):
         store.put_table(target, name, table)
-    return Report(task.runs, (machine.process(), id(made)), made.compile_seconds, perf_counter() - start)
+    return Report(
+        task.runs, (machine.process(), id(made)), made.compile_seconds, perf_counter() - start, machine.versions()
+    )
 
 
 def files(work: Work, task: Task, p: Planned, results: sweep.Results) -> Iterator[tuple[str, Any]]:

@@ -5,11 +5,12 @@ Gains are designed before anything is written; planned cells wait on disk, so th
 
 import tempfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from pcbench import planning, shapes
+from pcbench import machine, planning, shapes
 from pcbench.cells import Cell, identity
 from pcbench.dataset import blocks, folder, ledger, store
 from pcbench.dataset.executors import Executor
@@ -19,6 +20,7 @@ from pcbench.dataset.parcel import pack, unpack
 from pcbench.errors import UserError
 from pcbench.shapes import Planned
 from pcbench.study import observers_of
+from pcbench.tables import SCHEMA
 
 CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
 TASKS = 64  # to share among cores and workers
@@ -39,13 +41,18 @@ class Effort(NamedTuple):
     """What a run of a study took."""
 
     runs: int = 0
-    compile_seconds: float = 0.0
     writing_seconds: float = 0.0
+    compiled: dict[Any, float] = {}  # noqa: RUF012 (never changed)  # seconds by program
+
+    @property
+    def compile_seconds(self) -> float:
+        """Return the seconds that programs took to make."""
+        return sum(self.compiled.values())
 
 
 def added(a: Effort, b: Effort) -> Effort:
     """Return what two runs took together."""
-    return Effort(a.runs + b.runs, a.compile_seconds + b.compile_seconds, a.writing_seconds + b.writing_seconds)
+    return Effort(a.runs + b.runs, a.writing_seconds + b.writing_seconds, a.compiled | b.compiled)
 
 
 def everything(claimed: Claim, there: list[Block]) -> Wanted:
@@ -58,28 +65,43 @@ def everything(claimed: Claim, there: list[Block]) -> Wanted:
 
 
 def whole(place: store.Target, claimed: Claim, say: Callable[[str], None]) -> list[Block]:
-    """Return the blocks that stand and are whole; damaged and doubled ones are named, and count as missing."""
+    """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
     digests = {(c.scenario.name, c.number): identity(c, claimed.study.root_seed) for c in claimed.cells}
     known = {s: set(observers_of(claimed.study, s)) for s in claimed.study.scenarios}
-    good: dict[tuple[str, int, str], list[Block]] = {}
-    for b in ledger.present(place):
+    there = ledger.present(place)
+    for b in there:
         if (b.scenario, b.cell) not in digests or b.observer not in known[b.scenario]:
             raise UserError(
                 f"{place.name}/{b.name}: is of no cell of this study, expected its blocks only; move it away."
             )
-        wrong = ledger.damage(place, b, digests[b.scenario, b.cell])
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(lambda b: ledger.damage(place, b, digests[b.scenario, b.cell]), there))
+    for b, wrong in zip(there, found, strict=True):
+        if wrong == ledger.OTHER_SCHEMA:
+            raise UserError(
+                f"{place.name}/{b.name}: {wrong}, expected version {SCHEMA}; give a new folder with --out, or start over with "
+                "--fresh."
+            )
+    good = [b for b, wrong in zip(there, found, strict=True) if not wrong]
+    kept = ledger.settled(good)
+    stays = set(kept)
+    for b, wrong in zip(there, found, strict=True):
         if wrong:
             say(f"{place.name}/{b.name}: is damaged ({wrong}); it is done again.")
-        else:
-            good.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    kept = []
-    for each in good.values():
-        follow, doubled = ledger.settle(each)
-        for b in doubled:
+        elif b not in stays:
             say(f"{place.name}/{b.name}: holds seeds that another block holds; it is removed.")
-            store.remove(place, b.name)
-        kept += follow
-    return sorted(kept)
+        else:
+            continue
+        store.remove(place, b.name)
+    _of_these_releases(place, kept, say)
+    return kept
+
+
+def _of_these_releases(place: store.Target, kept: list[Block], say: Callable[[str], None]) -> None:
+    """Say where a study goes on with other releases than it was begun with."""
+    if kept and (old := ledger.about_block(place, kept[0]).get("versions", {})) != (new := machine.versions()):
+        changed = ", ".join(f"{k} {old.get(k)}, now {v}" for k, v in new.items() if old.get(k) != v)
+        say(f"{place.name}: was begun with {changed}; the last bits of what is added may be rounded in another way.")
 
 
 def missing(claimed: Claim, there: list[Block], wanted: Wanted, size: Callable[[Cell], int]) -> Missing:
@@ -96,6 +118,13 @@ def missing(claimed: Claim, there: list[Block], wanted: Wanted, size: Callable[[
     return out
 
 
+def lacking(place: store.Target, claimed: Claim) -> int:
+    """Return how many runs of a study have no block."""
+    there = ledger.present(place)
+    todo = missing(claimed, there, everything(claimed, there), lambda cell: 2**40)
+    return sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)
+
+
 def fill(
     place: store.Target,
     claimed: Claim,
@@ -108,29 +137,41 @@ def fill(
     """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be."""
     todo = missing(claimed, there, wanted, partial(_block, claimed, wanted, options))
     if not todo:
+        folder.renew(place, claimed)
         return Effort()
     with tempfile.TemporaryDirectory(prefix="pcbench-") as shelf:
         groups = _planned(claimed, todo, Path(shelf))
         folder.begin(place, claimed)
         tell("planned", float(sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)))
         work = partial(
-            blocks.compute, blocks.Work(_shared(place), claimed.study.name, claimed.study.root_seed, options.memory)
+            blocks.compute, blocks.Work(place.uri, claimed.study.name, claimed.study.root_seed, options.memory)
         )
-        seen: dict[Any, float] = {}
+        compiled: dict[Any, float] = {}
         runs, writing = 0, 0.0
         for report in execute(work, _tasks(groups, todo)):
-            if report.program not in seen:
-                seen[report.program] = report.compile_seconds
-                tell("compiled", report.compile_seconds)
+            _alike(report)
+            compiled[report.program] = report.compile_seconds
             runs, writing = runs + report.runs, writing + report.writing_seconds
             tell("runs", report.runs)
-        return Effort(runs, sum(seen.values()), writing)
+        return Effort(runs, writing, compiled)
+
+
+def _alike(report: blocks.Report) -> None:
+    """Raise UserError where a worker computes with other releases than this process: the last bits may differ."""
+    here = machine.versions()
+    if report.versions != here:
+        theirs = ", ".join(f"{k} {v}" for k, v in report.versions.items() if here.get(k) != v)
+        ours = ", ".join(f"{k} {v}" for k, v in here.items() if report.versions.get(k) != v)
+        raise UserError(
+            f"--dask: a worker has {theirs}, expected {ours} as here; install the same releases everywhere."
+        )
 
 
 def _block(claimed: Claim, wanted: Wanted, options: Options, cell: Cell) -> int:
     """Seeds a block: up to four calls, while tasks enough are left to share; more where there would be too many files."""
     if options.block:
-        return options.block
+        one = blocks.bytes_of_a_block(cell, claimed.study, 1)
+        return int(max(min(options.block, options.memory / one), 1))
     first, last = wanted(cell)
     size, pairs = planning.width(cell), sum(len(observers_of(claimed.study, c.scenario.name)) for c in claimed.cells)
 
@@ -172,8 +213,3 @@ def _tasks(planned: list[tuple[Path, int, tuple[str, int], tuple[str, ...]]], to
         ranges = {label: todo[cell][label] for label in labels if label in todo[cell]}
         if ranges:
             yield from blocks.tasks(path.read_bytes(), width, ranges)
-
-
-def _shared(place: store.Target) -> str:
-    """The place as another process reaches it."""
-    return place.root if place.local else place.name

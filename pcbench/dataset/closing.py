@@ -11,12 +11,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pcbench import statistics, tables
-from pcbench.cells import Cell
+from pcbench import machine, statistics, tables
+from pcbench.cells import Cell, digest
 from pcbench.dataset import ledger, store
 from pcbench.dataset.folder import Claim
 from pcbench.dataset.growing import Gathered, adjusted
 from pcbench.dataset.ledger import Block
+from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.study import observers_of
 
@@ -30,12 +31,19 @@ class Observed(NamedTuple):
     about: dict[str, Any]  # what its first block says of itself
 
 
-def close(place: store.Target, claimed: Claim, there: list[Block]) -> dict[str, dict[str, Any]]:
-    """Write stats.parquet and pairs.parquet of the blocks that are there; return the weakest certificates."""
+def close(place: store.Target, claimed: Claim, there: list[Block], about: dict[str, Any]) -> None:
+    """Write stats.parquet and pairs.parquet of the blocks that are there, and provenance.json with what is said `about` it."""
     stats, pairs, weakest = closing_tables(place, claimed, there)
     store.put(place, "stats.parquet", stats)
     store.put(place, "pairs.parquet", pairs)
-    return weakest
+    study = {
+        "schema": tables.SCHEMA,
+        "study": claimed.study.name,
+        "study_sha256": digest(claimed.study),
+        "root_seed": claimed.study.root_seed,
+        "blocks": len(there),
+    }
+    store.put_json(place, "provenance.json", machine.describe() | study | about | {"certificates": weakest})
 
 
 def closing_tables(
@@ -46,7 +54,7 @@ def closing_tables(
     Cells are taken in the order of the study, those without runs left out.
     """
     made_of = {FROM: fingerprint(there)}
-    stats, pairs = Gathered(made_of), Gathered(made_of)
+    stats, pairs, there = Gathered(made_of), Gathered(made_of), ledger.settled(there)
     weakest: dict[str, dict[str, Any]] = {}
     blocks: dict[tuple[str, int, str], list[Block]] = {}
     for b in sorted(there):
@@ -80,14 +88,21 @@ def fingerprint(there: list[Block]) -> bytes:
 def is_closed(place: store.Target, there: list[Block]) -> bool:
     """Return whether the closing tables stand, and are of these blocks."""
     for name in ("stats.parquet", "pairs.parquet"):
-        content = store.get(place, name)
-        try:
-            said = pq.read_schema(pa.BufferReader(content)).metadata if content else {}
-        except (pa.ArrowException, OSError):
-            return False
-        if (said or {}).get(FROM) != fingerprint(there) or said.get(b"pcbench.schema") != tables.SCHEMA.encode():
+        found = table(place, name)
+        said = {} if found is None else found.schema.metadata or {}
+        if said.get(FROM) != fingerprint(there) or said.get(b"pcbench.schema") != tables.SCHEMA.encode():
             return False
     return store.get(place, "provenance.json") is not None
+
+
+def table(place: store.Target, name: str) -> pa.Table | None:
+    """Return a closing table, every page checked; None where it is not there or damaged."""
+    content = store.get(place, name)
+    try:
+        with pq.ParquetFile(pa.BufferReader(content or b""), page_checksum_verification=True) as file:
+            return file.read()
+    except (pa.ArrowException, OSError, ValueError):
+        return None
 
 
 def observed(
@@ -97,7 +112,7 @@ def observed(
     out = {}
     for name in observers_of(claimed.study, cell.scenario.name):
         if mine := blocks.get((cell.scenario.name, cell.number, name)):
-            out[name] = Observed(mine, ledger.about(ledger.read(place, mine[0])))
+            out[name] = Observed(mine, ledger.about_block(place, mine[0]))
     return out
 
 
@@ -138,10 +153,16 @@ def chunks(
 ) -> Iterator[dict[str, statistics.Results]]:
     """Yield the runs of a cell by observer, the seeds of one chunk after the other."""
     readers = {name: _by_chunk(place, each.blocks, last) for name, each in found.items()}
-    while all_there := {name: next(reader, None) for name, reader in readers.items()}:
-        if any(each is None for each in all_there.values()):
+    while True:
+        each = {name: next(reader, None) for name, reader in readers.items()}
+        if all(results is None for results in each.values()):
             return
-        yield {name: each for name, each in all_there.items() if each is not None}
+        many = {name: 0 if results is None else len(results["diverged"]) for name, results in each.items()}
+        if len(set(many.values())) > 1:
+            raise UserError(
+                f"{place.name}: observers of a cell have different seeds ({many}), expected the same; run the study again."
+            )
+        yield {name: results for name, results in each.items() if results is not None}
 
 
 def _by_chunk(place: store.Target, blocks: list[Block], last: int | None) -> Iterator[statistics.Results]:

@@ -5,8 +5,9 @@ leaves whole files and computes only while it holds a place (`with place() as de
 free, so that memory does not grow with their number.
 """
 
+from asyncio import CancelledError as AsyncCancelled
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, nullcontext, suppress
 from itertools import islice
 from queue import SimpleQueue
@@ -17,8 +18,22 @@ from pcbench.errors import UserError
 
 Executor = Callable[[Callable[..., Any], Iterable[Any]], Iterator[Any]]
 AHEAD = 2  # tasks a Dask worker has at hand: one under way, one waiting
+SHARE = 2.0**30  # bytes of results a task may take on a worker whose memory is not known here
 LIVES = 10  # times a task may lose its worker
 PATIENCE = "20s"  # for a scheduler to answer
+
+
+def share(memory: str | int | None, address: str | None, workers: int | None, count: int | None) -> float:
+    """Return the bytes of results that one task may take, of all that are allowed: two are under way at each place.
+
+    Of workers elsewhere the memory is not known here: a stated share, unless `memory` says what each of them has.
+    """
+    if workers is not None and address != "local":
+        raise UserError(f"--workers: got {workers} without --dask local, expected both; leave --workers out.")
+    if address not in (None, "local"):
+        return SHARE if memory is None else machine.allowed(memory) / 2
+    at_once = (workers or ensemble.cores()) if address else len(ensemble.places(count))
+    return machine.allowed(memory) / (2 * max(at_once, 1))
 
 
 @contextmanager
@@ -54,7 +69,7 @@ def here(count: int | None = None) -> Iterator[Executor]:
     try:
         yield execute
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        pool.shutdown(wait=True, cancel_futures=True)  # none writes on when this has ended
 
 
 @contextmanager
@@ -80,16 +95,21 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
         def feed() -> None:
             room = AHEAD * max(len(client.nthreads()), 1)
             for task in islice(left, max(room - under_way.count(), 0)):
-                under_way.add(client.submit(_on_a_worker, work, task, pure=False, retries=LIVES))
+                under_way.add(client.submit(_on_a_worker, work, task, pure=False))
 
         feed()
         for future in under_way:
             try:
                 report = future.result()
-            except distributed.KilledWorker as error:
+            except distributed.KilledWorker:
                 raise UserError(
-                    f"--dask: a task lost its worker {LIVES} times ({error}), expected workers that live; look at their memory "
-                    "and run the same command again to go on."
+                    "--dask: a task lost its worker again and again, expected workers that live; look at their memory, and run "
+                    "the same command again to go on."
+                ) from None
+            except (CancelledError, AsyncCancelled, OSError) as error:
+                raise UserError(
+                    f"--dask: the scheduler is gone ({type(error).__name__}), expected one that lives until the study ends; "
+                    "run the same command again to go on."
                 ) from None
             future.release()
             feed()
@@ -120,6 +140,11 @@ def _distributed() -> Any:
 
 def _local(distributed: Any, workers: int | None) -> Any:
     """A cluster of spawned processes on this machine, each with one device and one thread to compute with."""
+    if ensemble.places()[0].platform != "cpu":
+        raise UserError(
+            "--dask: got 'local' on a machine with accelerators, all of which this process uses by itself; expected a "
+            "scheduler's address; leave --dask out."
+        )
     count = workers or ensemble.cores()
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return distributed.LocalCluster(
@@ -128,7 +153,7 @@ def _local(distributed: Any, workers: int | None) -> Any:
         processes=True,
         dashboard_address=None,
         memory_limit=None,
-        env=single | {"PCBENCH_WORKER": "1"},
+        env=single,
         silence_logs="CRITICAL",
     )
 

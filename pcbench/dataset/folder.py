@@ -7,15 +7,17 @@ Cells keep their numbers; new ones follow.
 import tomllib
 from typing import Any, NamedTuple
 
-from pcbench.cells import Cell, cells_of, to_toml
-from pcbench.dataset import store
+from pcbench.cells import Cell, cells_of, channels_apart, to_toml
+from pcbench.dataset import ledger, store
+from pcbench.dataset.changes import changes
 from pcbench.errors import UserError
 from pcbench.study import Study
-from pcbench.study_file import parse
+from pcbench.study_file import NOT_TOML, parse
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
-GROWS = ("seeds", "first_seed", "axes", "observers", "scenarios", "options", "lti", "resolved")
+KEPT = ("options", "scenarios", "observers", "cells")  # under [resolved]
+NOT_TOML_EITHER = (*NOT_TOML, KeyError, TypeError, AttributeError)
 SHOWN = 3  # differences that a refusal names
 
 
@@ -25,12 +27,19 @@ class Claim(NamedTuple):
     study: Study
     cells: list[Cell]
     text: str  # of study.toml
-    new: bool  # nothing stands there yet
+    fresh: bool = False  # what an older run left goes when this one begins
 
 
-def claim(place: store.Target, study: Study) -> Claim:
-    """Return the study with its cells as numbered in a place; raise UserError where that belongs to another. Writes nothing."""
+def claim(place: store.Target, study: Study, fresh: bool = False) -> Claim:
+    """Return the study with its cells as numbered in a place; raise UserError where that belongs to another. Writes nothing.
+
+    With `fresh` a study of pcbench's own that stands there is to go.
+    """
     said = store.get(place, TEXT)
+    if said is not None and fresh:
+        _read(place, said)
+        every = cells_of(study)
+        return Claim(study, every, to_toml(study, every), True)
     if said is None:
         others = store.names(place)
         if others:
@@ -38,11 +47,12 @@ def claim(place: store.Target, study: Study) -> Claim:
                 f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
             )
         every = cells_of(study)
-        return Claim(study, every, to_toml(study, every), True)
-    there = _read(place, said)
-    every = cells_of(study, there["resolved"].get("cells", {}))
-    changed = [*_changes(there, tomllib.loads(to_toml(study, every)))]
-    if changed and any(name.startswith("runs/") for name in store.names(place, "runs")):
+        return Claim(study, every, to_toml(study, every))
+    there, blocks = _read(place, said), ledger.present(place)
+    every = cells_of(study, there["resolved"]["cells"])
+    _only_what_stands(there, blocks)
+    changed = [*changes(there, tomllib.loads(to_toml(study, every))), *_reshaped(place, there, study)]
+    if changed and blocks:
         more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
         raise UserError(
             f"{place.name}: holds the results of another study ({'; '.join(changed[:SHOWN])}{more}), expected the same one, or "
@@ -50,7 +60,7 @@ def claim(place: store.Target, study: Study) -> Claim:
         )
     if changed:  # nothing was finished there
         every = cells_of(study)
-    return Claim(study, every, to_toml(study, every), False)
+    return Claim(study, every, to_toml(study, every))
 
 
 def opened(place: store.Target) -> Claim:
@@ -61,9 +71,8 @@ def opened(place: store.Target) -> Claim:
             f"{place.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
         )
     there = _read(place, said)
-    study = parse({k: v for k, v in there.items() if k != "resolved"}, f"{place.name}/{TEXT}")
-    every = cells_of(study, there["resolved"].get("cells", {}))
-    return Claim(study, every, said.decode(), False)
+    study = _study(place, there)
+    return Claim(study, cells_of(study, there["resolved"]["cells"]), said.decode())
 
 
 def differences(a: Claim, b: Claim) -> list[str]:
@@ -72,7 +81,7 @@ def differences(a: Claim, b: Claim) -> list[str]:
     for each in (old, new):
         each.update(first_seed=0, seeds=1)
         each["resolved"]["cells"] = {s: sorted(found) for s, found in each["resolved"]["cells"].items()}
-    return list(dict.fromkeys([*_changes(old, new), *_changes(new, old)]))
+    return list(dict.fromkeys([*changes(old, new), *changes(new, old)]))
 
 
 def numbers_in(claimed: Claim) -> dict[str, list[str]]:
@@ -85,73 +94,50 @@ def begin(place: store.Target, claimed: Claim) -> None:
     store.make(place)
     for name in CLOSING:
         store.remove(place, name)
-    store.put(place, TEXT, claimed.text.encode())
+    if claimed.fresh:
+        for name in store.names(place, "runs"):
+            if ledger.block_of(name):
+                store.remove(place, name)
+    renew(place, claimed)
 
 
-def clear(place: store.Target) -> None:
-    """Remove a study's results (`--fresh`); raise UserError where the place holds no study but other files."""
-    names = store.names(place)
-    if names and store.get(place, TEXT) is None:
-        raise UserError(
-            f"{place.name}: holds other files ({names[0]}) and no study, so nothing is removed; move them away."
-        )
-    mine = [n for n in names if n.startswith("runs/") or n in CLOSING]
-    for name in [*mine, *([TEXT] if TEXT in names else [])]:  # the study's text last: it says whose files these are
-        store.remove(place, name)
+def renew(place: store.Target, claimed: Claim) -> None:
+    """Put the study's text into its place, where it says something else."""
+    if store.get(place, TEXT) != claimed.text.encode():
+        store.put(place, TEXT, claimed.text.encode())
+
+
+def _study(place: store.Target, there: dict[str, Any]) -> Study:
+    return parse({k: v for k, v in there.items() if k != "resolved"}, f"{place.name}/{TEXT}")
+
+
+def _only_what_stands(there: dict[str, Any], blocks: list[ledger.Block]) -> None:
+    """Take the seeds of a study that have no block for not yet asked: a run with more that was stopped binds nobody."""
+    first, last = there["first_seed"], there["first_seed"] + there["seeds"]
+    if blocks:
+        begin, end = min(b.first for b in blocks), max(b.last for b in blocks)
+        there["first_seed"] = max(first, begin)
+        there["seeds"] = max(min(last, end) - there["first_seed"], 0)
+
+
+def _reshaped(place: store.Target, there: dict[str, Any], study: Study) -> Any:
+    """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
+    for name in sorted(channels_apart(_study(place, there | {"seeds": 1})) ^ channels_apart(study)):
+        yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
 
 
 def _read(place: store.Target, said: bytes) -> dict[str, Any]:
     try:
         there = tomllib.loads(said.decode())
-        return there | {"resolved": dict(there["resolved"])}
-    except (ValueError, KeyError, TypeError):
+        resolved = there["resolved"]
+        numbers = isinstance(there["seeds"], int) and isinstance(there["first_seed"], int)
+        parts = all(isinstance(v, dict) for k in KEPT[:2] for v in resolved[k].values())
+        lists = all(isinstance(v, list) for k in KEPT[2:] for v in resolved[k].values())
+        if not (numbers and lists and parts and isinstance(there.get("axes", {}), dict)):
+            raise ValueError("not of the kinds that are written")
+        return there
+    except NOT_TOML_EITHER:
         raise UserError(
             f"{place.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; give a new folder with "
-            "--out, or start over with --fresh."
+            "--out."
         ) from None
-
-
-def _changes(there: dict[str, Any], here: dict[str, Any]) -> Any:
-    """Yield what differs between a study on disk and one that is to go on there, a phrase each."""
-    for key in sorted((there.keys() | here.keys()) - set(GROWS)):
-        if there.get(key) != here.get(key):
-            yield _phrase(key, there.get(key), here.get(key))
-    (a, b), (c, d) = ((s["first_seed"], s["first_seed"] + s["seeds"]) for s in (there, here))
-    if a < c or b > d:
-        yield f"seeds: {a} .. {b - 1} there, {c} .. {d - 1} here"
-    old, new = there["resolved"], here["resolved"]
-    for scenario, names in old["observers"].items():
-        if scenario not in new["observers"]:
-            yield f"scenarios: {scenario} there, not here"
-            continue
-        for name in names:
-            if name not in new["observers"][scenario]:
-                yield f"observers: {name} there, not here"
-        yield from _deep(f"options of {scenario}", old["options"].get(scenario, {}), new["options"][scenario], names)
-        yield from _deep(scenario, old["scenarios"].get(scenario, {}), new["scenarios"][scenario])
-    yield from _deep("options.scenario", old["options"]["scenario"], new["options"]["scenario"])
-    yield from _lost(there, here)
-
-
-def _lost(there: dict[str, Any], here: dict[str, Any]) -> Any:
-    """Yield the axes that have lost a value or come anew where cells were lost."""
-    old, new = there["resolved"].get("cells", {}), here["resolved"].get("cells", {})
-    if any(set(old[s]) - set(new.get(s, [])) or len(set(new.get(s, []))) < len(old[s]) for s in old):
-        for name in sorted(there.get("axes", {}).keys() | here.get("axes", {}).keys()):
-            a, b = there.get("axes", {}).get(name), here.get("axes", {}).get(name)
-            if a is None or b is None or any(v not in b for v in a):
-                yield _phrase(f"axes.{name}", a, b)
-
-
-def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Any:
-    for key in sorted(names if names is not None else old.keys() | new.keys()):
-        a, b = old.get(key), new.get(key)
-        if isinstance(a, dict) and isinstance(b, dict):
-            yield from _deep(f"{where}.{key}", a, b)
-        elif a != b:
-            yield _phrase(f"{where}.{key}", a, b)
-
-
-def _phrase(where: str, there: Any, here: Any) -> str:
-    say = ["nothing" if v is None else repr(v) if len(repr(v)) < 60 else repr(v)[:57] + "..." for v in (there, here)]
-    return f"{where}: {say[0]} there, {say[1]} here"

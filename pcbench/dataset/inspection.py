@@ -46,19 +46,23 @@ def status(out: Any) -> Status:
     place = store.target(out)
     claimed = folder.opened(place)
     there = ledger.present(place)
-    study, rows, doubled = claimed.study, [], []
+    study, rows = claimed.study, []
     by: dict[tuple[str, str], list[Block]] = {}
     for b in there:
         by.setdefault((b.scenario, b.observer), []).append(b)
+    kept = ledger.settled(there)
+    doubled = [b.name for b in sorted(set(there) - set(kept))]
+    wanted = campaign.everything(claimed, there)
+    todo = campaign.missing(claimed, kept, wanted, lambda cell: 2**40)
     for scenario in study.scenarios:
-        many = sum(c.scenario.name == scenario for c in claimed.cells)
+        mine = [c for c in claimed.cells if c.scenario.name == scenario]
+        asked = sum(last - first for first, last in map(wanted, mine))
         for observer in observers_of(study, scenario):
-            mine = by.get((scenario, observer), [])
-            kept = [b for cell in {b.cell for b in mine} for b in ledger.settle(x for x in mine if x.cell == cell)[0]]
-            doubled += [b.name for b in sorted(set(mine) - set(kept))]
-            seeds = sum(b.last - b.first for b in kept)
-            rows.append(Share(scenario, observer, many, len(mine), seeds, many * study.seeds))
-    sizes = {name: store.size(place, name) for name in store.names(place)}
+            gaps = [todo.get((scenario, c.number), {}).get(observer, []) for c in mine]
+            lacking = sum(b - a for ranges in gaps for a, b in ranges)
+            blocks_there = len(by.get((scenario, observer), []))
+            rows.append(Share(scenario, observer, len(mine), blocks_there, asked - lacking, asked))
+    sizes = store.sizes(place)
     damaged = [b.name for b in there if store.footer(place, b.name) is None]
     left = [p.name for p in store.unfinished(place)]
     return Status(study.name, rows, damaged, doubled, left, sum(sizes.values()), closing.is_closed(place, there))
@@ -102,21 +106,28 @@ def _again(place: store.Target, claimed: Claim, chosen: list[Block], tell: Calla
     """Yield a sentence for every block that does not come out again."""
     wanted = {(b.scenario, b.cell) for b in chosen}
     is_wanted = lambda cell: (cell.scenario.name, cell.number) in wanted  # noqa: E731
-    drafts = list(planning.drafts(claimed.study, claimed.cells, is_wanted))
-    room = shapes.needed(drafts)
-    for p in (shapes.fitted(d, room) for d in drafts if d.labels):
-        for b in chosen:
-            if (b.scenario, b.cell) == (p.cell.scenario.name, p.cell.number) and b.observer in p.labels:
-                work = blocks.Work("", claimed.study.name, claimed.study.root_seed)
-                task = blocks.Task(pack(p), ((b.first, b.last, (b.observer,)),))
-                ((_, made),) = blocks.files(work, task, *blocks.simulated(work, task)[:2])
-                yield from _difference(b, ledger.read(place, b), made)
-                tell("compared", 1.0)
+    room = shapes.needed(planning.drafts(claimed.study, claimed.cells, lambda cell: False))
+    work = blocks.Work("", claimed.study.name, claimed.study.root_seed)
+    ranges: dict[tuple[str, int, int, int], list[str]] = {}
+    for b in chosen:
+        ranges.setdefault((b.scenario, b.cell, b.first, b.last), []).append(b.observer)
+    for d in planning.drafts(claimed.study, claimed.cells, is_wanted):
+        for (scenario, cell, first, last), observers in ranges.items() if d.labels else ():
+            labels = tuple(label for label in d.labels if label in observers)
+            if labels and (scenario, cell) == (d.cell.scenario.name, d.cell.number):
+                task = blocks.Task(pack(shapes.fitted(d, room)), ((first, last, labels),))
+                for name, made in blocks.files(work, task, *blocks.simulated(work, task)[:2]):
+                    (b,) = (b for b in chosen if b.name == name)
+                    yield from _difference(b, ledger.read(place, b), made)
+                    tell("compared", 1.0)
 
 
 def _difference(b: Block, there: pa.Table, here: pa.Table) -> Any:
     """Yield how a block differs from what comes out now, if it does: rows to the bit, then what it says of itself."""
+    a, b_ = (ledger.about(table) for table in (there, here))
     if there.equals(here):
+        if [k for k in a.keys() | b_.keys() if k not in ("versions", "digest") and a.get(k) != b_.get(k)]:
+            yield f"{b.name}: its rows come out again, what it says of itself does not."
         return
     worst = largest_difference(there, here)
     if worst is None:
@@ -152,16 +163,7 @@ def _closing_differs(place: store.Target, claimed: Claim, kept: list[Block]) -> 
     stats, pairs, _ = closing.closing_tables(place, claimed, kept)
     out = []
     for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
-        there = pq.read_table(pa.BufferReader(store.get(place, name)))
-        if not there.equals(pq.read_table(pa.BufferReader(made))):
+        there = closing.table(place, name)
+        if there is None or not there.equals(pq.read_table(pa.BufferReader(made))):
             out.append(f"{name}: does not follow from the blocks; run the study again to have it made anew.")
     return out
-
-
-def missing(out: Any) -> int:
-    """Return how many runs a place lacks."""
-    place = store.target(out)
-    claimed = folder.opened(place)
-    there = ledger.present(place)
-    todo = campaign.missing(claimed, there, campaign.everything(claimed, there), lambda cell: 2**40)
-    return sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)

@@ -21,6 +21,7 @@ from pcbench.tables import SCHEMA
 
 ABOUT = b"pcbench.block"  # the key in a file's metadata
 NAME = re.compile(r"runs/scenario=([^/]+)/observer=([^/]+)/cell-(\d+)-seeds-(\d+)-(\d+)\.parquet")
+OTHER_SCHEMA = "is of another version of the tables"
 Range = tuple[int, int]  # first seed, one past the last
 
 
@@ -85,23 +86,34 @@ def _whole(place: store.Target, block: Block) -> pa.Table | str:
 
 def about(table: pa.Table) -> dict[str, Any]:
     """Return what a block says of itself; nothing where that cannot be read."""
+    return _about(table.schema.metadata)
+
+
+def about_block(place: store.Target, block: Block) -> dict[str, Any]:
+    """Return the same from a block's footer alone."""
+    found = store.footer(place, block.name)
+    return _about(found.metadata) if found else {}
+
+
+def _about(metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
     try:
-        return dict(json.loads((table.schema.metadata or {}).get(ABOUT, b"{}")))
+        return dict(json.loads((metadata or {}).get(ABOUT, b"{}")))
     except ValueError:
         return {}
 
 
 def sealed(table: pa.Table, said: dict[str, Any]) -> pa.Table:
     """Return rows with what they say of themselves, their digest with it."""
-    said = said | {"rows": len(table), "digest": digest(table)}
+    said = {k: v for k, v in said.items() if k != "digest"} | {"rows": len(table)}
+    said |= {"digest": digest(table, said)}
     return table.replace_schema_metadata(
         (table.schema.metadata or {}) | {ABOUT: json.dumps(said, sort_keys=True).encode()}
     )
 
 
-def digest(table: pa.Table) -> str:
-    """Return the digest of a table's numbers, to the bit; of words, which pages' checksums cover, their columns' names."""
-    out = hashlib.sha256()
+def digest(table: pa.Table, said: dict[str, Any]) -> str:
+    """Return the digest of what a block says of itself and of its numbers, to the bit; words have their pages' checksums."""
+    out = hashlib.sha256(json.dumps({k: v for k, v in said.items() if k != "digest"}, sort_keys=True).encode())
     for field, column in zip(table.schema, table.columns, strict=True):
         out.update(f"{field.name}:{field.type}:{column.null_count}".encode())
         if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
@@ -116,14 +128,14 @@ def damage(place: store.Target, block: Block, cell: str) -> str | None:
         return table
     said, metadata = about(table), table.schema.metadata or {}
     if metadata.get(b"pcbench.schema") != SCHEMA.encode():
-        return "it is of another version of the schema"
+        return OTHER_SCHEMA
     if said.get("cell") != cell:
         return "it is of another cell"
     if (said.get("observer"), said.get("first"), said.get("last")) != (block.observer, block.first, block.last):
         return "it is another block than its name says"
     if len(table) != said.get("rows") or len(table) % (block.last - block.first):
         return f"it has {len(table)} rows, expected {said.get('rows')}"
-    if digest(table) != said.get("digest"):
+    if digest(table, said) != said.get("digest"):
         return "its rows are not those that were written"
     return None
 

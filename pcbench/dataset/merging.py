@@ -5,9 +5,8 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from pcbench import machine, tables
-from pcbench.cells import cells_of, digest, identity, to_toml
-from pcbench.dataset import closing, folder, ledger, store
+from pcbench.cells import cells_of, identity, to_toml
+from pcbench.dataset import campaign, closing, folder, ledger, store
 from pcbench.dataset.folder import Claim
 from pcbench.dataset.inspection import largest_difference
 from pcbench.dataset.ledger import Block
@@ -46,9 +45,9 @@ def merge(given: list[Any], out: Any, tell: Callable[[str, float], None] = lambd
                 "with other seeds; merge datasets of one study."
             )
     target = store.target(out)
-    if found := store.names(target):
+    if found := store.names(target):  # also what an interrupted merge left: whole blocks, to be removed by hand
         raise UserError(
-            f"{target.name}: holds files already ({found[0]}), expected a new folder; give another with --out."
+            f"{target.name}: holds files already ({found[0]}), expected a new folder; give another with --out, or remove it."
         )
     parts = _parts(places, claims)
     tell("merging", float(2 * sum(map(len, parts.values()))))
@@ -89,7 +88,7 @@ def _pieces(parts: list[Part]) -> Iterator[tuple[str, Any, int]]:
     """Yield for each part of one observer and cell: a name, its bytes or None, and how many runs it held again."""
     kept: list[Part] = []
     for part in parts:
-        at = max((p.block.last for p in kept), default=part.block.first)
+        at = kept[-1].block.last if kept else part.block.first  # the furthest: what lies within the kept is not kept
         twice = max(min(at, part.block.last) - part.block.first, 0)
         if twice:
             _equal(part, kept)
@@ -100,7 +99,10 @@ def _pieces(parts: list[Part]) -> Iterator[tuple[str, Any, int]]:
         kept.append(part)
         block = part.block._replace(first=start)
         if block == part.there:
-            yield block.name, store.get(part.place, block.name), twice
+            content = store.get(part.place, block.name)
+            if content is None:
+                raise UserError(f"{part.place.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
+            yield block.name, content, twice
         else:
             yield block.name, store.encoded(cut(ledger.read(part.place, part.there), block)), twice
 
@@ -138,21 +140,12 @@ def _whole(claims: list[Claim]) -> Claim:
     last = max(s.first_seed + s.seeds for s in studies)
     study = studies[0].model_copy(update={"first_seed": first, "seeds": last - first})
     every = cells_of(study, folder.numbers_in(claims[0]))
-    return Claim(study, every, to_toml(study, every), True)
+    return Claim(study, every, to_toml(study, every))
 
 
 def _closed(target: store.Target, whole: Claim, places: list[store.Target], doubled: int) -> Merged:
     """Close the merged dataset, where every observer has the same seeds."""
-    from pcbench.dataset.inspection import missing
-
-    there, lacking = ledger.present(target), missing(target.name)
+    there, lacking = ledger.present(target), campaign.lacking(target, whole)
     if not lacking:
-        certificates = closing.close(target, whole, there)
-        about: dict[str, Any] = {
-            "schema": tables.SCHEMA,
-            "study": whole.study.name,
-            "study_sha256": digest(whole.study),
-        }
-        about |= {"root_seed": whole.study.root_seed, "merged": [p.name for p in places], "blocks": len(there)}
-        store.put_json(target, "provenance.json", machine.describe() | about | {"certificates": certificates})
+        closing.close(target, whole, there, {"merged": [p.name for p in places]})
     return Merged(len(there), doubled, lacking)

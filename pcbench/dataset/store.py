@@ -14,6 +14,7 @@ import re
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from time import time
 from typing import Any, NamedTuple
@@ -35,7 +36,8 @@ class Target(NamedTuple):
 
     fs: pafs.FileSystem
     root: str  # the path on it
-    name: str  # as it was given
+    name: str  # as it was given, without a password
+    uri: str  # as another process reaches it
 
     @property
     def local(self) -> bool:
@@ -46,13 +48,20 @@ class Target(NamedTuple):
 def target(out: str | Path) -> Target:
     """Return the place that a path or a URI names; raise UserError where pyarrow knows no such place."""
     if "://" not in str(out):
-        return Target(pafs.LocalFileSystem(), str(Path(out).expanduser().absolute()), str(out))
+        root = str(Path(out).expanduser().absolute())
+        return Target(pafs.LocalFileSystem(), root, str(out), root)
+    return _reached(str(out))
+
+
+@lru_cache(maxsize=16)
+def _reached(out: str) -> Target:
     try:
         fs, root = pafs.FileSystem.from_uri(str(out))
-        return Target(fs, root.rstrip("/"), str(out))
+        return Target(fs, root.rstrip("/"), re.sub("//[^/@]*@", "//", out), out)
     except (pa.ArrowException, ValueError, OSError, ImportError) as error:
+        name = re.sub("//[^/@]*@", "//", out)
         raise UserError(
-            f"{out}: is no place that can be reached ({_reason(error)}); expected a path or a URI."
+            f"{name}: is no place that can be reached ({_reason(error)}); expected a path or a URI."
         ) from None
 
 
@@ -112,17 +121,17 @@ def get(place: Target, name: str) -> bytes | None:
 
 
 def names(place: Target, under: str = "") -> list[str]:
-    """Return the names of all files below a folder of the place, sorted; unfinished files are left out."""
+    """Return the names of all files below a folder of the place, sorted; those hidden by a dot or _ are left out."""
+    return sorted(sizes(place, under))
+
+
+def sizes(place: Target, under: str = "") -> dict[str, int]:
+    """Return the bytes of those files."""
     with said(place.name, "read"):
         base = f"{place.root}/{under}" if under else place.root
         found = place.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
-        start = len(place.root) + 1
-        return sorted(i.path[start:] for i in found if i.is_file and not i.path.endswith(PARTIAL))
-
-
-def size(place: Target, name: str) -> int:
-    """Return the bytes of a file, 0 where there is none."""
-    return int(place.fs.get_file_info(f"{place.root}/{name}").size or 0)
+        each = {i.path[len(place.root) + 1 :]: int(i.size or 0) for i in found if i.is_file}
+        return {name: size for name, size in each.items() if not any(part[0] in "._" for part in name.split("/"))}
 
 
 def footer(place: Target, name: str) -> Any:
@@ -194,7 +203,9 @@ def _folders(root: str, name: str) -> None:
     folder = Path(root)
     for part in Path(name).parent.parts:
         folder /= part
-        folder.mkdir(exist_ok=True)
+        if not folder.is_dir():
+            folder.mkdir(exist_ok=True)
+            _sync_folder(folder.parent)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -5,7 +5,7 @@ stops on the data makes intervals a little too narrow: from 256 seeds on they co
 test).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from math import ceil, inf, isfinite
 from typing import NamedTuple
 
@@ -33,8 +33,12 @@ class Goal(NamedTuple):
     most: int | None  # seeds a cell
 
 
-def parse(text: str, most: int | None) -> Goal:
+def parse(text: str | None, most: int | None) -> Goal | None:
     """Return the goal that METRIC=VALUE or METRIC.SIGNAL=VALUE states; raise UserError where it states none."""
+    if text is None:
+        if most is not None:
+            raise UserError(f"--max-seeds: got {most} without --until-se, expected both; leave --max-seeds out.")
+        return None
     name, equals, number = text.partition("=")
     metric, _, signal = name.strip().partition(".")
     try:
@@ -52,24 +56,31 @@ def parse(text: str, most: int | None) -> Goal:
     return Goal(metric, signal or None, value, most)
 
 
-def rounds(goal: Goal, place: store.Target, claimed: Claim) -> Iterator[Wanted]:
+def rounds(goal: Goal | None, place: store.Target, claimed: Claim, say: Callable[[str], None]) -> Iterator[Wanted]:
     """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent.
 
     Each round looks at the seeds of the last one alone, whatever else stands: a run that was stopped ends as one that was not.
     """
-    first, seeds = claimed.study.first_seed, claimed.study.seeds
+    if goal is None:
+        return
+    first, seeds, short = claimed.study.first_seed, claimed.study.seeds, 0
     most, size = goal.most or BUDGET * seeds, {_key(cell): seeds for cell in claimed.cells}
     pending = list(claimed.cells)
     while pending:
-        there = by_cell(ledger.present(place))
+        there = by_cell(ledger.settled(ledger.present(place)))
         for cell in list(pending):
             has = size[_key(cell)]
             error = _error(goal, place, claimed, cell, there[_key(cell)], first + has)
             size[_key(cell)] = max(has, min(enough(has, error, goal.value), most))
             if size[_key(cell)] == has:
                 pending.remove(cell)
+                short += error > goal.value
         if pending:
             yield lambda cell: (first, first + size[_key(cell)])
+    if short:
+        say(
+            f"--until-se: {short} of {len(claimed.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
+        )
 
 
 def by_cell(there: list[ledger.Block]) -> dict[tuple[str, int], list[ledger.Block]]:
@@ -84,8 +95,10 @@ def _key(cell: Cell) -> tuple[str, int]:
     return cell.scenario.name, cell.number
 
 
-def check(goal: Goal, claimed: Claim) -> None:
+def check(goal: Goal | None, claimed: Claim) -> None:
     """Raise UserError where a goal is of a signal that no scenario has."""
+    if goal is None:
+        return
     names = {name for c in claimed.cells for name, _ in signals_of(c.scenario)}
     if goal.signal is not None and goal.signal not in names:
         raise unknown("--until-se", "signal", goal.signal, names)
@@ -105,7 +118,13 @@ def _error(goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: l
             f"--until-se: got {goal.metric} of {', '.join(signals)}, which {cell.scenario.name} does not have, expected a "
             "metric that every scenario of the study has; take another one."
         )
-    return max((inf if r["n"] == 1 else r["se"] for r in mine if r["n"]), default=0.0)
+    return max((inf if r["n"] == 1 else _half(r) for r in mine if r["n"]), default=0.0)
+
+
+def _half(row: statistics.Row) -> float:
+    """The standard error; of a fraction that of Wilson's interval, which is not zero where nothing has happened yet."""
+    fraction = row["metric"] in ("divergence", "unsettled")
+    return float((row["ci_high"] - row["ci_low"]) / (2 * statistics.Z95) if fraction else row["se"])
 
 
 def enough(has: int, error: float, goal: float) -> int:
