@@ -3,7 +3,8 @@
     python benchmarks/studies.py              # a few minutes
     python benchmarks/studies.py --only memory
 
-writing: the same tasks with and without their files, in turn; the files' share of the time.
+writing: the time that tasks spend on their files, of the time that all places have; and what the same tasks take longer
+         with files than without, in turn (on a shared machine good to some per cent).
 workers: the same study on one and on two local Dask workers, warm; time on one / (2 x time on two).
 memory:  peak resident memory of a small study, of one with 16 times the seeds, and of one with 16 times the cells.
 """
@@ -20,7 +21,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from pcbench import bench, machine
+from pcbench import bench, ensemble, machine
 from pcbench.dataset import blocks, campaign, executors, folder, store
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
@@ -39,8 +40,8 @@ def without_files(work: blocks.Work, task: blocks.Task, place: Callable[[], Any]
     return blocks.Report(task.runs, ("", 0), made.compile_seconds, 0.0)
 
 
-def timed(study: dict[str, Any], execute: executors.Executor, block: int | None = None) -> float:
-    """Return the seconds in which a study's blocks are filled, planning and statistics left out."""
+def timed(study: dict[str, Any], execute: executors.Executor, block: int | None = None) -> tuple[float, float]:
+    """Return the seconds in which a study's blocks are filled, planning and statistics left out, and those of writing."""
     with tempfile.TemporaryDirectory() as out, machine.float64():
         place, began = store.target(out), []
         claimed = folder.claim(place, bench.study_of(study, {}, []))
@@ -49,8 +50,10 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
             if event == "planned":
                 began.append(time.perf_counter())
 
-        campaign.fill(place, claimed, [], execute, campaign.everything(claimed, []), campaign.Options(block), tell)
-        return time.perf_counter() - began[0]
+        effort = campaign.fill(
+            place, claimed, [], execute, campaign.everything(claimed, []), campaign.Options(block), tell
+        )
+        return time.perf_counter() - began[0], effort.writing_seconds
 
 
 def writing(turns: int) -> None:
@@ -60,14 +63,19 @@ def writing(turns: int) -> None:
         study = {"name": "cost", "scenarios": [scenario], "observers": observers}
         with executors.here() as execute:
             timed(study | {"seeds": 2048}, execute)
-            shares, base = [], []
+            longer, share, base = [], [], []
             for _ in range(turns):
                 blocks.compute = without_files
-                base.append(timed(study | {"seeds": seeds}, execute, block))
+                base.append(timed(study | {"seeds": seeds}, execute, block)[0])
                 blocks.compute = whole
-                shares.append(timed(study | {"seeds": seeds}, execute, block) / base[-1] - 1)
-        each = ", ".join(f"{100 * share:+.2f}" for share in shares)
-        print(f"writing: {scenario}: {100 * statistics.median(shares):+.2f} % of {base[0]:.0f} s ({each})", flush=True)
+                took, wrote = timed(study | {"seeds": seeds}, execute, block)
+                longer.append(took / base[-1] - 1)
+                share.append(wrote / (took * len(ensemble.places())))
+        each = ", ".join(f"{100 * more:+.1f}" for more in longer)
+        print(
+            f"writing: {scenario}: {100 * statistics.median(share):.2f} % of {base[0]:.0f} s; longer by {each} %",
+            flush=True,
+        )
 
 
 def workers(seeds: int, turns: int) -> None:
@@ -77,7 +85,7 @@ def workers(seeds: int, turns: int) -> None:
         for count in (1, 2):
             with executors.dask("local", count) as execute:
                 timed(study | {"seeds": 8192}, execute)  # every worker has its program
-                seconds.setdefault(count, []).append(timed(study, execute))
+                seconds.setdefault(count, []).append(timed(study, execute)[0])
     each = [one / (2 * two) for one, two in zip(seconds[1], seconds[2], strict=True)]
     print(f"workers: efficiency of two {statistics.median(each):.3f} (turns: ", end="")
     print(
