@@ -155,10 +155,10 @@ def run(
                 "until_se": until_se,
             }
             closing.close(place, claimed, there, about)
-    where = (
-        None if keep else Path(place.root) if place.local and "://" in str(out) else Path(out) if place.local else out
-    )
-    return Result(chosen, place, where, effort, keep)  # type: ignore[arg-type]
+    where: str | Path | None = out
+    if out is not None and place.local:
+        where = Path(place.root if "://" in str(out) else out)
+    return Result(chosen, place, where, effort, keep)
 
 
 def positive(count: int | None, where: str) -> int | None:
