@@ -31,6 +31,7 @@ def blown():
     return planned("high-gain", SECOND, choices={"path": "still"})
 
 
+@pytest.mark.slow
 def test_a_diverged_run_is_frozen_and_its_time_kept(blown):
     got = record(blown)
     bad = np.flatnonzero(~(np.abs(got.x - estimate(got)) <= 1e6).all(1))

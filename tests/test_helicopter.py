@@ -76,6 +76,7 @@ def test_twenty_seconds_equal_the_reference(name, observer):
         np.testing.assert_allclose(rmse, [0.0132608, 0.00916999, 0.0986503, 0.1009805], rtol=2e-6)
 
 
+@pytest.mark.slow
 @settings(max_examples=3, deadline=None)
 @given(
     observer=st.sampled_from(sorted(OBSERVERS)),

@@ -115,6 +115,7 @@ def test_those_who_pretend_one_delay_start_perfectly_where_it_is_so():
         assert (np.abs(x - estimates(d, label)) < 1e-13 * np.abs(x).max(0)).all()
 
 
+@pytest.mark.slow
 def test_aligned_is_reported_as_diverged_with_its_time_and_the_others_stay_clean():
     result = pcbench.run("csth/10s", observers=["chain", "no-delay"], seeds=2)
     assert result.runs.groupby("observer").diverged.all().to_dict() == {"chain": False, "no-delay": True}

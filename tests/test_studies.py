@@ -101,7 +101,7 @@ def test_rows_that_two_blocks_hold_are_kept_once(copy):
     same(copy, copy.parent / "other")
 
 
-@pytest.mark.parametrize("size", [8, 100, 2048])
+@pytest.mark.parametrize("size", [8, 2048])
 def test_blocks_of_any_size_hold_the_same(whole, tmp_path, size):
     pcbench.run(STUDY, out=tmp_path / "out", block=size)
     same(whole, tmp_path / "out")
@@ -139,7 +139,7 @@ def test_more_seeds_extend_a_study(copy, tmp_path):
 
 GROWN = [
     {"axes": {"noise_std": [0.1, 0.5, 1.0]}},
-    {"axes": {"noise_std": [0.1, 0.5], "drift": [0.0, 1.0]}},
+    pytest.param({"axes": {"noise_std": [0.1, 0.5], "drift": [0.0, 1.0]}}, marks=pytest.mark.slow),
     {"axes": {"noise_std": [0.05, 0.1, 0.5], "delay": [1.0, 2.0]}, "seeds": 44},
 ]
 
@@ -157,6 +157,7 @@ def test_more_cells_extend_a_study_and_old_ones_keep_their_numbers(copy, tmp_pat
     pd.testing.assert_frame_equal(a, b, check_exact=True)
 
 
+@pytest.mark.slow
 def test_another_observer_extends_a_study(copy, tmp_path):
     more = STUDY | {"observers": ["pccebo", "kfbo", "open-loop"]}
     pcbench.run(more, out=copy)

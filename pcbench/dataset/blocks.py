@@ -36,7 +36,7 @@ class Work(NamedTuple):
 class Task(NamedTuple):
     """Some seeds of one cell, for the observers of one program."""
 
-    parcel: bytes  # the planned cell
+    parcel: bytes | Planned  # the planned cell
     pieces: tuple[tuple[int, int, tuple[str, ...]], ...]  # (first, last, observers): the blocks to write
 
     @property
@@ -117,7 +117,7 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: in
     return name, ledger.sealed(table, about)
 
 
-def tasks(parcel: bytes, width: int, missing: dict[str, list[ledger.Range]]) -> Iterator[Task]:
+def tasks(parcel: bytes | Planned, width: int, missing: dict[str, list[ledger.Range]]) -> Iterator[Task]:
     """Yield the tasks that fill the `missing` ranges of a cell, by observer: blocks as cut, as many as fill a call."""
     wanted: dict[ledger.Range, list[str]] = {}
     for label, ranges in missing.items():

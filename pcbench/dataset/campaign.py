@@ -16,7 +16,7 @@ from pcbench.dataset import blocks, folder, ledger, store
 from pcbench.dataset.executors import Executor
 from pcbench.dataset.folder import Claim
 from pcbench.dataset.ledger import Block, Range
-from pcbench.dataset.parcel import pack, unpack
+from pcbench.dataset.parcel import lay_aside, take_up, unpack
 from pcbench.errors import UserError
 from pcbench.shapes import Planned
 from pcbench.study import observers_of
@@ -185,21 +185,28 @@ def _block(claimed: Claim, wanted: Wanted, options: Options, cell: Cell) -> int:
     return size
 
 
-def _planned(claimed: Claim, todo: Missing, shelf: Path) -> list[tuple[Path, int, tuple[str, int], tuple[str, ...]]]:
-    """Plan what is to do and lay it aside, cells of one program together: (file, width, cell, observers)."""
+class Laid(NamedTuple):
+    """A planned cell laid aside until its tasks are drawn."""
+
+    aside: Path | Planned
+    width: int
+    cell: tuple[str, int]
+    labels: tuple[str, ...]
+
+
+def _planned(claimed: Claim, todo: Missing, shelf: Path) -> list[Laid]:
+    """Plan what is to do and lay it aside, cells of one program together."""
     room = shapes.Room()
-    drafts: list[Path] = []
+    drafts: list[Path | Planned] = []
     is_wanted = lambda cell: (cell.scenario.name, cell.number) in todo  # noqa: E731
     for p in shapes.checked(planning.drafts(claimed.study, claimed.cells, is_wanted)):
         room = shapes.larger(room, shapes.room_of(p))
         if p.labels:
-            drafts.append(shelf / str(len(drafts)))
-            drafts[-1].write_bytes(pack(p))
-    groups: dict[Any, list[tuple[Path, int, tuple[str, int], tuple[str, ...]]]] = {}
-    for path in drafts:
-        p = shapes.fitted(unpack(path.read_bytes()), room)
-        path.write_bytes(pack(p))
-        mine = path, p.layout.width, _cell(p), p.labels
+            drafts.append(lay_aside(p, shelf / str(len(drafts))))
+    groups: dict[Any, list[Laid]] = {}
+    for i, draft in enumerate(drafts):
+        p = shapes.fitted(unpack(take_up(draft)), room)
+        mine = Laid(lay_aside(p, shelf / str(i)), p.layout.width, _cell(p), p.labels)
         groups.setdefault(shapes.key_of(p), []).append(mine)
     return [each for group in groups.values() for each in group]
 
@@ -208,8 +215,8 @@ def _cell(p: Planned) -> tuple[str, int]:
     return p.cell.scenario.name, p.cell.number
 
 
-def _tasks(planned: list[tuple[Path, int, tuple[str, int], tuple[str, ...]]], todo: Missing) -> Iterator[blocks.Task]:
-    for path, width, cell, labels in planned:
-        ranges = {label: todo[cell][label] for label in labels if label in todo[cell]}
+def _tasks(planned: list[Laid], todo: Missing) -> Iterator[blocks.Task]:
+    for laid in planned:
+        ranges = {label: todo[laid.cell][label] for label in laid.labels if label in todo[laid.cell]}
         if ranges:
-            yield from blocks.tasks(path.read_bytes(), width, ranges)
+            yield from blocks.tasks(take_up(laid.aside), laid.width, ranges)

@@ -5,6 +5,7 @@ the gains are those that were designed and certified once, in one place.
 """
 
 import pickle
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -14,22 +15,41 @@ from pcbench.plants import PLANTS
 from pcbench.shapes import Planned
 
 
-def pack(p: Planned) -> bytes:
-    """Return a planned cell as bytes."""
+def pack(p: Planned) -> bytes | Planned:
+    """Return a planned cell as bytes; as it is where its observers' numbers are of a kind that no other process can find."""
     plain: dict[str, Any] = {
         k: dict(v) for k, v in p.cell.scenario._asdict().items() if isinstance(v, MappingProxyType)
     }
     proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
     layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
     cell = p.cell._replace(scenario=p.cell.scenario._replace(**plain))
-    return pickle.dumps(p._replace(cell=cell, layout=layout, certificates=proofs))
+    try:
+        return pickle.dumps(p._replace(cell=cell, layout=layout, certificates=proofs))
+    except (pickle.PicklingError, AttributeError):
+        return p
 
 
-def unpack(parcel: bytes) -> Planned:
+def unpack(parcel: bytes | Planned) -> Planned:
     """Return the planned cell that `pack` was given, with the functions of this process."""
+    if isinstance(parcel, Planned):
+        return parcel
     p: Planned = pickle.loads(parcel)
     s = p.cell.scenario
     names = [(base_of(o) or o) if s.controller else o for o in p.labels]
     each = tuple((name, entry_of(o).observer) for name, o in zip(names, p.labels, strict=True))
     plant, controller = PLANTS[s.plant].plant, closed_loop.controller(p.cell)
     return p._replace(layout=p.layout._replace(plant=plant, observers=each, controller=controller))
+
+
+def lay_aside(p: Planned, path: Path) -> Path | Planned:
+    """Return where a planned cell is laid aside: a file, or where it cannot be one, itself."""
+    parcel = pack(p)
+    if isinstance(parcel, Planned):
+        return parcel
+    path.write_bytes(parcel)
+    return path
+
+
+def take_up(laid: Path | Planned) -> bytes | Planned:
+    """Return the parcel that was laid aside."""
+    return laid.read_bytes() if isinstance(laid, Path) else laid
