@@ -6,7 +6,7 @@
 writing: the time that tasks spend on their files, of the time that all places have; and what the same tasks take longer
          with files than without, in turn (on a shared machine good to some per cent).
 workers: the same study on one and on two local Dask workers, warm; time on one / (2 x time on two).
-memory:  peak resident memory of a small study, of one with 16 times the seeds, and of one with 16 times the cells.
+memory:  peak resident memory of studies with more and more seeds, and with more and more cells, one program each.
 """
 
 import argparse
@@ -30,7 +30,6 @@ WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's stu
     "csth/10s-noise": (120_000, 4096, ["chain", "equal-delay", "dkf"]),
     "arm/sampled": (3_072, 1024, ["smo", "pio", "dkf"]),
 }
-MANY = {"noise_std": [0.1, 0.2, 0.3, 0.4, 0.6, 0.8, 1.0, 1.2], "drift": [0.0, 1.0]}
 
 
 def without_files(work: blocks.Work, task: blocks.Task, place: Callable[[], Any]) -> blocks.Report:
@@ -96,8 +95,12 @@ def workers(seeds: int, turns: int) -> None:
 
 def memory() -> None:
     """Print the peak memory of studies of several sizes, each in a process of its own."""
-    sizes = {"1024 seeds, 1 cell": (1024, {}), "16384 seeds, 1 cell": (16384, {}), "1024 seeds, 16 cells": (1024, MANY)}
+    sizes: dict[str, tuple[int, dict[str, Any]]] = {
+        "1024 seeds, 1 cell": (1024, {}),
+        "16384 seeds, 1 cell": (16384, {}),
+    }
     sizes |= {"262144 seeds, 1 cell": (262144, {})}
+    sizes |= {f"64 seeds, {n} cells": (64, {"noise_std": [0.01 * (1 + i) for i in range(n)]}) for n in (16, 256)}
     for what, (seeds, axes) in sizes.items():
         code = f"from benchmarks import studies; studies.peak({STUDY | {'seeds': seeds, 'axes': axes}!r})"
         done = subprocess.run(
