@@ -77,14 +77,15 @@ def writing(turns: int) -> None:
         )
 
 
-def workers(seeds: int, turns: int) -> None:
-    """Print how much of two workers a study gets."""
-    study, seconds = STUDY | {"seeds": seeds}, {}
+def workers(turns: int) -> None:
+    """Print how much of two workers a study gets, on work that costs more than its files."""
+    study: dict[str, Any] = {"name": "cost", "scenarios": ["arm/sampled"], "observers": ["smo", "pio"]}
+    seconds: dict[int, list[float]] = {}
     for _ in range(turns):
         for count in (1, 2):
             with executors.dask("local", count) as execute:
-                timed(study | {"seeds": 8192}, execute)  # every worker has its program
-                seconds.setdefault(count, []).append(timed(study, execute)[0])
+                timed(study | {"seeds": 2048}, execute)  # every worker has its program
+                seconds.setdefault(count, []).append(timed(study | {"seeds": 256 * 24}, execute)[0])
     each = [one / (2 * two) for one, two in zip(seconds[1], seconds[2], strict=True)]
     print(f"workers: efficiency of two {statistics.median(each):.3f} (turns: ", end="")
     print(
@@ -122,7 +123,7 @@ def main() -> None:
     machine.setup()
     parts: dict[str, Callable[[], None]] = {
         "writing": partial(writing, 3),
-        "workers": partial(workers, 200_000, 3),
+        "workers": partial(workers, 3),
         "memory": memory,
     }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])

@@ -8,16 +8,18 @@ free, so that memory does not grow with their number.
 from asyncio import CancelledError as AsyncCancelled
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import contextmanager, suppress
+from functools import cache
 from itertools import islice
 from queue import SimpleQueue
+from threading import Lock
 from typing import Any
 
 from pcbench import ensemble, machine
 from pcbench.errors import UserError
 
 Executor = Callable[[Callable[..., Any], Iterable[Any]], Iterator[Any]]
-AHEAD = 2  # tasks a Dask worker has at hand: one under way, one waiting
+AHEAD = 3  # tasks a Dask worker has at hand: one computing, one writing, one waiting
 SHARE = 2.0**30  # bytes of results a task may take on a worker whose memory is not known here
 LIVES = 10  # times a task may lose its worker
 PATIENCE = "20s"  # for a scheduler to answer
@@ -76,8 +78,9 @@ def here(count: int | None = None) -> Iterator[Executor]:
 def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
     """Yield the executor of a Dask cluster: the scheduler at an address, or "local" for so many processes of this machine.
 
-    A worker computes one task at a time on one device. One that dies loses its task to another; a task done twice leaves the
-    same file. The dataset's place must be one that all workers reach. Raises UserError where there is no such cluster.
+    A worker computes one task at a time on one device, and writes one meanwhile where it has two threads. One that dies loses
+    its tasks to another; a task done twice leaves the same file. The dataset's place must be one that all workers reach.
+    Raises UserError where there is no such cluster.
     """
     distributed = _distributed()
     try:
@@ -149,7 +152,7 @@ def _local(distributed: Any, workers: int | None) -> Any:
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return distributed.LocalCluster(
         n_workers=count,
-        threads_per_worker=1,
+        threads_per_worker=2,  # one computes while the other writes
         processes=True,
         dashboard_address=None,
         memory_limit=None,
@@ -159,6 +162,20 @@ def _local(distributed: Any, workers: int | None) -> Any:
 
 
 def _on_a_worker(work: Callable[..., Any], task: Any) -> Any:
-    """Do a task in a worker's process, which becomes pcbench's own at its first task."""
+    """Do a task in a worker's process, which becomes pcbench's own at its first task, and computes one at a time."""
+    _set_up()
+    return work(task, _place)
+
+
+@cache
+def _set_up() -> None:
     machine.setup()
-    return work(task, nullcontext)
+
+
+@contextmanager
+def _place() -> Iterator[None]:
+    with _COMPUTING:
+        yield
+
+
+_COMPUTING = Lock()
