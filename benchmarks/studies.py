@@ -5,7 +5,8 @@
 
 writing: the time that tasks spend on their files, of the time that all places have; and what the same tasks take longer
          with files than without, in turn (on a shared machine good to some per cent).
-workers: the same study on one and on two local Dask workers, warm; time on one / (2 x time on two).
+workers: the same study on one and on two local Dask workers, warm; time on one / (2 x time on two). The same of bare
+         processes that only simulate, in turn: what the machine gives where both cores are busy.
 memory:  peak resident memory of studies with more and more seeds, and with more and more cells, one program each.
 """
 
@@ -16,8 +17,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack, nullcontext
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +40,7 @@ def without_files(work: blocks.Work, task: blocks.Task, place: Callable[[], Any]
     """Simulate a task's seeds and leave it at that."""
     with place() as device:
         made = blocks.simulated(work, task, device)[2]
-    return blocks.Report(task.runs, ("", 0), made.compile_seconds, 0.0)
+    return blocks.Report(task.runs, ("", 0), made.compile_seconds, 0.0, machine.versions())
 
 
 def timed(study: dict[str, Any], execute: executors.Executor, block: int | None = None) -> tuple[float, float]:
@@ -78,20 +82,40 @@ def writing(turns: int) -> None:
 
 
 def workers(turns: int) -> None:
-    """Print how much of two workers a study gets, on work that costs more than its files."""
-    study: dict[str, Any] = {"name": "cost", "scenarios": ["arm/sampled"], "observers": ["smo", "pio"]}
-    seconds: dict[int, list[float]] = {}
-    for _ in range(turns):
-        for count in (1, 2):
-            with executors.dask("local", count) as execute:
-                timed(study | {"seeds": 2048}, execute)  # every worker has its program
-                seconds.setdefault(count, []).append(timed(study | {"seeds": 256 * 24}, execute)[0])
-    each = [one / (2 * two) for one, two in zip(seconds[1], seconds[2], strict=True)]
-    print(f"workers: efficiency of two {statistics.median(each):.3f} (turns: ", end="")
-    print(
-        ", ".join(f"{one:.1f} s / {two:.1f} s" for one, two in zip(seconds[1], seconds[2], strict=True)) + ")",
-        flush=True,
-    )
+    """Print how much of two workers a study gets, on work that costs more than its files, and what the machine would give."""
+    study = {"name": "cost", "scenarios": ["arm/sampled"], "observers": ["smo", "pio"], "seeds": 512 * 8}
+    seconds: dict[str, list[float]] = {}
+    with ExitStack() as stack:
+        clusters = [stack.enter_context(executors.dask("local", count)) for count in (1, 2)]
+        pool = stack.enter_context(ProcessPoolExecutor(2, get_context("spawn"), machine.setup))
+        ways = {f"{n} bare": partial(bare, pool, study, n) for n in (2, 1)}
+        ways |= {f"{n} Dask": partial(timed, study, clusters[n - 1], 512) for n in (2, 1)}
+        for turn in range(turns + 1):
+            for name, way in ways.items():
+                took = way()[0]
+                print(f"workers: turn {turn}: {name}: {took:.1f} s", file=sys.stderr, flush=True)
+                if turn:  # before, every process made its program
+                    seconds.setdefault(name, []).append(took)
+    for one, two, per, what in (
+        ("1 Dask", "2 Dask", 2, "efficiency of two workers"),
+        ("1 bare", "2 bare", 2, "efficiency of two bare processes, the machine's own"),
+        ("2 bare", "2 Dask", 1, "two workers do, of what two bare processes do,"),
+    ):
+        each = list(zip(seconds[one], seconds[two], strict=True))
+        turns_ = ", ".join(f"{a:.1f} / {per} x {b:.1f}" for a, b in each)
+        print(f"workers: {what} {statistics.median(a / (per * b) for a, b in each):.3f} ({turns_})", flush=True)
+
+
+def bare(pool: ProcessPoolExecutor, study: dict[str, Any], count: int) -> tuple[float, float]:
+    """Return the seconds that so many processes take for a study's runs with neither Dask nor files."""
+    each = [pool.submit(timed, study | {"seeds": study["seeds"] // count}, simulating, 512) for _ in range(count)]
+    return max(took.result() for took in each)
+
+
+def simulating(work: partial[Any], tasks: Iterable[blocks.Task]) -> Iterator[blocks.Report]:
+    """Simulate tasks one after the other, and write nothing."""
+    for task in tasks:
+        yield partial(without_files, *work.args)(task, nullcontext)
 
 
 def memory() -> None:

@@ -25,6 +25,11 @@ class Cell(NamedTuple):
     parameters: dict[str, Any]  # the plant's, where the scenario or an axis changes them
     choices: Choices
 
+    @property
+    def key(self) -> tuple[str, int]:
+        """Return its scenario's name and its number: what a study knows it by."""
+        return self.scenario.name, self.number
+
 
 def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     """Return every combination of the axes in one scenario, in the order of the axes as written."""

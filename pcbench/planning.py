@@ -3,7 +3,7 @@
 All cells of a plant and horizon share one compiled program: the ring and the arrival slots are sized for the largest.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Container, Iterator
 from typing import Any
 
 import numpy as np
@@ -78,10 +78,10 @@ def plan(study: Study) -> list[Planned]:
     return shapes.fit(list(drafts(study, cells_of(study))))
 
 
-def drafts(study: Study, every: list[Cell], wanted: Callable[[Cell], bool] = lambda cell: True) -> Iterator[Planned]:
+def drafts(study: Study, every: list[Cell], wanted: Container[tuple[str, int]] | None = None) -> Iterator[Planned]:
     """Draft cells one after another: of each one draft, or in a closed loop one for every observer, each with its own plant.
 
-    Cells that are not `wanted` have no gains: they say what room a program needs.
+    Cells whose key is not `wanted` (None: all are) have no gains: they say what room a program needs.
     """
     most: dict[str, tuple[int, int]] = {}
     for cell in every:
@@ -96,7 +96,7 @@ def drafts(study: Study, every: list[Cell], wanted: Callable[[Cell], bool] = lam
             known = known._replace(overtaking=overtaking, reach=reach)
         options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, cell.scenario.name)}
         for each in [{o: given} for o, given in options.items()] if cell.scenario.controller else [options]:
-            drafted = draft(cell, each if wanted(cell) else {}, known)
+            drafted = draft(cell, each if wanted is None or cell.key in wanted else {}, known)
             yield drafted._replace(digest=identity(cell, study.root_seed))
 
 

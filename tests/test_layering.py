@@ -12,6 +12,8 @@ import pcbench
 ROOT = Path(pcbench.__file__).parent
 LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"cli"},
+    {"cli.observers", "cli.runs", "cli.datasets"},
+    {"cli.shared", "cli.stopping"},
     {"show", "catalogue", "reproduce"},
     {"bench", "interop"},
     {"dataset.merging"},

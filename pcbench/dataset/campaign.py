@@ -4,14 +4,15 @@ Gains are designed before anything is written; planned cells wait on disk, so th
 """
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pcbench import machine, planning, shapes
-from pcbench.cells import Cell, identity
+from pcbench.cells import Cell
 from pcbench.dataset import blocks, folder, ledger, store
 from pcbench.dataset.executors import Executor
 from pcbench.dataset.folder import Claim
@@ -42,7 +43,7 @@ class Effort(NamedTuple):
 
     runs: int = 0
     writing_seconds: float = 0.0
-    compiled: dict[Any, float] = {}  # noqa: RUF012 (never changed)  # seconds by program
+    compiled: Mapping[Any, float] = MappingProxyType({})  # seconds by program
 
     @property
     def compile_seconds(self) -> float:
@@ -52,7 +53,7 @@ class Effort(NamedTuple):
 
 def added(a: Effort, b: Effort) -> Effort:
     """Return what two runs took together."""
-    return Effort(a.runs + b.runs, a.writing_seconds + b.writing_seconds, a.compiled | b.compiled)
+    return Effort(a.runs + b.runs, a.writing_seconds + b.writing_seconds, {**a.compiled, **b.compiled})
 
 
 def everything(claimed: Claim, there: list[Block]) -> Wanted:
@@ -61,12 +62,12 @@ def everything(claimed: Claim, there: list[Block]) -> Wanted:
     ends: dict[tuple[str, int], int] = {}
     for b in there:
         ends[b.scenario, b.cell] = max(ends.get((b.scenario, b.cell), last), b.last)
-    return lambda cell: (first, ends.get((cell.scenario.name, cell.number), last))
+    return lambda cell: (first, ends.get(cell.key, last))
 
 
 def whole(place: store.Target, claimed: Claim, say: Callable[[str], None]) -> list[Block]:
     """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
-    digests = {(c.scenario.name, c.number): identity(c, claimed.study.root_seed) for c in claimed.cells}
+    digests = folder.digests(claimed)
     known = {s: set(observers_of(claimed.study, s)) for s in claimed.study.scenarios}
     there = ledger.present(place)
     for b in there:
@@ -112,9 +113,8 @@ def missing(claimed: Claim, there: list[Block], wanted: Wanted, size: Callable[[
     out: Missing = {}
     for cell in claimed.cells:
         for o in observers_of(claimed.study, cell.scenario.name):
-            place = cell.scenario.name, cell.number
-            if ranges := ledger.gaps(have.get((*place, o), []), *wanted(cell), size(cell)):
-                out.setdefault(place, {})[o] = ranges
+            if ranges := ledger.gaps(have.get((*cell.key, o), []), *wanted(cell), size(cell)):
+                out.setdefault(cell.key, {})[o] = ranges
     return out
 
 
@@ -198,21 +198,16 @@ def _planned(claimed: Claim, todo: Missing, shelf: Path) -> list[Laid]:
     """Plan what is to do and lay it aside, cells of one program together."""
     room = shapes.Room()
     drafts: list[Path | Planned] = []
-    is_wanted = lambda cell: (cell.scenario.name, cell.number) in todo  # noqa: E731
-    for p in shapes.checked(planning.drafts(claimed.study, claimed.cells, is_wanted)):
+    for p in shapes.checked(planning.drafts(claimed.study, claimed.cells, todo)):
         room = shapes.larger(room, shapes.room_of(p))
         if p.labels:
             drafts.append(lay_aside(p, shelf / str(len(drafts))))
     groups: dict[Any, list[Laid]] = {}
     for i, draft in enumerate(drafts):
         p = shapes.fitted(unpack(take_up(draft)), room)
-        mine = Laid(lay_aside(p, shelf / str(i)), p.layout.width, _cell(p), p.labels)
+        mine = Laid(lay_aside(p, shelf / str(i)), p.layout.width, p.cell.key, p.labels)
         groups.setdefault(shapes.key_of(p), []).append(mine)
     return [each for group in groups.values() for each in group]
-
-
-def _cell(p: Planned) -> tuple[str, int]:
-    return p.cell.scenario.name, p.cell.number
 
 
 def _tasks(planned: list[Laid], todo: Missing) -> Iterator[blocks.Task]:

@@ -31,10 +31,12 @@ def _lost(there: dict[str, Any], here: dict[str, Any]) -> Any:
     """Yield the axes that have lost a value or come anew where cells were lost."""
     old, new = there["resolved"].get("cells", {}), here["resolved"].get("cells", {})
     if any(set(old[s]) - set(new.get(s, [])) or len(set(new.get(s, []))) < len(old[s]) for s in old):
-        for name in sorted(there.get("axes", {}).keys() | here.get("axes", {}).keys()):
-            a, b = there.get("axes", {}).get(name), here.get("axes", {}).get(name)
+        axes, found = (there.get("axes", {}), here.get("axes", {})), []
+        for name in sorted(axes[0].keys() | axes[1].keys()):
+            a, b = (each.get(name) for each in axes)
             if a is None or b is None or any(v not in b for v in a):
-                yield _phrase(f"axes.{name}", a, b)
+                found.append(_phrase(f"axes.{name}", a, b))
+        yield from found or ["cells: some that stand there are not of this study"]
 
 
 def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Any:

@@ -111,7 +111,7 @@ def observed(
     """Return what there is of a cell, by observer."""
     out = {}
     for name in observers_of(claimed.study, cell.scenario.name):
-        if mine := blocks.get((cell.scenario.name, cell.number, name)):
+        if mine := blocks.get((*cell.key, name)):
             out[name] = Observed(mine, ledger.about_block(place, mine[0]))
     return out
 

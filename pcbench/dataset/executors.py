@@ -86,6 +86,11 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
     try:
         cluster = _local(distributed, workers) if address == "local" else None
         client = distributed.Client(cluster or address, timeout=PATIENCE, set_as_default=False)
+    except RuntimeError:  # its processes import the script that started them, and come here again
+        raise UserError(
+            '--dask: the workers did not start, expected a script that runs below `if __name__ == "__main__":`, as spawned '
+            "processes need it; put it there."
+        ) from None
     except (OSError, ValueError, TypeError) as error:
         raise UserError(
             f"--dask: got {address!r}, which cannot be reached ({type(error).__name__}); expected 'local', or the address of a "
@@ -142,7 +147,7 @@ def _distributed() -> Any:
 
 
 def _local(distributed: Any, workers: int | None) -> Any:
-    """A cluster of spawned processes on this machine, each with one device and one thread to compute with."""
+    """A cluster of spawned processes on this machine, each with one device; of two threads one computes at a time."""
     if ensemble.places()[0].platform != "cpu":
         raise UserError(
             "--dask: got 'local' on a machine with accelerators, all of which this process uses by itself; expected a "
@@ -154,7 +159,7 @@ def _local(distributed: Any, workers: int | None) -> Any:
         n_workers=count,
         threads_per_worker=2,  # one computes while the other writes
         processes=True,
-        dashboard_address=None,
+        dashboard_address=":0",  # any port that is free
         memory_limit=None,
         env=single,
         silence_logs="CRITICAL",

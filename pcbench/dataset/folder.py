@@ -7,7 +7,7 @@ Cells keep their numbers; new ones follow.
 import tomllib
 from typing import Any, NamedTuple
 
-from pcbench.cells import Cell, cells_of, channels_apart, to_toml
+from pcbench.cells import Cell, cells_of, channels_apart, identity, to_toml
 from pcbench.dataset import ledger, store
 from pcbench.dataset.changes import changes
 from pcbench.errors import UserError
@@ -75,6 +75,11 @@ def opened(place: store.Target) -> Claim:
     return Claim(study, cells_of(study, there["resolved"]["cells"]), said.decode())
 
 
+def digests(claimed: Claim) -> dict[tuple[str, int], str]:
+    """Return by key what tells each cell of a study from all others."""
+    return {c.key: identity(c, claimed.study.root_seed) for c in claimed.cells}
+
+
 def differences(a: Claim, b: Claim) -> list[str]:
     """Return what differs between two studies besides their seeds and the order of their cells, a phrase each."""
     old, new = (tomllib.loads(each.text) for each in (a, b))
@@ -138,6 +143,6 @@ def _read(place: store.Target, said: bytes) -> dict[str, Any]:
         return there
     except NOT_TOML_EITHER:
         raise UserError(
-            f"{place.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; give a new folder with "
-            "--out."
+            f"{place.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; move it away, or give "
+            "a new folder with --out."
         ) from None

@@ -1,18 +1,17 @@
 """Looking at a dataset that stands: what is done, whether it is whole, whether it comes out again. Nothing is written."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pcbench import machine, planning, shapes
-from pcbench.cells import identity
-from pcbench.dataset import blocks, campaign, closing, folder, ledger, store
+from pcbench import planning, shapes
+from pcbench.dataset import blocks, campaign, closing, executors, folder, ledger, store
 from pcbench.dataset.folder import Claim
 from pcbench.dataset.ledger import Block
-from pcbench.dataset.parcel import pack
 from pcbench.study import observers_of
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
@@ -84,7 +83,7 @@ def verify(out: Any, sample: int | None, seed: int, tell: Callable[[str, float],
     """
     place = store.target(out)
     claimed = folder.opened(place)
-    digests = {(c.scenario.name, c.number): identity(c, claimed.study.root_seed) for c in claimed.cells}
+    digests = folder.digests(claimed)
     there, wrong, good = ledger.present(place), [], []
     tell("checking", float(len(there)))
     for b in there:
@@ -102,39 +101,52 @@ def verify(out: Any, sample: int | None, seed: int, tell: Callable[[str, float],
     return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(place, claimed, chosen, tell)))
 
 
-def _again(place: store.Target, claimed: Claim, chosen: list[Block], tell: Callable[[str, float], None]) -> Any:
+def _again(
+    place: store.Target, claimed: Claim, chosen: list[Block], tell: Callable[[str, float], None]
+) -> Iterator[str]:
     """Yield a sentence for every block that does not come out again."""
-    wanted = {(b.scenario, b.cell) for b in chosen}
-    is_wanted = lambda cell: (cell.scenario.name, cell.number) in wanted  # noqa: E731
-    room = shapes.needed(planning.drafts(claimed.study, claimed.cells, lambda cell: False))
-    work = blocks.Work("", claimed.study.name, claimed.study.root_seed)
-    ranges: dict[tuple[str, int, int, int], list[str]] = {}
+    work = partial(_compared, place, blocks.Work("", claimed.study.name, claimed.study.root_seed))
+    with executors.here() as execute:
+        for count, sentences in execute(work, _tasks(claimed, chosen)):
+            tell("compared", count)
+            yield from sentences
+
+
+def _tasks(claimed: Claim, chosen: list[Block]) -> Iterator[blocks.Task]:
+    """Yield what computes blocks again: those of one cell and the same seeds together."""
+    by: dict[tuple[str, int], dict[ledger.Range, list[str]]] = {}
     for b in chosen:
-        ranges.setdefault((b.scenario, b.cell, b.first, b.last), []).append(b.observer)
-    for d in planning.drafts(claimed.study, claimed.cells, is_wanted):
-        for (scenario, cell, first, last), observers in ranges.items() if d.labels else ():
-            labels = tuple(label for label in d.labels if label in observers)
-            if labels and (scenario, cell) == (d.cell.scenario.name, d.cell.number):
-                task = blocks.Task(pack(shapes.fitted(d, room)), ((first, last, labels),))
-                for name, made in blocks.files(work, task, *blocks.simulated(work, task)[:2]):
-                    (b,) = (b for b in chosen if b.name == name)
-                    yield from _difference(b, ledger.read(place, b), made)
-                    tell("compared", 1.0)
+        by.setdefault((b.scenario, b.cell), {}).setdefault((b.first, b.last), []).append(b.observer)
+    room = shapes.needed(planning.drafts(claimed.study, claimed.cells, ()))
+    for draft in planning.drafts(claimed.study, claimed.cells, by):
+        for (first, last), observers in by[draft.cell.key].items() if draft.labels else ():
+            if labels := tuple(label for label in draft.labels if label in observers):
+                yield blocks.Task(shapes.fitted(draft, room), ((first, last, labels),))
 
 
-def _difference(b: Block, there: pa.Table, here: pa.Table) -> Any:
+def _compared(
+    place: store.Target, work: blocks.Work, task: blocks.Task, hold: Callable[[], Any]
+) -> tuple[int, list[str]]:
+    """Return how many blocks a task computed again, and a sentence for each that differs."""
+    with hold() as device:
+        p, results, _ = blocks.simulated(work, task, device)
+    made = [(ledger.block_of(name), table) for name, table in blocks.files(work, task, p, results)]
+    return len(made), [said for b, now in made if b for said in _difference(b, ledger.read(place, b), now)]
+
+
+def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
     """Yield how a block differs from what comes out now, if it does: rows to the bit, then what it says of itself."""
-    a, b_ = (ledger.about(table) for table in (there, here))
+    old, new = (ledger.about(table) for table in (there, here))
     if there.equals(here):
-        if [k for k in a.keys() | b_.keys() if k not in ("versions", "digest") and a.get(k) != b_.get(k)]:
+        if [k for k in old.keys() | new.keys() if k not in ("versions", "digest") and old.get(k) != new.get(k)]:
             yield f"{b.name}: its rows come out again, what it says of itself does not."
         return
     worst = largest_difference(there, here)
     if worst is None:
         yield f"{b.name}: has other rows than come out now."
         return
-    old, new = ledger.about(there)["versions"], machine.versions()
-    made = f"made with {', '.join(f'{k} {v}' for k, v in old.items() if new.get(k) != v)}; " if old != new else ""
+    changed = [f"{k} {v}" for k, v in old["versions"].items() if new["versions"].get(k) != v]
+    made = f"made with {', '.join(changed)}; " if changed else ""
     kind = "rounding" if worst < ROUNDING else "more than rounding"
     yield f"{b.name}: {made}numbers differ by {worst:.1e} of themselves ({kind})."
 

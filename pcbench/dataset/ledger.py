@@ -21,7 +21,7 @@ from pcbench.tables import SCHEMA
 
 ABOUT = b"pcbench.block"  # the key in a file's metadata
 NAME = re.compile(r"runs/scenario=([^/]+)/observer=([^/]+)/cell-(\d+)-seeds-(\d+)-(\d+)\.parquet")
-OTHER_SCHEMA = "is of another version of the tables"
+OTHER_SCHEMA = "it is of another version of the tables"
 Range = tuple[int, int]  # first seed, one past the last
 
 

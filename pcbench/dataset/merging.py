@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from pcbench.cells import cells_of, identity, to_toml
+from pcbench.cells import cells_of, to_toml
 from pcbench.dataset import campaign, closing, folder, ledger, store
 from pcbench.dataset.folder import Claim
 from pcbench.dataset.inspection import largest_difference
@@ -69,10 +69,10 @@ def merge(given: list[Any], out: Any, tell: Callable[[str, float], None] = lambd
 def _parts(places: list[store.Target], claims: list[Claim]) -> dict[tuple[str, int, str], list[Part]]:
     """Return the blocks of all datasets by what they will be part of; numbers of cells are those of the first."""
     first = claims[0]
-    numbers = {(c.scenario.name, identity(c, first.study.root_seed)): c.number for c in first.cells}
+    numbers = {(s, digest): number for (s, number), digest in folder.digests(first).items()}
     out: dict[tuple[str, int, str], list[Part]] = {}
     for place, claimed in zip(places, claims, strict=True):
-        digests = {(c.scenario.name, c.number): identity(c, claimed.study.root_seed) for c in claimed.cells}
+        digests = folder.digests(claimed)
         for b in ledger.present(place):
             if wrong := ledger.damage(place, b, digests.get((b.scenario, b.cell), "")):
                 raise UserError(

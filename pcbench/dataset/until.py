@@ -64,19 +64,19 @@ def rounds(goal: Goal | None, place: store.Target, claimed: Claim, say: Callable
     if goal is None:
         return
     first, seeds, short = claimed.study.first_seed, claimed.study.seeds, 0
-    most, size = goal.most or BUDGET * seeds, {_key(cell): seeds for cell in claimed.cells}
+    most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in claimed.cells}
     pending = list(claimed.cells)
     while pending:
         there = by_cell(ledger.settled(ledger.present(place)))
         for cell in list(pending):
-            has = size[_key(cell)]
-            error = _error(goal, place, claimed, cell, there[_key(cell)], first + has)
-            size[_key(cell)] = max(has, min(enough(has, error, goal.value), most))
-            if size[_key(cell)] == has:
+            has = size[cell.key]
+            error = _error(goal, place, claimed, cell, there[cell.key], first + has)
+            size[cell.key] = max(has, min(enough(has, error, goal.value), most))
+            if size[cell.key] == has:
                 pending.remove(cell)
                 short += error > goal.value
         if pending:
-            yield lambda cell: (first, first + size[_key(cell)])
+            yield lambda cell: (first, first + size[cell.key])
     if short:
         say(
             f"--until-se: {short} of {len(claimed.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
@@ -89,10 +89,6 @@ def by_cell(there: list[ledger.Block]) -> dict[tuple[str, int], list[ledger.Bloc
     for b in there:
         out.setdefault((b.scenario, b.cell), []).append(b)
     return out
-
-
-def _key(cell: Cell) -> tuple[str, int]:
-    return cell.scenario.name, cell.number
 
 
 def check(goal: Goal | None, claimed: Claim) -> None:

@@ -1,0 +1,40 @@
+"""The command line: parse, call, print. Whatever the user can mend is one sentence and exit code 2."""
+
+import signal
+import sys
+
+import typer
+
+from pcbench.cli import datasets, observers, runs
+from pcbench.cli.shared import app, say
+from pcbench.cli.stopping import STOPPED, interrupt
+from pcbench.errors import UserError
+
+__all__ = ["main"]
+COMMANDS = (observers, runs, datasets)  # each registers its own
+
+
+def main() -> None:
+    """Run the command line and exit: 0 done, 2 a mistake that the user can mend, 130 stopped."""
+    code = 0
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        code = app(sys.argv[1:] or ["--help"], standalone_mode=False) or 0
+        if code == STOPPED:  # some releases of the command-line library turn Ctrl-C into an exit code themselves
+            raise KeyboardInterrupt
+    except UserError as error:
+        code = _complain(str(error))
+    except (KeyboardInterrupt, typer.Abort):
+        code = _complain("stopped; every file already written is complete.", STOPPED)
+    except BrokenPipeError:
+        code = 141
+    except Exception as error:
+        if not hasattr(error, "format_message"):  # the command line's own usage errors have one
+            raise
+        code = _complain(error.format_message().rstrip(".") + "; see pcbench --help.")
+    sys.exit(code)
+
+
+def _complain(sentence: str, code: int = 2) -> int:
+    say(sentence)
+    return code

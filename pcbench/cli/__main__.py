@@ -1,0 +1,5 @@
+"""Run the command line: python -m pcbench.cli."""
+
+from pcbench.cli import main
+
+main()

@@ -1,0 +1,80 @@
+"""Commands that look after a study's folder: how far it is, several made one, computed again."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from pcbench.cli.shared import AsJson, Folder, Quiet, app, console, setup
+
+
+@app.command()
+def status(
+    folder: Folder,
+    as_json: AsJson = False,
+) -> None:
+    """Show how far a study is, and whether its files are whole.
+
+    Example: pcbench status results/quick
+    """
+    from pcbench import show
+    from pcbench.dataset import inspection
+
+    found = inspection.status(folder)
+    if as_json:
+        print(json.dumps(found._asdict() | {"shares": [s._asdict() for s in found.shares]}, indent=2))
+    else:
+        show.status(found, folder, console())
+
+
+@app.command()
+def merge(
+    folders: Annotated[
+        list[str], typer.Argument(help="folders or URIs of one study, with other seeds or from other machines")
+    ],
+    out: Annotated[str, typer.Option(help="new folder or URI")],
+    quiet: Quiet = False,
+) -> None:
+    """Make one dataset of several; what two of them hold must be equal.
+
+    Example: pcbench merge monday tuesday --out both
+    """
+    from pcbench import show
+    from pcbench.dataset import merging
+
+    with show.counting(quiet) as tell:
+        made = merging.merge(folders, out, tell)
+    again = f" {made.doubled:,} runs stood in more than one, all of them equal." if made.doubled else ""
+    lack = (
+        f" {made.missing:,} runs are missing: pcbench run {out}/study.toml --out {out} fills them."
+        if made.missing
+        else ""
+    )
+    print(f"{made.blocks:,} blocks in {out}.{again}{lack}")
+
+
+@app.command()
+def verify(
+    folder: Folder,
+    sample: Annotated[int, typer.Option(help="blocks to compute again")] = 4,
+    every: Annotated[bool, typer.Option("--all", help="compute every block again")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="draws the blocks")] = 0,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Check every file, and compute some blocks again: they must come out bit for bit. Exit code 1 where they do not.
+
+    Example: pcbench verify results/quick --sample 8
+    """
+    setup()
+    from pcbench import show
+    from pcbench.dataset import inspection
+
+    with show.counting(quiet or as_json) as tell:
+        found = inspection.verify(folder, None if every else max(sample, 0), seed, tell)
+    if as_json:
+        print(json.dumps(found._asdict(), indent=2))
+    else:
+        show.verdict(found, folder, console())
+    if found.wrong or found.differing:
+        raise typer.Exit(1)

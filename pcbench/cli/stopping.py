@@ -1,0 +1,18 @@
+"""Ctrl-C: noted, raised, and raised again where a library swallows it."""
+
+from typing import Any
+
+STOPPED = 130  # the exit code of a program that Ctrl-C has ended
+_ASKED: list[int] = []
+
+
+def interrupt(number: int, frame: Any) -> None:
+    """Stop: the handler of SIGINT."""
+    _ASKED.append(number)
+    raise KeyboardInterrupt
+
+
+def stop_if_asked() -> None:
+    """Raise KeyboardInterrupt where Ctrl-C was pressed and a library has swallowed it."""
+    if _ASKED:
+        raise KeyboardInterrupt

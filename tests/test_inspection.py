@@ -1,0 +1,56 @@
+"""Looking at a dataset: how far it is, whether it is whole, whether it comes out again."""
+
+import numpy as np
+from commands import call
+
+from pcbench.dataset import inspection, ledger, store
+
+
+def test_status_says_how_far_a_study_is(copy):
+    found = inspection.status(copy)
+    assert found.closed
+    assert [(s.observer, s.cells, s.seeds, s.wanted) for s in found.shares] == [
+        ("pccebo", 2, 80, 80),
+        ("kfbo", 2, 80, 80),
+    ]
+    files = sorted((copy / "runs").rglob("*.parquet"))
+    files[0].unlink()
+    files[1].write_bytes(b"PAR1")
+    found = inspection.status(copy)
+    assert not found.closed
+    assert len(found.damaged) == 1
+    assert sum(s.seeds for s in found.shares) == 160 - 16
+
+
+def test_verify_finds_a_number_that_was_changed_and_nothing_else(copy):
+    found = inspection.verify(copy, None, 0, lambda *a: None)
+    assert (found.files, len(found.recomputed), found.wrong, found.differing) == (12, 12, [], [])
+    place = store.target(copy)
+    b = ledger.present(place)[5]
+    table = ledger.read(place, b)
+    i = table.schema.get_field_index("rmse")
+    values = table["rmse"].to_numpy().copy()
+    values[7] = np.nextafter(values[7], 1e9)
+    changed = table.set_column(i, table.schema.field(i), [values])
+    store.put_table(place, b.name, ledger.sealed(changed, ledger.about(table)))
+    found = inspection.verify(copy, None, 0, lambda *a: None)
+    assert len(found.differing) == 1
+    assert b.name in found.differing[0]
+    assert "rounding" in found.differing[0]
+    assert [w.split(":")[0] for w in found.wrong] == ["stats.parquet", "pairs.parquet"], "they do not follow any more"
+
+
+def test_commands_on_a_dataset_answer(copy, tmp_path):
+    assert "Every run is there" in call("status", str(copy)).stdout
+    done = call("verify", str(copy), "--sample", "1")
+    assert "all 12 blocks are whole; 1 of 1 came out again" in done.stdout, done.stderr
+    done = call("merge", str(copy), str(copy), "--out", str(tmp_path / "m"))
+    assert "160 runs stood in more than one" in done.stdout, done.stderr
+    for words in (
+        ["status", str(tmp_path)],
+        ["verify", str(tmp_path)],
+        ["merge", str(copy), "--out", str(tmp_path / "n")],
+    ):
+        done = call(*words)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1, done.stderr
