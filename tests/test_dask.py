@@ -2,10 +2,13 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 
 import pytest
+from small_study import tables
 
 import pcbench
 from pcbench.dataset import executors
@@ -14,11 +17,6 @@ from pcbench.errors import UserError
 distributed = pytest.importorskip("distributed")
 STUDY = {"name": "shared", "scenarios": ["cart/slow"], "observers": ["pccebo", "kfbo"], "seeds": 600, "root_seed": 3}
 SMALL = {"block": 25}
-
-
-def tables(out):
-    """Every table of a folder by name, as bytes."""
-    return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*.parquet"))}
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +78,15 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(address, monkeypatch):
     with pytest.raises(UserError, match="--dask: got") as caught, executors.dask(address):
         pass
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_a_script_that_workers_cannot_import_is_one_sentence(tmp_path):
+    """They are spawned: each imports the script, and would start workers of its own."""
+    (tmp_path / "mine.py").write_text(
+        "import pcbench\npcbench.run('quick', seeds=2, out='out', dask='local', workers=1)\n"
+    )
+    done = subprocess.run([sys.executable, "mine.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (
+        "pcbench.errors.UserError: --dask: the workers did not start, expected a script that runs below" in done.stderr
+    )
