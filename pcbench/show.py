@@ -109,16 +109,13 @@ def verdict(found: Any, folder: str, console: Console) -> None:
     """Print what a verification found."""
     for sentence in [*found.wrong, *found.differing]:
         console.print(sentence, highlight=False, markup=False)
-    again = len(found.recomputed) - len(found.differing)
-    files = (
-        f"all {found.files} blocks are whole"
-        if not found.wrong
-        else f"{found.files} blocks, {len(found.wrong)} complaints"
+    whole = f"all {found.files} blocks are whole"
+    files = f"{found.files} blocks, {len(found.wrong)} complaints" if found.wrong else whole
+    many = len(found.recomputed)
+    again = (
+        f"{many - len(found.differing)} of {many} came out again, bit for bit" if many else "none was computed again"
     )
-    console.print(
-        f"{folder}: {files}; {again} of {len(found.recomputed)} came out again, bit for bit.",
-        highlight=False,
-    )
+    console.print(f"{folder}: {files}; {again}.", highlight=False)
 
 
 def closing(result: Any, console: Console, metric: str = "mae") -> None:

@@ -44,11 +44,13 @@ def test_commands_on_a_dataset_answer(copy, tmp_path):
     assert "Every run is there" in call("status", str(copy)).stdout
     done = call("verify", str(copy), "--sample", "1")
     assert "all 12 blocks are whole; 1 of 1 came out again" in done.stdout, done.stderr
+    assert "none was computed again" in call("verify", str(copy), "--sample", "0").stdout
     done = call("merge", str(copy), str(copy), "--out", str(tmp_path / "m"))
     assert "160 runs stood in more than one" in done.stdout, done.stderr
     for words in (
         ["status", str(tmp_path)],
         ["verify", str(tmp_path)],
+        ["verify", str(copy), "--sample", "-3"],
         ["merge", str(copy), "--out", str(tmp_path / "n")],
     ):
         done = call(*words)

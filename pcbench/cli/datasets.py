@@ -56,7 +56,7 @@ def merge(
 @app.command()
 def verify(
     folder: Folder,
-    sample: Annotated[int, typer.Option(help="blocks to compute again")] = 4,
+    sample: Annotated[int, typer.Option(min=0, help="blocks to compute again")] = 4,
     every: Annotated[bool, typer.Option("--all", help="compute every block again")] = False,
     seed: Annotated[int, typer.Option(min=0, help="draws the blocks")] = 0,
     quiet: Quiet = False,
@@ -71,7 +71,7 @@ def verify(
     from pcbench.dataset import inspection
 
     with show.counting(quiet or as_json) as tell:
-        found = inspection.verify(folder, None if every else max(sample, 0), seed, tell)
+        found = inspection.verify(folder, None if every else sample, seed, tell)
     if as_json:
         print(json.dumps(found._asdict(), indent=2))
     else:
