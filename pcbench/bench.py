@@ -43,7 +43,7 @@ class Result:
         self, study: Study, place: store.Target, out: Path | str | None, effort: campaign.Effort, keep: Any = None
     ):
         self.study, self.out, self.effort, self._place, self._keep = study, out, effort, place, keep
-        self.provenance: dict[str, Any] = json.loads(store.get(place, "provenance.json") or b"{}")
+        self.provenance: dict[str, Any] = json.loads(store.text(place, "provenance.json") or b"{}")
 
     @cached_property
     def stats(self) -> pd.DataFrame:

@@ -50,7 +50,7 @@ def test_what_is_put_is_there_in_a_folder_and_in_a_bucket(place, s3):
         store.put_table(each, "runs/scenario=x/part.parquet", TABLE)
         store.put_json(each, "provenance.json", {"a": 1})
         assert store.names(each) == ["provenance.json", "runs/scenario=x/part.parquet"]
-        assert pq.read_table(pa.BufferReader(store.get(each, "runs/scenario=x/part.parquet"))).equals(TABLE)
+        assert store.parsed(store.get(each, "runs/scenario=x/part.parquet")).equals(TABLE)
         assert store.get(each, "nothing") is None
         store.remove(each, "provenance.json")
         store.remove(each, "provenance.json")
@@ -99,7 +99,7 @@ def test_a_refusal_is_one_sentence_and_keeps_the_old_file(place, monkeypatch, ca
         store.put_json(place, "a.json", {"new": 1})
     assert "\n" not in str(caught.value)
     monkeypatch.undo()
-    assert store.get(place, "a.json") == b'{\n  "old": 1\n}\n'
+    assert store.text(place, "a.json") == b'{\n  "old": 1\n}\n'
     assert store.names(place) == ["a.json"]
     assert [p.name for p in Path(place.root).iterdir()] == ["a.json"], "nothing unfinished is left"
 
@@ -151,7 +151,7 @@ def test_two_writers_of_one_name_leave_one_whole_file(place):
         t.start()
     for t in threads:
         t.join()
-    assert store.get(place, "runs/a.parquet") == content
+    assert store.text(place, "runs/a.parquet") == content
     assert store.names(place) == ["runs/a.parquet"]
 
 

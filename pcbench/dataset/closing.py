@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pcbench import machine, statistics, tables
 from pcbench.cells import Cell, digest
@@ -99,8 +98,7 @@ def table(place: store.Target, name: str) -> pa.Table | None:
     """Return a closing table, every page checked; None where it is not there or damaged."""
     content = store.get(place, name)
     try:
-        with pq.ParquetFile(pa.BufferReader(content or b""), page_checksum_verification=True) as file:
-            return file.read()
+        return None if content is None else store.parsed(content)
     except (pa.ArrowException, OSError, ValueError):
         return None
 

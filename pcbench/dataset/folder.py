@@ -35,7 +35,7 @@ def claim(place: store.Target, study: Study, fresh: bool = False) -> Claim:
 
     With `fresh` a study of pcbench's own that stands there is to go.
     """
-    said = store.get(place, TEXT)
+    said = store.text(place, TEXT)
     if said is not None and fresh:
         _read(place, said)
         every = cells_of(study)
@@ -65,7 +65,7 @@ def claim(place: store.Target, study: Study, fresh: bool = False) -> Claim:
 
 def opened(place: store.Target) -> Claim:
     """Return the study that stands in a place, with its cells; raise UserError where there is none."""
-    said = store.get(place, TEXT)
+    said = store.text(place, TEXT)
     if said is None:
         raise UserError(
             f"{place.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
@@ -108,7 +108,7 @@ def begin(place: store.Target, claimed: Claim) -> None:
 
 def renew(place: store.Target, claimed: Claim) -> None:
     """Put the study's text into its place, where it says something else."""
-    if store.get(place, TEXT) != claimed.text.encode():
+    if store.text(place, TEXT) != claimed.text.encode():
         store.put(place, TEXT, claimed.text.encode())
 
 

@@ -7,6 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pcbench import statistics
+from pcbench.dataset import store
 
 ROWS = 20_000  # that are gathered before they are written
 
@@ -42,16 +43,16 @@ class Gathered:
 
 def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
     """Put Holm's adjusted p-values into the rows of pairs: one family a scenario, signal and metric."""
-    file = pq.ParquetFile(pa.BufferReader(content))
+    file = store.opened(content)
     families: dict[tuple[str, ...], list[float]] = {}
     keys = ["scenario", "signal", "metric"]
-    for batch in file.iter_batches(columns=[*keys, "p_value"]):
+    for batch in file.iter_batches(columns=[*keys, "p_value"], use_threads=False):
         for *family, p in zip(*(batch[c].to_pylist() for c in [*keys, "p_value"]), strict=True):
             families.setdefault(tuple(family), []).append(np.nan if p is None else p)
     after = {family: iter(statistics.holm(np.array(p))) for family, p in families.items()}
     out = Gathered(about)
     for i in range(file.num_row_groups):
-        table = file.read_row_group(i)
+        table = file.read_row_group(i, use_threads=False)
         mine = zip(*(table[c].to_pylist() for c in keys), strict=True)
         column = pa.array([float(next(after[family])) for family in mine], pa.float64(), from_pandas=True)
         place = table.schema.get_field_index("p_holm")

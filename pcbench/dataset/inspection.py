@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pcbench import planning, shapes
 from pcbench.dataset import blocks, campaign, closing, executors, folder, ledger, store
@@ -176,6 +175,6 @@ def _closing_differs(place: store.Target, claimed: Claim, kept: list[Block]) -> 
     out = []
     for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
         there = closing.table(place, name)
-        if there is None or not there.equals(pq.read_table(pa.BufferReader(made))):
+        if there is None or not there.equals(store.parsed(made)):
             out.append(f"{name}: does not follow from the blocks; run the study again to have it made anew.")
     return out

@@ -13,7 +13,6 @@ from urllib.parse import quote, unquote
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pcbench.dataset import store
 from pcbench.errors import UserError
@@ -78,8 +77,7 @@ def _whole(place: store.Target, block: Block) -> pa.Table | str:
     if content is None:
         return "it is gone"
     try:
-        with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
-            return file.read()
+        return store.parsed(content)
     except (pa.ArrowException, OSError, ValueError) as error:  # UnicodeDecodeError is a ValueError
         return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
 

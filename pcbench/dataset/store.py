@@ -99,7 +99,7 @@ def encoded(table: pa.Table) -> pa.Buffer:
     how: dict[str, Any] = {"use_dictionary": words, "write_statistics": words, "write_page_checksum": True}
     pq.write_table(table, sink, compression="snappy", **how)  # 3 ms of 8 less a block than zstd, for a third more bytes
     content = sink.getvalue()
-    back = pq.ParquetFile(pa.BufferReader(content))
+    back = opened(content)
     same = back.schema_arrow.equals(table.schema) and back.schema_arrow.metadata == table.schema.metadata
     if back.metadata.num_rows != table.num_rows or not same:
         raise UserError("store: a table read back from its own bytes differs, expected the same; report this.")
@@ -111,13 +111,34 @@ def put_json(place: Target, name: str, content: dict[str, Any]) -> None:
     put(place, name, (json.dumps(content, indent=2) + "\n").encode())
 
 
-def get(place: Target, name: str) -> bytes | None:
+def get(place: Target, name: str) -> pa.Buffer | None:
     """Return what stands under a name; None where nothing does."""
     with said(f"{place.name}/{name}", "read"):
         if place.fs.get_file_info(f"{place.root}/{name}").type != pafs.FileType.File:
             return None
-        with place.fs.open_input_stream(f"{place.root}/{name}") as stream:
-            return bytes(stream.read())
+        with place.fs.open_input_file(f"{place.root}/{name}") as file:
+            return file.read_buffer()
+
+
+def text(place: Target, name: str) -> bytes | None:
+    """Return the same as Python's bytes."""
+    found = get(place, name)
+    return None if found is None else found.to_pybytes()
+
+
+def opened(content: pa.Buffer) -> pq.ParquetFile:
+    """Return a Parquet file in memory, to be read by the thread that asks, every page checked.
+
+    A thread of pyarrow's own that lets go of one of Python's objects while the interpreter ends aborts the process
+    (apache/arrow #34314): the bytes are pyarrow's, and none of its threads is asked.
+    """
+    return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True, pre_buffer=False)
+
+
+def parsed(content: pa.Buffer) -> pa.Table:
+    """Return the rows of a Parquet file in memory; raise what pyarrow raises where it is damaged."""
+    with opened(content) as file:
+        return file.read(use_threads=False)
 
 
 def names(place: Target, under: str = "") -> list[str]:
