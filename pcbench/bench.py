@@ -168,7 +168,8 @@ def positive(count: int | None, where: str) -> int | None:
     return count
 
 
-def _one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:
+def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:
+    """Return a study of some observers in one scenario with its one cell; raise UserError where there are more."""
     study = study_of(study_of(what, {}, overrides), {"observers": observers}, [])
     every = [cell for name in study.scenarios for cell in cells(study, name)]
     if len(every) > 1:
@@ -201,7 +202,7 @@ def trace(
     if not 0 <= seed < 2**32:
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
     with machine.float64():
-        study, cell = _one_cell(scenario, names, overrides or [])
+        study, cell = one_cell(scenario, names, overrides or [])
         if cell.scenario.controller and len(names) > 1:
             raise UserError(
                 f"{study.name}: got {len(names)} observers in a closed loop, expected one: each drives a plant of its own; "
@@ -232,5 +233,5 @@ def _held(arrived: np.ndarray) -> np.ndarray:
 def design(scenario: Described, observer: str, *, overrides: list[str] | None = None) -> Design:
     """Return an observer's gains in a scenario with the certificate that proves them."""
     with machine.float64():
-        study, cell = _one_cell(scenario, [observer], overrides or [])
+        study, cell = one_cell(scenario, [observer], overrides or [])
         return entry_of(observer).design(setting(cell), options_of(study, cell.scenario, observer))

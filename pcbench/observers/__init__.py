@@ -28,6 +28,7 @@ class Entry(NamedTuple):
     takes: Takes = "one constant delay"
     heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
     nonlinear: bool = False  # it is designed for plants without a linear model
+    smooth: bool = True  # its estimate has a slope by its options
 
 
 OBSERVERS = {
@@ -95,6 +96,7 @@ OBSERVERS = {
         "sliding mode: injects a signal that is the unknown input; gains printed or by LMI",
         "one constant delay",
         heavy=True,
+        smooth=False,
     ),
     "pio": Entry(
         pio.OBSERVER,
@@ -104,6 +106,7 @@ OBSERVERS = {
         "PI with a sign: injects a signal that is the unknown input; gains printed or by LMI",
         "one constant delay",
         heavy=True,
+        smooth=False,
     ),
     "high-gain": Entry(
         high_gain.OBSERVER,

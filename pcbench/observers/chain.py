@@ -25,6 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.observers import sample_by_sample
+from pcbench.observers.options import tunable
 from pcbench.observers.sample_by_sample import Model, Place, Pole, known_input, read, ring, write
 from pcbench.synthesis import chain, shared_lyapunov
 from pcbench.synthesis.certificate import Design, Setting, certified
@@ -72,12 +73,12 @@ class Options(BaseModel):
         "poles",
         description="each link's: F = pole I (or distinct poles, where C is not invertible), the paper's, Kalman's",
     )
-    pole: Pole = Field(1e-4, description="of each link, over its d samples; unused by riccati")
+    pole: Pole = tunable(1e-4, description="of each link, over its d samples; unused by riccati")
     pole_per_tick: Pole | None = Field(None, description="in place of pole: of each sample, r^d for a link")
     output: Literal["updated", "deadbeat"] = Field(
         "updated", description="yhat from the corrected estimate (V = C K), or V = C A^d pinv(C)"
     )
-    q: float | None = Field(
+    q: float | None = tunable(
         None, ge=0, description="riccati: process noise through the input besides the scenario's, per second"
     )
     shared: bool = Field(False, description="also look for one P for all links, the paper's condition (29)")

@@ -28,6 +28,7 @@ from pcbench.integrate import covariance_after
 from pcbench.observers import free_response
 from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
+from pcbench.observers.options import tunable
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
 from pcbench.synthesis.linear import Matrix
@@ -61,8 +62,8 @@ class Options(BaseModel):
     """What the filter assumes, where it is not what the scenario has."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    R: float | None = Field(None, gt=0, description="assumed variance of one sample; default: the scenario's")
-    q: float | None = Field(None, ge=0, description="assumed intensity of process noise through the input")
+    R: float | None = tunable(None, gt=0, description="assumed variance of one sample; default: the scenario's")
+    q: float | None = tunable(None, ge=0, description="assumed intensity of process noise through the input")
     bias_variance: float | None = Field(
         None, gt=0, description="prior variance of a constant input bias, estimated beside the state; default: no bias"
     )
@@ -129,7 +130,9 @@ def design(setting: Setting, options: Options) -> Design:
     sizes = (setting.places, np.zeros(n), np.zeros(len(inputs)))
     gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, *sizes, setting.model.known if len(inputs) else None)
     carries = True if len(inputs) else None
-    return Design(gains, certified(_certify(gains, model, Q, setting), where), carries)
+    proof = _certify(gains, model, Q, setting)
+    proof = proof._replace(numbers={**proof.numbers, "q": q})
+    return Design(gains, certified(proof, where), carries)
 
 
 def _certify(gains: Gains, model: linear.Model, Q: Matrix, setting: Setting) -> Certificate:

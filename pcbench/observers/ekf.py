@@ -23,11 +23,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from pcbench.integrate import rk4
 from pcbench.observers import in_order
 from pcbench.observers.in_order import Line, Sample
+from pcbench.observers.options import tunable
 from pcbench.synthesis import linear
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 from pcbench.types import Arrival, Leaf, Now, Observer
@@ -68,9 +69,9 @@ class Options(BaseModel):
     """What the filter assumes."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    R: float | None = Field(None, gt=0, description="assumed variance of one sample; default: the scenario's")
-    q: float | None = Field(None, ge=0, description="assumed intensity of process noise through the input")
-    walk: float = Field(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")
+    R: float | None = tunable(None, gt=0, description="assumed variance of one sample; default: the scenario's")
+    q: float | None = tunable(None, ge=0, description="assumed intensity of process noise through the input")
+    walk: float = tunable(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:

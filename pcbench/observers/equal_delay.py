@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.observers import output_error
+from pcbench.observers.options import tunable
 from pcbench.observers.sample_by_sample import Pole
 from pcbench.synthesis import chain, late
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
@@ -34,7 +35,7 @@ class Options(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     variant: Literal["held", "theorem1"] = Field("held", description="the slow one, or a single link of the chain")
     delay: int | None = Field(None, ge=1, le=200, description="samples; default: the shortest of the channels'")
-    pole: Pole = Field(1e-4, description="theorem1: F = pole I, or distinct poles where C is not invertible")
+    pole: Pole = tunable(1e-4, description="theorem1: F = pole I, or distinct poles where C is not invertible")
 
 
 def design(setting: Setting, options: Options) -> Design:

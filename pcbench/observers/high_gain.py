@@ -30,6 +30,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.integrate import rk4
+from pcbench.observers.options import tunable
 from pcbench.synthesis import high_gain
 from pcbench.synthesis.certificate import Design, Setting
 from pcbench.types import Arrival, Leaf, Now, Observer
@@ -64,7 +65,7 @@ class Options(BaseModel):
     """The tuning."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    theta: float = Field(4.0, gt=0, description="tuning [1/s]")
+    theta: float = tunable(4.0, gt=0, description="tuning [1/s]")
     robust: bool = Field(False, description="speeds and parameters clipped, a leak in S")
     rho: float = Field(0.1, gt=0, description="robust: the leak")
 

@@ -23,6 +23,7 @@ from jax import Array
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pcbench.errors import UserError
+from pcbench.observers.options import tunable
 from pcbench.synthesis import linear, riccati
 from pcbench.synthesis.certificate import Design, Setting, certified
 from pcbench.types import Arrival, Leaf, Now, Observer
@@ -56,7 +57,7 @@ class Options(BaseModel):
     """Weights of the Riccati equation and the two variants."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    R: float = Field(1.0, gt=0, description="assumed intensity of measurement noise")
+    R: float = tunable(1.0, gt=0, description="assumed intensity of measurement noise")
     Q: float = Field(0.002, gt=0, description="assumed intensity of process noise through the input")
     lag_aware: bool = Field(False, description="use d + te/2 in place of d")
     sampled_innovation: bool = Field(False, description="hold the innovation, not the measurement")

@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.observers import output_error
+from pcbench.observers.options import tunable
 from pcbench.observers.sample_by_sample import Pole
 from pcbench.synthesis import chain, late
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
@@ -32,7 +33,7 @@ class Options(BaseModel):
     variant: Literal["aligned", "plain"] = Field(
         "aligned", description="samples against their own time, or against now"
     )
-    pole: Pole = Field(1e-4, description="A - K C = pole I, or distinct poles where C is not invertible")
+    pole: Pole = tunable(1e-4, description="A - K C = pole I, or distinct poles where C is not invertible")
 
 
 def design(setting: Setting, options: Options) -> Design:

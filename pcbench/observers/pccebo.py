@@ -27,6 +27,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from pcbench.observers import free_response
 from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
+from pcbench.observers.options import matrix, tunable
 from pcbench.synthesis import cache, current_estimator, linear, riccati
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
 from pcbench.synthesis.observability import require_detectable
@@ -48,6 +49,7 @@ class Options(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     gain: Literal["lmi", "riccati"] = Field("lmi", description="LMI (23), or a stationary Kalman filter's gain")
+    L: list[list[float]] | None = tunable(None, description="the gain itself [n, q], in place of one that is found")
     q: float = Field(0.002, gt=0, description="riccati: assumed intensity of process noise through the input")
 
 
@@ -81,7 +83,11 @@ def design(setting: Setting, options: Options) -> Design:
     moves = free_response.motion_of(setting.model, setting)
     doubled = linear.doublings(setting.model, setting.dt, linear.bits_for(period))
     Phi, C = linear.over(doubled, period), setting.model.C
-    if options.gain == "riccati":
+    if options.L is not None:
+        found = current_estimator.lyapunov(
+            Phi, C, matrix(options.L, (len(Phi), len(C)), f"{where}: L", "states x outputs")
+        )
+    elif options.gain == "riccati":
         tick = linear.input_noise(setting.model, options.q, setting.dt) + setting.process_noise
         noise = linear.noise_doublings(setting.model, tick, setting.dt, len(doubled))
         Q, R = linear.noise_over(doubled, noise, period), np.diag(setting.noise_variance)

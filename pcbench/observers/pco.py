@@ -26,15 +26,15 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict
 
 from pcbench.errors import UserError
 from pcbench.observers import free_response
 from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
+from pcbench.observers.options import matrix, tunable
 from pcbench.synthesis import reduced_order
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
-from pcbench.synthesis.linear import Matrix
 from pcbench.types import Leaf, Observer
 
 Given = float | list[list[float]] | None
@@ -64,13 +64,13 @@ class Proportional(BaseModel):
     """PCO's gain, in the coordinates [y; w]."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    Kp: Given = Field(None, description="gain [n-l, l] (a number where that is 1 x 1); default: by LMI")
+    Kp: Given = tunable(None, description="gain [n-l, l] (a number where that is 1 x 1); default: by LMI")
 
 
 class ProportionalIntegral(Proportional):
     """PI-PCO's gains, in the coordinates [y; w]."""
 
-    Ki: Given = Field(None, description="gain of the integral, as Kp; default: by LMI")
+    Ki: Given = tunable(None, description="gain of the integral, as Kp; default: by LMI")
 
 
 def init(gains: Gains, xhat0: Array) -> Memory:
@@ -107,25 +107,13 @@ def design(setting: Setting, options: Proportional) -> Design:
     period = one_clock(setting, name)
     plant = reduced_order.split(setting, setting.intervals or (period,), where)
     shape = (len(plant.T) - plant.outputs, plant.outputs)
-    given = [_matrix(options.Kp, shape, f"{where}: Kp")]
-    if isinstance(options, ProportionalIntegral):
-        given.append(_matrix(options.Ki, shape, f"{where}: Ki"))
-    if len({g is None for g in given}) > 1:
+    named = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})
+    if len({given is None for given in named.values()}) > 1:
         raise UserError(f"{where}: got one of Kp and Ki, expected both or neither; the LMI finds them together.")
-    found = reduced_order.design(plant, [g for g in given if g is not None], integral, where)
+    what = "unmeasured states x outputs"
+    given = [matrix(each, shape, f"{where}: {name}", what) for name, each in named.items() if each is not None]
+    found = reduced_order.design(plant, given, integral, where)
     certificate = certified(found.certificate, where)
     moves = free_response.motion_of(setting.model, setting)
     gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.places)
     return Design(gains, certificate)
-
-
-def _matrix(given: Given, shape: tuple[int, int], where: str) -> Matrix | None:
-    if given is None:
-        return None
-    try:
-        matrix = np.full((1, 1), given) if isinstance(given, float) else np.array(given, float)
-    except ValueError:
-        matrix = np.zeros(0)
-    if matrix.shape != shape:
-        raise UserError(f"{where}: got {given}, expected a matrix of shape {list(shape)}: unmeasured states x outputs.")
-    return matrix

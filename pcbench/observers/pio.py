@@ -19,6 +19,7 @@ from jax import Array
 from pydantic import Field
 
 from pcbench.observers import smo, unknown_input
+from pcbench.observers.options import tunable
 from pcbench.plants import arm
 from pcbench.synthesis import pi_lmi, sliding_mode
 from pcbench.synthesis.certificate import Design, Setting, certified
@@ -50,8 +51,8 @@ class Options(unknown_input.Options):
     """How the gains are found, and the injection."""
 
     alpha: float = Field(1.0, gt=0, description="design: decay rate [1/s] that smo's L1 is found for")
-    beta: float = Field(1.0, gt=0, description="design: decay rate [1/s]")
-    xi: float = Field(2.0, gt=0, description="bounds each entry of E222 f' that is followed, per second")
+    beta: float = tunable(1.0, gt=0, description="design: decay rate [1/s]")
+    xi: float = tunable(2.0, gt=0, description="bounds each entry of E222 f' that is followed, per second")
 
 
 def inject(law: Law, s: Array, w: Array) -> tuple[Array, Array]:

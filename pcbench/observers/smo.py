@@ -16,9 +16,9 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import Field
 
 from pcbench.observers import unknown_input
+from pcbench.observers.options import tunable
 from pcbench.plants import arm
 from pcbench.synthesis import sliding_mode
 from pcbench.synthesis.certificate import Design, Setting, certified
@@ -47,9 +47,9 @@ class Law(NamedTuple):
 class Options(unknown_input.Options):
     """How the gains are found, and the injection."""
 
-    alpha: float = Field(1.0, gt=0, description="design: decay rate [1/s]")
-    rho: float = Field(1.0, gt=0, description="size of the injection: the largest |E222 f| found")
-    eps: float = Field(0.005, gt=0, description="width of the layer in which it is smooth")
+    alpha: float = tunable(1.0, gt=0, description="design: decay rate [1/s]")
+    rho: float = tunable(1.0, gt=0, description="size of the injection: the largest |E222 f| found")
+    eps: float = tunable(0.005, gt=0, description="width of the layer in which it is smooth")
 
 
 def inject(law: Law, s: Array, w: Array) -> tuple[Array, Array]:

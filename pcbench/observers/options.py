@@ -1,0 +1,27 @@
+"""What an option of an observer says of itself besides its type and bounds."""
+
+from typing import Any
+
+import numpy as np
+from pydantic import Field
+
+from pcbench.errors import UserError
+from pcbench.synthesis.linear import Matrix
+
+TUNABLE = "tunable"  # the key in a field's extra
+
+
+def tunable(default: Any, **how: Any) -> Any:
+    """Return a field as pydantic's `Field` does, of an option that may be tuned: gains depend on it smoothly."""
+    return Field(default, json_schema_extra={TUNABLE: True}, **how)
+
+
+def matrix(given: float | list[list[float]], shape: tuple[int, int], where: str, what: str) -> Matrix:
+    """Return a gain that was given as a matrix; raise UserError where it is of another shape than `shape`, of `what`."""
+    try:
+        found = np.full((1, 1), given) if isinstance(given, float) else np.array(given, float)
+    except ValueError:
+        found = np.zeros(0)
+    if found.shape != shape:
+        raise UserError(f"{where}: got {given}, expected a matrix of shape {list(shape)}: {what}.")
+    return found

@@ -1,0 +1,183 @@
+"""One tuning: an observer's free parameters in a scenario, so much effort, judged on other draws than it was tuned on."""
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import numpy as np
+import tomli_w
+
+from pcbench import bench, ensemble, machine, planning, sweep
+from pcbench.dataset import store
+from pcbench.errors import UserError
+from pcbench.observers import entry_of
+from pcbench.sampling import Schedule
+from pcbench.shapes import Planned
+from pcbench.study import Study, options_of
+from pcbench.tuning import free, gradient, ways
+from pcbench.tuning.free import Vector
+from pcbench.tuning.goal import Goal, goal
+from pcbench.tuning.judging import Judged, against, judge
+from pcbench.tuning.record import History, Point
+
+BUDGET = 60
+TRAINING = (3_000_000_000, 256)  # first seed and how many: no study of the usual seeds meets them
+JUDGES = (3_500_000_000, 1024)
+METHODS = ("descent", "search")
+Tell = Callable[[str, float], None]
+Evaluate = Callable[[Vector], tuple[float, Vector]]
+
+
+class Tuned(NamedTuple):
+    """What a tuning found."""
+
+    study: dict[str, Any]  # the scenario and the observer with the options chosen: what tuned.toml says
+    start: dict[str, Any]  # the free parameters as they were,
+    found: dict[str, Any]  # and at the least value seen
+    kept_start: str  # why the start was kept; empty: what was found is chosen
+    judged: list[Judged]
+    points: list[Point]
+    method: str
+    goal: Goal
+
+
+def tune(
+    scenario: Any,
+    observer: str,
+    *,
+    budget: int = BUDGET,
+    objective: str = "rmse",
+    signal: str | None = None,
+    method: str | None = None,
+    only: list[str] | None = None,
+    training: tuple[int, int] = TRAINING,
+    judges: tuple[int, int] = JUDGES,
+    out: str | Path | None = None,
+    overrides: list[str] | None = None,
+    tell: Tell = lambda event, value: None,
+) -> Tuned:
+    """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
+
+    `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
+    simulated; `training` and `judges` are (first seed, how many). With `out`, a folder, the history stands there, and what was
+    stopped goes on when run again. `tell` hears ("begin", budget), and ("point", least value so far) after each point.
+    Raises UserError for whatever the user can mend.
+    """
+    where = f"tune {observer}"
+    _check(budget, training, judges, where)
+    with machine.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
+        study, cell = bench.one_cell(scenario, [observer], overrides or [])
+        where = f"{where} in {cell.scenario.name}"
+        aim = goal(objective, cell.scenario, signal, where)
+        options, known = options_of(study, cell.scenario, observer), planning.setting(cell)
+        designed = entry_of(observer).design(known, options)
+        parameters, start = free.start(observer, options, designed.certificate.numbers, only, where)
+
+        def design(at: Vector) -> Any:
+            return entry_of(observer).design(known, free.put(options, parameters, at)).gains
+
+        (p,) = planning.plan(study)
+        how = _method(method, aim, p, where)
+        evaluate = _evaluate(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
+        about = f"{where}: {aim.metric} of {aim.name} by {how}, {budget} points, seeds {_shown(training)}, of {_digest(study)}"
+        place = store.target(str(out) if out is not None else spare)
+        history = History(place, about, free.entries(parameters), tell)
+        tell("begin", float(budget))
+        _descend(how, history, start, evaluate, budget, where)
+        found = free.written(parameters, np.array(history.best.at))
+        tell("judging", 0.0)
+        judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
+        kept = against(judged)
+        made = _study(study, observer, {} if kept else found)
+        if out is not None:
+            store.put(place, "tuned.toml", (f"# {about}\n" + tomli_w.dumps(made)).encode())
+        return Tuned(made, free.written(parameters, start), found, kept, judged, history.points, how, aim)
+
+
+def _descend(how: str, history: History, start: Vector, evaluate: Evaluate, budget: int, where: str) -> None:
+    def ask(at: Vector) -> tuple[float, Vector]:
+        first = not history.points
+        value, slope = history.ask(at, evaluate)
+        if first and not np.isfinite(value):
+            raise UserError(
+                f"{where}: a training run diverges, or the gains are refused, at the start; expected a start that works; write "
+                "another one under [options]."
+            )
+        return value, slope
+
+    store.make(history.place)
+    if how == "descent":
+        ways.descent(ask, start, budget)
+    else:
+        ways.search(lambda at: ask(at)[0], start, budget)
+    history.write()
+
+
+def _check(budget: int, training: tuple[int, int], judges: tuple[int, int], where: str) -> None:
+    if budget < 1:
+        raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {BUDGET}.")
+    for name, (first, many) in (("--train", training), ("--judge", judges)):
+        if many < 2 or first < 0 or first + many > 2**32:
+            raise UserError(f"{where}: {name}: got {first}:{first + many}, expected two seeds or more of 0:4294967296.")
+    if training[0] < sum(judges) and judges[0] < sum(training):
+        raise UserError(
+            f"{where}: got training seeds {_shown(training)} and judging seeds {_shown(judges)}, which overlap; expected none "
+            "in common, for what is tuned on a draw cannot be judged on it; give others."
+        )
+
+
+def _shown(seeds: tuple[int, int]) -> str:
+    return f"{seeds[0]}:{sum(seeds)}"
+
+
+def _method(asked: str | None, aim: Goal, p: Planned, where: str) -> str:
+    """Return descent where there is a gradient, or else search; raise UserError where descent is asked for in vain."""
+    if asked not in (None, *METHODS):
+        raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
+    against = {
+        f"{aim.metric} has no gradient": not aim.smooth,
+        "what it does is not smooth in its free parameters": not entry_of(p.labels[0]).smooth,
+        "each run has a schedule of its own": not isinstance(p.problem.schedule, Schedule),
+        "a closed loop is not differentiated": p.layout.controller is not None,
+    }
+    reasons = [reason for reason, holds in against.items() if holds]
+    if asked == "descent" and reasons:
+        raise UserError(f"{where}: --method: got descent, but {reasons[0]}; expected search; leave it out.")
+    return asked or ("search" if reasons else "descent")
+
+
+def _evaluate(how: str, p: Planned, aim: Goal, root_seed: int, seeds: Any, design: Callable[[Vector], Any]) -> Evaluate:
+    """What evaluates a point: infinite where its gains are refused or a run diverges."""
+    (label, _), *_ = p.layout.observers
+    back = gradient.backwards(p, aim, root_seed, seeds)
+
+    def with_slope(at: Vector) -> tuple[float, Vector]:
+        mean, slopes = back(design(at))
+        return aim.of(mean), aim.slope(mean) * gradient.chain(slopes, design, at)
+
+    def alone(at: Vector) -> tuple[float, Vector]:
+        here = p._replace(problem=p.problem._replace(gains={label: design(at)}))
+        (left,) = sweep.results(here, ensemble.run(p.layout, list(sweep.jobs(here, root_seed, seeds)))).values()
+        return aim.over(left[aim.base][aim.signal], left["diverged"]), np.zeros(0)
+
+    def at(point: Vector) -> tuple[float, Vector]:
+        try:
+            return with_slope(point) if how == "descent" else alone(point)
+        except UserError:  # its design refuses
+            return float("inf"), np.full(len(point), np.nan)
+
+    return at
+
+
+def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:
+    """The study with the observer's options put in, as TOML writes it."""
+    raw = study.model_dump(exclude_none=True)
+    raw["options"] = raw.get("options", {}) | {observer: raw.get("options", {}).get(observer, {}) | chosen}
+    return {key: raw[key] for key in raw if raw[key] != {}}
+
+
+def _digest(study: Study) -> str:
+    from pcbench.cells import digest
+
+    return digest(study)[:12]

@@ -1,0 +1,117 @@
+"""The free parameters of an observer: options that may be tuned, as numbers without bounds.
+
+An option says so itself (`tunable`). A positive number is its logarithm here, one between 0 and 1 its logit, a matrix its
+entries over their natural size: so every vector of numbers is an option that may be written into a study, and Adam's steps
+mean the same in all of them. Gains follow by the observer's own design, which certifies them or refuses.
+"""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import annotated_types
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from pcbench.errors import UserError
+from pcbench.observers import entry_of
+from pcbench.observers.options import TUNABLE
+
+Vector = NDArray[np.float64]
+LEAST = 1e-12  # a positive number that is 0 by default starts here
+
+
+class Free(NamedTuple):
+    """One option; its `size` numbers have the place `first` .. `first + size - 1` among all."""
+
+    name: str
+    kind: str  # positive, fraction or real
+    shape: tuple[int, ...]
+    scale: float  # of a real: what 1 means
+    first: int
+
+    @property
+    def size(self) -> int:
+        """Return how many numbers it is."""
+        return int(np.prod(self.shape))
+
+
+def tunable(label: str) -> list[str]:
+    """Return the names of the options of an observer that may be tuned."""
+    return [name for name, field in entry_of(label).options.model_fields.items() if _extra(field).get(TUNABLE)]
+
+
+def start(
+    label: str, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
+) -> tuple[list[Free], Vector]:
+    """Return the free parameters and where they start: as the options say, or where they leave it open as was `designed`.
+
+    `names` None: all that may be tuned and have a start. Raises UserError where a name is not of an option that may be
+    tuned, where nothing says where it starts, or where there is nothing to tune.
+    """
+    allowed, wanted = tunable(label), names is not None
+    found: list[Free] = []
+    values: list[Vector] = []
+    for name in allowed if names is None else names:
+        if name not in allowed:
+            raise UserError(
+                f"{where}: got '{name}' to tune, expected {' or '.join(allowed) or 'nothing: it has no free parameters'}."
+            )
+        value = getattr(options, name)
+        value = designed.get(name) if value is None else value
+        if value is None:
+            raise UserError(
+                f"{where}: {name} has no value to start from, expected one; write [options.{label}] {name} = ..."
+            )
+        number, kind = np.squeeze(np.asarray(value, float)) if np.size(value) == 1 else np.asarray(value, float), _kind(entry_of(label).options.model_fields[name])
+        scale = max(float(np.abs(number).max()), LEAST) if kind == "real" else 1.0
+        found.append(Free(name, kind, number.shape, scale, sum(f.size for f in found)))
+        values.append(_unbounded(number, kind, scale).ravel())
+    if not found:
+        raise UserError(f"{where}: got an observer without free parameters, expected one that has some; tune another.")
+    return found, np.concatenate(values)
+
+
+def entries(free: list[Free]) -> list[str]:
+    """Return a name for each number: of a matrix name[0], name[1], row by row."""
+    return [f.name if f.size == 1 else f"{f.name}[{i}]" for f in free for i in range(f.size)]
+
+
+def put(options: BaseModel, free: list[Free], at: Vector) -> BaseModel:
+    """Return the options with the free parameters as the numbers say, checked as a study's are."""
+    return type(options).model_validate(options.model_dump() | written(free, at))
+
+
+def written(free: list[Free], at: Vector) -> dict[str, Any]:
+    """Return the free parameters as a study's TOML writes them."""
+    out = {}
+    for f in free:
+        part = at[f.first : f.first + f.size].reshape(f.shape)
+        bounded = {
+            "positive": lambda z: np.exp(np.clip(z, np.log(LEAST), -np.log(LEAST))),
+            "fraction": lambda z: 1 / (1 + np.exp(-z)),
+            "real": lambda z, scale=f.scale: z * scale,
+        }[f.kind]
+        out[f.name] = bounded(part).tolist()
+    return out
+
+
+def _unbounded(value: Vector, kind: str, scale: float) -> Vector:
+    if kind == "positive":
+        return np.asarray(np.log(np.maximum(value, LEAST)))
+    if kind == "fraction":
+        inside = np.clip(value, LEAST, 1 - LEAST)
+        return np.asarray(np.log(inside / (1 - inside)))
+    return np.asarray(value / scale)
+
+
+def _kind(field: FieldInfo) -> str:
+    """How an option is bounded: its own declaration says."""
+    low = any(isinstance(m, annotated_types.Gt | annotated_types.Ge) for m in field.metadata)
+    high = any(isinstance(m, annotated_types.Lt | annotated_types.Le) for m in field.metadata)
+    return ("fraction" if high else "positive") if low else "real"
+
+
+def _extra(field: FieldInfo) -> dict[str, Any]:
+    return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}

@@ -1,0 +1,61 @@
+"""Start against tuned, on the training runs and on runs that no gradient has seen: the tables' own numbers."""
+
+from typing import Any, NamedTuple
+
+from pcbench import bench
+from pcbench.observers import base_of
+from pcbench.statistics import POOLED
+from pcbench.study import Study
+from pcbench.tuning.goal import Goal
+
+WORSE = 2.0  # standard errors that tuned may be worse than its start
+
+
+class Judged(NamedTuple):
+    """A goal's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
+
+    what: str  # training or judging
+    first: int
+    seeds: int
+    start: float
+    start_se: float
+    tuned: float
+    tuned_se: float
+    difference: float  # tuned less start, paired over the same draws
+    difference_se: float
+    diverged: tuple[int, int]  # runs, of start and tuned
+
+
+def judge(
+    study: Study,
+    observer: str,
+    found: dict[str, Any],
+    aim: Goal,
+    seeds: dict[str, tuple[int, int]],
+) -> list[Judged]:
+    """Run start and tuned on the same draws, for each range of seeds (first, how many)."""
+    base, given = base_of(observer) or observer, study.options.get(observer, {})
+    labels = f"{base}-start", f"{base}-tuned"
+    options = {k: v for k, v in study.options.items() if k != observer or k == base}
+    options |= {labels[0]: given, labels[1]: given | found}
+    metric, out = POOLED.get(aim.metric, aim.metric), []
+    for what, (first, many) in seeds.items():
+        changes = {"observers": list(labels), "options": options, "first_seed": first, "seeds": many}
+        result = bench.run(bench.study_of(study, changes, []))
+        stats = result.stats[(result.stats.signal == aim.name) & (result.stats.metric == metric)].set_index("observer")
+        (pair,) = result.pairs[(result.pairs.signal == aim.name) & (result.pairs.metric == metric)].itertuples()
+        sign = 1.0 if pair.observer_a == labels[1] else -1.0
+        each = [float(stats.loc[label, column]) for label in labels for column in ("mean", "se")]
+        bad = tuple(int(stats.loc[label, "diverged"]) for label in labels)
+        out.append(Judged(what, first, many, *each, sign * float(pair.mean_diff), float(pair.se), bad))
+    return out
+
+
+def against(judged: list[Judged]) -> str:
+    """Return why what was found is not to be used, if it is not: worse than its start on the judging runs."""
+    (j,) = (each for each in judged if each.what == "judging")
+    if j.diverged[1] > j.diverged[0]:
+        return f"{j.diverged[1]} of {j.seeds} judging runs diverge, {j.diverged[0]} with the start"
+    if not j.difference <= WORSE * j.difference_se:
+        return f"worse than its start on the judging runs by {j.difference:.3g} (standard error {j.difference_se:.2g})"
+    return ""
