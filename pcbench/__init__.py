@@ -16,6 +16,7 @@ _LAZY = {
     "run": "bench",
     "trace": "bench",
     "design": "bench",
+    "tune": "tuning.effort",
     "Result": "bench",
     "lti": "interop",
     "to_scipy": "interop",

@@ -79,6 +79,49 @@ def counting(quiet: bool) -> Iterator[Any]:
         yield tell
 
 
+@contextmanager
+def tuning(quiet: bool) -> Iterator[Any]:
+    """Yield a `tell` for a tuning: a bar over its budget with the least objective so far, on standard error."""
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()]
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+        task = bar.add_task("designing gains", total=None)
+
+        def tell(event: str, value: float) -> None:
+            if event == "begin":
+                bar.update(task, total=value, description="compiling")
+            elif event == "point":
+                bar.update(task, advance=1, description=f"least so far {value:.5g}")
+            elif event == "judging":
+                bar.update(task, description="judging on other seeds")
+
+        yield tell
+
+
+def tuned(found: Any, observer: str, folder: str | None, console: Console) -> None:
+    """Print what a tuning found: start against tuned on training and judging seeds, and the options."""
+    aim = found.goal
+    what = "mean square" if aim.metric != aim.base else aim.metric
+    table = _table(f"{observer}: {what} of {aim.name}, {len(found.points)} points by {found.method}")
+    for head in ("seeds", "", "start", "tuned", "tuned - start", "diverged"):
+        table.add_column(head, justify="left" if head in ("seeds", "") else "right")
+    for j in found.judged:
+        each = [f"{m:.4g} ± {2 * se:.2g}" for m, se in ((j.start, j.start_se), (j.tuned, j.tuned_se))]
+        gap = f"{j.difference:+.3g} ± {2 * j.difference_se:.2g}"
+        table.add_row(f"{j.first}:{j.first + j.seeds}", j.what, *each, gap, f"{j.diverged[0]} -> {j.diverged[1]}")
+    console.print(table)
+    for name, value in found.found.items():
+        console.print(f"{name} = {_short(value)}   (start: {_short(found.start[name])})", highlight=False, markup=False)
+    if found.kept_start:
+        console.print(f"The start is kept: {found.kept_start}.", highlight=False)
+    if folder is not None:
+        console.print(f"{folder}/tuned.toml can be run: pcbench run {folder}/tuned.toml", highlight=False)
+
+
+def _short(value: Any) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else "[" + ", ".join(map(_short, value)) + "]"
+
+
 def effort(result: Any, folder: str) -> str:
     """Return what a run took, in a sentence."""
     p = result.provenance

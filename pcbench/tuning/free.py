@@ -50,7 +50,7 @@ def start(
     `names` None: all that may be tuned and have a start. Raises UserError where a name is not of an option that may be
     tuned, where nothing says where it starts, or where there is nothing to tune.
     """
-    allowed, wanted = tunable(label), names is not None
+    allowed, fields = tunable(label), entry_of(label).options.model_fields
     found: list[Free] = []
     values: list[Vector] = []
     for name in allowed if names is None else names:
@@ -64,7 +64,8 @@ def start(
             raise UserError(
                 f"{where}: {name} has no value to start from, expected one; write [options.{label}] {name} = ..."
             )
-        number, kind = np.squeeze(np.asarray(value, float)) if np.size(value) == 1 else np.asarray(value, float), _kind(entry_of(label).options.model_fields[name])
+        number, kind = np.asarray(value, float), _kind(fields[name])
+        number = number.reshape(()) if number.size == 1 and kind != "real" else number
         scale = max(float(np.abs(number).max()), LEAST) if kind == "real" else 1.0
         found.append(Free(name, kind, number.shape, scale, sum(f.size for f in found)))
         values.append(_unbounded(number, kind, scale).ravel())
@@ -88,13 +89,14 @@ def written(free: list[Free], at: Vector) -> dict[str, Any]:
     out = {}
     for f in free:
         part = at[f.first : f.first + f.size].reshape(f.shape)
-        bounded = {
-            "positive": lambda z: np.exp(np.clip(z, np.log(LEAST), -np.log(LEAST))),
-            "fraction": lambda z: 1 / (1 + np.exp(-z)),
-            "real": lambda z, scale=f.scale: z * scale,
-        }[f.kind]
-        out[f.name] = bounded(part).tolist()
+        out[f.name] = _bounded(part, f).tolist()
     return out
+
+
+def _bounded(z: Vector, f: Free) -> Vector:
+    if f.kind == "positive":
+        return np.asarray(np.exp(np.clip(z, np.log(LEAST), -np.log(LEAST))))
+    return np.asarray(1 / (1 + np.exp(-z)) if f.kind == "fraction" else z * f.scale)
 
 
 def _unbounded(value: Vector, kind: str, scale: float) -> Vector:

@@ -39,7 +39,7 @@ def backwards(p: Planned, goal: Goal, root_seed: int, seeds: Any) -> Callable[[A
         left, right = iter(reals), iter(others)
         leaves = [next(left if real else right) for real in which]
         whole = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
-        found = differentiable.metrics(layout, whole, n, tail, root_seed, seeds)
+        found = differentiable.metrics(layout, whole, n, tail, jnp.asarray(root_seed), seeds)
         return jnp.sum(found[label][goal.base][goal.signal] * weights)
 
     which = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]

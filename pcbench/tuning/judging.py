@@ -43,11 +43,11 @@ def judge(
         changes = {"observers": list(labels), "options": options, "first_seed": first, "seeds": many}
         result = bench.run(bench.study_of(study, changes, []))
         stats = result.stats[(result.stats.signal == aim.name) & (result.stats.metric == metric)].set_index("observer")
-        (pair,) = result.pairs[(result.pairs.signal == aim.name) & (result.pairs.metric == metric)].itertuples()
-        sign = 1.0 if pair.observer_a == labels[1] else -1.0
-        each = [float(stats.loc[label, column]) for label in labels for column in ("mean", "se")]
-        bad = tuple(int(stats.loc[label, "diverged"]) for label in labels)
-        out.append(Judged(what, first, many, *each, sign * float(pair.mean_diff), float(pair.se), bad))
+        (pair,) = result.pairs[(result.pairs.signal == aim.name) & (result.pairs.metric == metric)].to_dict("records")
+        sign = 1.0 if pair["observer_a"] == labels[1] else -1.0
+        (a, a_se, bad), (b, b_se, worse) = stats.loc[list(labels), ["mean", "se", "diverged"]].to_numpy().tolist()
+        gap = sign * float(pair["mean_diff"]), float(pair["se"])
+        out.append(Judged(what, first, many, a, a_se, b, b_se, *gap, (int(bad), int(worse))))
     return out
 
 

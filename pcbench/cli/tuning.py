@@ -1,0 +1,77 @@
+"""The command that tunes."""
+
+import json
+from typing import Annotated
+
+import typer
+
+from pcbench.cli.shared import AsJson, Quiet, Set, app, console, names, setup
+from pcbench.cli.stopping import stop_if_asked
+from pcbench.errors import UserError
+
+SeedRange = Annotated[str | None, typer.Option(metavar="FIRST:END", help="seeds, the end left out")]
+
+
+@app.command()
+def tune(
+    scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
+    observer: Annotated[str, typer.Argument(help="an observer's name")],
+    budget: Annotated[int | None, typer.Option(help="times that all training runs are simulated [default: 60]")] = None,
+    objective: Annotated[str, typer.Option(help="metric of the tables to make small")] = "rmse",
+    signal: Annotated[str | None, typer.Option(help="of which signal [default: the first]")] = None,
+    method: Annotated[str | None, typer.Option(help="descent (with gradients) or search [default: as can be]")] = None,
+    only: Annotated[str | None, typer.Option(help="comma-separated options to tune [default: all that can be]")] = None,
+    train: SeedRange = None,
+    judge: SeedRange = None,
+    changes: Set = None,
+    out: Annotated[
+        str | None, typer.Option(help="folder for tuned.toml and the history; run again, it goes on")
+    ] = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Tune an observer's free parameters on some seeds, and judge them on others.
+
+    Example: pcbench tune cart/gaussian pccebo --objective tail_rmse --out tuned
+    """
+    setup()
+    from pcbench import show
+    from pcbench.tuning import effort
+
+    with show.tuning(quiet or as_json) as draw:
+
+        def tell(event: str, value: float) -> None:
+            stop_if_asked()
+            draw(event, value)
+
+        found = effort.tune(
+            scenario,
+            observer,
+            budget=effort.BUDGET if budget is None else budget,
+            objective=objective,
+            signal=signal,
+            method=method,
+            only=None if only is None else names(only),
+            training=_seeds(train, "--train", effort.TRAINING),
+            judges=_seeds(judge, "--judge", effort.JUDGES),
+            out=out,
+            overrides=changes,
+            tell=tell,
+        )
+    if as_json:
+        judged = [j._asdict() for j in found.judged]
+        goal = {"metric": found.goal.metric, "signal": found.goal.name, "unit": found.goal.unit}
+        summary = {"start": found.start, "found": found.found, "kept_start": found.kept_start, "goal": goal}
+        print(json.dumps(summary | {"judged": judged, "points": len(found.points), "method": found.method}, indent=2))
+    elif not quiet:
+        show.tuned(found, observer, out, console())
+
+
+def _seeds(text: str | None, where: str, default: tuple[int, int]) -> tuple[int, int]:
+    """Return (first, how many) of FIRST:END."""
+    if text is None:
+        return default
+    first, colon, end = text.partition(":")
+    if not (colon and first.strip().isdecimal() and end.strip().isdecimal() and int(first) < int(end)):
+        raise UserError(f"{where}: got '{text}', expected FIRST:END such as 0:256; write that.")
+    return int(first), int(end) - int(first)
