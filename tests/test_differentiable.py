@@ -1,42 +1,112 @@
 """Metrics that can be differentiated: those of the tables, with gradients that finite differences confirm."""
 
+from functools import cache
+
 import jax
 import numpy as np
 import pytest
 
-from pcbench import bench, differentiable, metrics, planning, simulation
+from pcbench import bench, cells, differentiable, metrics, planning, shapes, simulation
+from pcbench.observers import OBSERVERS, entry_of
+from pcbench.study import options_of
+from pcbench.tuning import free, gradient
+from pcbench.tuning.goal import goal
 
 SEEDS = np.arange(3, 7)
-CASES = {
-    "cart/gaussian": (["pccebo", "kfbo", "dkf"], {}),
-    "csth/10s-noise": (["chain", "no-delay", "equal-delay"], {"delay": [[20.0, 50.0, 70.0]]}),
-    "arm/sampled": (["smo", "pio"], {"sampling_period": [0.02], "delay": [0.02]}),
+SHORT = {
+    "cart/gaussian": (1.4, 0.9),
+    "csth/10s-noise": (600.0, 300.0),
+    "arm/sampled": (0.3, 0.2),
+    "cart/variable": (0.9, 0.5),
 }
-
+CASES = {
+    "cart/gaussian": ["pccebo", "kfbo"],
+    "csth/10s-noise": ["chain"],
+    "arm/sampled": ["smo"],
+}
 METRICS = jax.jit(differentiable.metrics, static_argnums=(0, 2, 3))
 SIMULATE = jax.jit(simulation.simulate, static_argnums=0)
 
 
-def planned(scenario, observers, axes):
-    study = bench.study_of(scenario, {"observers": observers, "axes": axes or None}, [])
-    (p,) = planning.plan(study)
-    return study, p
+@cache
+def planned(scenario, observers):
+    """A cell with a short horizon, as few lanes as seeds."""
+    study = bench.study_of(scenario, {"observers": list(observers)}, [])
+    cell = cells.cells(study, scenario)[0]
+    horizon, tail = SHORT[scenario]
+    cell = cell._replace(scenario=cell.scenario._replace(horizon=horizon, tail=tail))
+    (p,) = shapes.fit([planning.draft(cell, {o: options_of(study, cell.scenario, o) for o in observers})])
+    return study, p._replace(layout=p.layout._replace(width=len(SEEDS)))
 
 
-def cut(p, ticks, tail):
-    """The same cell with a short horizon: its schedule and inputs hold for any end."""
-    edges = np.array([[0, tail], [tail, ticks - 1], [ticks - 1, ticks]])
-    return p._replace(problem=p.problem._replace(windows=edges), layout=p.layout._replace(width=len(SEEDS)))
-
-
-@pytest.mark.parametrize("scenario", CASES)
+@pytest.mark.parametrize("scenario", [c if c[:3] == "car" else pytest.param(c, marks=pytest.mark.slow) for c in CASES])
 def test_they_are_the_metrics_of_the_tables(scenario):
-    study, p = planned(scenario, *CASES[scenario])
-    n, tail = 700, 450
-    p = cut(p, n, tail)
+    study, p = planned(scenario, tuple(CASES[scenario]))
+    n, tail = shapes.ticks(p.cell), shapes.tail_tick(p.cell)
     got = METRICS(p.layout, p.problem, n, tail, study.root_seed, SEEDS)
     out = jax.tree.map(np.asarray, SIMULATE(p.layout, p.problem, study.root_seed, SEEDS))
     for label in p.labels:
         want = metrics.read(out.streams[label], out.watches[label], out.final[label], n, tail, 1.0)
         for name, values in got[label].items():
             np.testing.assert_allclose(values, want[name], rtol=1e-12, atol=1e-14, err_msg=f"{label} {name}")
+
+
+SLOPES = {
+    "pccebo": ("cart/gaussian", {"L": [[0.4], [0.1]]}, "tail_rmse"),
+    "kfbo": ("cart/gaussian", {}, "mae"),
+    "dkf": ("cart/gaussian", {"R": 0.5, "q": 0.1}, "tail_pooled_rmse"),
+    "pco": ("cart/variable", {"Kp": -30.0}, "mse"),
+    "pi-pco": ("cart/variable", {"Kp": -30.0, "Ki": 5.0}, "rmse"),
+    "chain": ("csth/10s-noise", {"gain": "riccati", "q": 0.1}, "tail_mse"),
+    "no-delay": ("csth/10s-noise", {"pole": 0.3}, "peak"),
+    "equal-delay": ("csth/10s-noise", {"pole": 0.3, "variant": "theorem1"}, "tail_mae"),
+}
+IN_A_CLOSED_LOOP = {"high-gain", "ekf"}
+
+
+def test_every_smooth_observer_has_its_gradient_checked():
+    with_options = {name for name, entry in OBSERVERS.items() if entry.smooth and free.tunable(name)}
+    assert with_options - IN_A_CLOSED_LOOP == set(SLOPES)
+
+
+@pytest.mark.parametrize(
+    "observer", ["pccebo", *(pytest.param(o, marks=pytest.mark.slow) for o in SLOPES if o != "pccebo")]
+)
+def test_gradients_are_those_of_finite_differences(observer):
+    scenario, given, metric = SLOPES[observer]
+    study, p = planned(scenario, (observer,))
+    study = bench.study_of(scenario, {"observers": [observer], "options": {observer: given}}, [])
+    known, options = planning.setting(p.cell), options_of(study, p.cell.scenario, observer)
+    parameters, at = free.start(observer, options, {}, list(set(given) & set(free.tunable(observer))), "test")
+    aim = goal(metric, p.cell.scenario, None, "test")
+
+    def design(at):
+        return entry_of(observer).design(known, free.put(options, parameters, at)).gains
+
+    back = gradient.backwards(p, aim, study.root_seed, SEEDS)
+    mean, slopes = back(design(at))
+    got = gradient.chain(slopes, design, at)
+    assert np.isfinite(got).all()
+    assert got.any()
+    for i, step in enumerate(1e-5 * np.eye(len(at))):
+        ahead, behind = (back(design(at + sign * step))[0] for sign in (1, -1))
+        assert got[i] == pytest.approx((ahead - behind) / 2e-5, rel=2e-6, abs=1e-9 * mean), (parameters, i)
+
+
+@pytest.mark.slow
+def test_memory_of_a_gradient_grows_slower_than_the_horizon():
+    """Every tick kept would be 4 times as much for 4 times the ticks."""
+    _, p = planned("cart/gaussian", ("pccebo",))
+    used = []
+    for ticks in (400, 1600):
+
+        def loss(problem, ticks=ticks):
+            found = differentiable.metrics(p.layout, problem, ticks, ticks // 2, 0, SEEDS)
+            return found["pccebo"]["mse"].sum()
+
+        reals = jax.value_and_grad(
+            lambda L: loss(p.problem._replace(gains={"pccebo": p.problem.gains["pccebo"]._replace(L=L)}))
+        )
+        compiled = jax.jit(reals).lower(p.problem.gains["pccebo"].L).compile()
+        used.append(compiled.memory_analysis().temp_size_in_bytes)
+    assert used[1] < 2.5 * used[0], used

@@ -19,6 +19,7 @@ from pcbench.observers import entry_of
 from pcbench.observers.options import TUNABLE
 
 Vector = NDArray[np.float64]
+NOTHING = 1e-15  # of a matrix' size: 0
 LEAST = 1e-12  # a positive number that is 0 by default starts here
 
 
@@ -96,7 +97,9 @@ def written(free: list[Free], at: Vector) -> dict[str, Any]:
 def _bounded(z: Vector, f: Free) -> Vector:
     if f.kind == "positive":
         return np.asarray(np.exp(np.clip(z, np.log(LEAST), -np.log(LEAST))))
-    return np.asarray(1 / (1 + np.exp(-z)) if f.kind == "fraction" else z * f.scale)
+    if f.kind == "fraction":
+        return np.asarray(1 / (1 + np.exp(-z)))
+    return np.where(np.abs(z) < NOTHING, 0.0, z * f.scale)
 
 
 def _unbounded(value: Vector, kind: str, scale: float) -> Vector:
