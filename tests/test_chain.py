@@ -24,7 +24,7 @@ CASES = [
 
 @pytest.mark.parametrize("label", OUTPUTS)
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("plant", ["tank", pytest.param("odd", marks=pytest.mark.slow)])
 def test_it_equals_the_index_based_reference(plant, case, label):
     cells, runs = recorded(plant)
     p, run, delays = cells[case], runs[case], DELAYS[case]
@@ -97,7 +97,7 @@ def test_between_samples_they_follow_the_model():
                 np.testing.assert_allclose(got[k + 1], fine[0] @ got[k] + fine[1] @ u[k], atol=1e-12)
 
 
-@pytest.mark.parametrize("error", [0.1, -0.1])
+@pytest.mark.parametrize("error", [pytest.param(0.1, marks=pytest.mark.slow), -0.1])
 def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(error):
     """What arrives is believed a sample older or younger than it is; none is believed taken before 0."""
     study, _, model = slow()

@@ -48,6 +48,7 @@ def test_a_diverged_run_is_frozen_and_its_time_kept(blown):
     assert not found["unsettled"].any(), "counted apart"
 
 
+@pytest.mark.slow
 def test_sums_are_those_of_the_recorded_run():
     p = planned("high-gain", SECOND)
     got, found, tail = record(p), swept(p), tail_tick(p.cell)

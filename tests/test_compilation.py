@@ -37,7 +37,9 @@ def test_gains_are_traced():
     assert counts[0] == counts[1]
 
 
-@pytest.fixture(scope="module", params=[False, True], ids=["fixed start", "random start"])
+@pytest.fixture(
+    scope="module", params=[False, pytest.param(True, marks=pytest.mark.slow)], ids=["fixed start", "random start"]
+)
 def loops(request):
     """The text of every computation that the compiled loops run."""
     _, (cell,) = planned()

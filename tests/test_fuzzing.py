@@ -19,23 +19,27 @@ from pcbench.study import observers_of
 
 FEW = {"deadline": None, "derandomize": True, "suppress_health_check": list(HealthCheck), "print_blob": True}
 MANY = FEW | {"derandomize": False}
-SECONDS = 60  # a study that is neither planned nor refused by then hangs
+SECONDS = 60  # of the processor: a study that is neither planned nor refused by then takes for ever,
+ASLEEP = 600  # and so does one that takes so long by the clock
 
 
 @contextmanager
 def in_time():
-    """Raise TimeoutError where the body takes more than SECONDS."""
+    """Raise TimeoutError where the body takes more than SECONDS of the processor, or sleeps for ever."""
 
     def late(*_):
         raise TimeoutError(f"neither planned nor refused after {SECONDS} s")
 
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(SECONDS)
+    before = {number: signal.signal(number, late) for number in (signal.SIGPROF, signal.SIGALRM)}
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    signal.alarm(ASLEEP)
     try:
         yield
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
         signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def one_sentence(said):

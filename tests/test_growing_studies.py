@@ -21,7 +21,7 @@ def test_more_seeds_extend_a_study(copy, tmp_path):
 GROWN = [
     {"axes": {"noise_std": [0.1, 0.5, 1.0]}},
     pytest.param({"axes": {"noise_std": [0.1, 0.5], "drift": [0.0, 1.0]}}, marks=pytest.mark.slow),
-    {"axes": {"noise_std": [0.05, 0.1, 0.5], "delay": [1.0, 2.0]}, "seeds": 44},
+    pytest.param({"axes": {"noise_std": [0.05, 0.1, 0.5], "delay": [1.0, 2.0]}, "seeds": 44}, marks=pytest.mark.slow),
 ]
 
 

@@ -102,9 +102,9 @@ BOTH = {"feedforward": True, "predictor": True}
 @pytest.mark.parametrize(
     ("name", "choices"),
     [
-        ("varying", BOTH),
         ("constant", {"feedforward": True}),
         *(pytest.param("constant", c, marks=pytest.mark.slow) for c in ({"predictor": True}, BOTH)),
+        pytest.param("varying", BOTH, marks=pytest.mark.slow),
     ],
 )
 def test_the_controllers_options_equal_the_reference(name, choices):
@@ -122,7 +122,7 @@ def test_a_misprint_would_be_seen(misprint):
     assert not gap(planned("high-gain", SHORT), forms.high_gain(tuning)) < 1e-3
 
 
-@pytest.mark.parametrize("observer", OBSERVERS)
+@pytest.mark.parametrize("observer", [pytest.param(o, marks=pytest.mark.slow) if o == "ekf" else o for o in OBSERVERS])
 @settings(max_examples=4, deadline=None)
 @given(period=st.integers(1, 250), delay=st.integers(0, 60), feedforward=st.booleans())
 def test_a_perfect_start_has_no_error(observer, period, delay, feedforward):

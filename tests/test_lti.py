@@ -146,6 +146,7 @@ def reference(plant, observer, model, u, samples, D):
     return irregular.pco(model, u, samples, start, gains.T, gains.Kp, Ki, D)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noisy", ["direct"], indirect=True)
 def test_kfbo_equals_the_reference_on_a_plant_of_ones_own_with_feedthrough(noisy):
     plant, _, model, u, samples, D = noisy

@@ -212,6 +212,7 @@ def block():
     return dict(zip(clocks, everyone([job(clock, np.arange(WIDE)) for clock in clocks]), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_run_has_the_same_bits_alone_among_others_and_in_another_order(block, clock):
     order = np.random.default_rng(1).permutation(WIDE)

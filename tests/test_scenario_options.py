@@ -10,7 +10,7 @@ from pcbench.plants import PLANTS
 from pcbench.plants import cart as plant
 
 
-@pytest.mark.parametrize("observer", ["pccebo", "kfbo"])
+@pytest.mark.parametrize("observer", ["pccebo", pytest.param("kfbo", marks=pytest.mark.slow)])
 def test_the_rising_sawtooth_equals_the_reference(observer):
     got = pcbench.trace("cart/nominal", observer, overrides=["options.scenario.input=rising"])
     x, xhat = cart.run("cart/nominal", observer, u=cart.sawtooth(rising=True))
@@ -19,7 +19,7 @@ def test_the_rising_sawtooth_equals_the_reference(observer):
     assert got["u1"][0] == -10
 
 
-@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("sign", [-1, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_drifts_sign_equals_the_reference(sign):
     got = pcbench.trace("cart/drift", "dkf", overrides=[f"options.scenario.drift_sign={sign}"])
     x, xhat = cart.run("cart/drift", "dkf", sign=float(sign), substeps=plant.SUBSTEPS)
