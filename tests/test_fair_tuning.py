@@ -1,0 +1,53 @@
+"""What tuning finds where the answer is known otherwise: by brute force, by the design pages' rule, by the clock of nobody."""
+
+import numpy as np
+import pytest
+
+import pcbench
+from pcbench import bench, machine, planning
+from pcbench.observers import entry_of
+from pcbench.study import options_of
+from pcbench.tuning import effort
+from pcbench.tuning.goal import goal
+
+pytestmark = pytest.mark.slow
+HALF = {"training": (3_000_000_000, 256), "judges": (3_500_000_000, 256)}
+
+
+def brute_force(grid):
+    """The least tail RMSE in cart/gaussian over a grid of gains L, on the training seeds."""
+    with machine.float64():
+        study, cell = bench.one_cell("cart/gaussian", ["pccebo"], [])
+        known, options = planning.setting(cell), options_of(study, cell.scenario, "pccebo")
+
+        def gains(L):
+            return entry_of("pccebo").design(known, options.model_copy(update={"L": [[float(x)] for x in L]})).gains
+
+        (p,) = planning.plan(study)
+        seeds = np.arange(HALF["training"][0], sum(HALF["training"]))
+        value = effort._evaluate("search", p, goal("tail_rmse", cell.scenario, None, "test"), 0, seeds, gains)
+        return min((value(np.array(L))[0], L) for L in grid)
+
+
+def test_tuned_pccebo_comes_within_ten_percent_of_the_best_fixed_gain():
+    least, L = brute_force([(a, b) for a in np.linspace(0.1, 1.0, 19) for b in (-1.0, -0.2, 0.0, 0.2, 1.0)])
+    found = pcbench.tune("cart/gaussian", "pccebo", objective="tail_rmse", budget=30, **HALF)
+    assert found.judged[0].tuned <= 1.1 * least, (found.found, L)
+    assert found.judged[0].start > 1.5 * least, "there was something to find"
+    assert not found.kept_start
+
+
+def test_pi_pco_finds_the_sign_rule_by_itself():
+    """Kp < 0 smooths, Kp > 0 amplifies noise, and where the model is exact the integral only hurts (variable-sampling.md)."""
+    wrong = ["options.pi-pco.Kp=40.0", "options.pi-pco.Ki=12.0"]
+    found = pcbench.tune("cart/variable", "pi-pco", objective="tail_rmse", overrides=wrong, **HALF)
+    assert found.found["Kp"] < -40
+    assert abs(found.found["Ki"]) < 0.5
+    assert found.judged[1].tuned < 0.5 * found.judged[1].start
+
+
+@pytest.mark.parametrize("observer", ["kfbo", "dkf"])
+def test_tuned_is_not_worse_than_its_start_on_other_draws(observer):
+    found = pcbench.tune("cart/gaussian", observer, objective="tail_rmse", budget=15, **HALF)
+    (_, judging) = found.judged
+    assert found.kept_start or judging.difference <= 2 * judging.difference_se
