@@ -81,6 +81,7 @@ def expected(label, model, u, r, believed, xhat0):
     return ref.chain(model, links, u, r, believed, xhat0)
 
 
+@pytest.mark.slow
 def test_between_samples_they_follow_the_model():
     """The reference at the samples, the held model's motion between them."""
     study, fine, model = slow()

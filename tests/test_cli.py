@@ -118,6 +118,7 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path):
     assert "cannot be written" in sentence
 
 
+@pytest.mark.slow
 def test_a_toml_study_with_axes_and_options_runs(tmp_path):
     path = tmp_path / "noise-map.toml"
     path.write_text(

@@ -69,6 +69,7 @@ def test_sums_are_those_of_the_recorded_run():
     np.testing.assert_array_equal(found["unsettled"][:, 0], np.array(last) > tail)
 
 
+@pytest.mark.slow
 def test_random_starts_are_those_of_the_box():
     """z(0) = x(0) + U(-0.5, 0.5), viscosities 0, x(0) as it is: one draw a run, whoever observes."""
     p = planned("high-gain-robust", SECOND, choices=BOX)

@@ -71,6 +71,7 @@ def test_process_noise_is_added_at_every_tick_from_its_own_stream(noisy):
     assert not np.isclose(np.abs(w).max(), 0.0)
 
 
+@pytest.mark.slow
 def test_dkf_equals_the_reference_with_process_noise_and_unequal_delays(noisy):
     d, v, w = noisy
     plant = chain.csth("10s")

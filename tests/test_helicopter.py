@@ -158,7 +158,10 @@ def slipped(p, what):
 
 @pytest.mark.parametrize(
     ("observer", "what"),
-    [("high-gain", w) for w in ("line", "whole tick", "path", "note", "sense")] + [("ekf", "line"), ("ekf", "age")],
+    [
+        *(("high-gain", what) for what in ("line", "whole tick", "path", "note", "sense")),
+        *(pytest.param("ekf", what, marks=pytest.mark.slow) for what in ("line", "age")),
+    ],
 )
 def test_one_tick_off_is_seen(observer, what):
     p = planned(observer, SHORT)

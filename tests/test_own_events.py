@@ -225,6 +225,7 @@ def test_a_run_has_the_same_bits_alone_among_others_and_in_another_order(block, 
         assert len(set(final[0])) == WIDE, "every run has its own numbers"
 
 
+@pytest.mark.slow
 def test_one_device_has_the_bits_of_two_whoever_else_runs():
     """Three jobs on two devices: the last call has one of them twice."""
     jobs = [job(clock, np.arange(WIDE)) for clock in CLOCKS]
