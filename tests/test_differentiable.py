@@ -39,7 +39,8 @@ def planned(scenario, observers):
     return study, p._replace(layout=p.layout._replace(width=len(SEEDS)))
 
 
-@pytest.mark.parametrize("scenario", [c if c[:3] == "car" else pytest.param(c, marks=pytest.mark.slow) for c in CASES])
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", CASES)
 def test_they_are_the_metrics_of_the_tables(scenario):
     study, p = planned(scenario, tuple(CASES[scenario]))
     n, tail = shapes.ticks(p.cell), shapes.tail_tick(p.cell)

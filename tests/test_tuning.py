@@ -71,6 +71,7 @@ def test_both_ways_go_down_past_what_is_refused_and_keep_to_their_budget(start):
             assert x == y
 
 
+@pytest.mark.slow
 def test_a_tuning_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
     whole = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "whole", **SMALL)
     real, count = effort._evaluate, [0]
@@ -126,6 +127,7 @@ def test_what_is_found_runs_as_a_study_and_gives_the_numbers_it_was_judged_by(tm
     assert judging.tuned < 0.8 * judging.start
 
 
+@pytest.mark.slow
 def test_a_start_that_cannot_be_bettered_is_kept_and_said(monkeypatch, tmp_path):
     """What was found is made worse than it is: nothing that is worse on other seeds is handed out."""
     monkeypatch.setattr(effort.free, "written", lambda free, at: {"L": [[1.9], [0.0]]})
@@ -134,6 +136,7 @@ def test_a_start_that_cannot_be_bettered_is_kept_and_said(monkeypatch, tmp_path)
     assert "L" not in (tmp_path / "out" / "tuned.toml").read_text().partition("options")[2]
 
 
+@pytest.mark.slow
 def test_an_observer_without_slopes_is_searched():
     given = SMALL | {"training": (0, 4), "judges": (10, 4), "budget": 5}
     found = pcbench.tune("cart/slow", "pccebo", **given | {"objective": "settling_time"})
@@ -168,6 +171,7 @@ def test_mistakes_are_one_sentence(words, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_command_says_what_it_found(tmp_path):
     words = ["cart/slow", "pccebo", "--budget", "2", "--train", "0:4", "--judge", "4:8", "--out", str(tmp_path / "out")]
     done = call("tune", *words)
