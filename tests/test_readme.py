@@ -123,6 +123,6 @@ def test_the_top_level_is_as_promised():
 def test_every_option_that_the_readme_names_exists():
     said = set(re.findall(r"(?<![\w-])(--[a-z][a-z-]+)", "\n".join(blocks("text"))))
     there = set()
-    for command in ("run", "status", "verify", "merge", "trace", "design"):
+    for command in ("run", "status", "verify", "merge", "trace", "design", "tune"):
         there |= set(re.findall(r"--[a-z][a-z-]+", call(command, "--help").stdout))
     assert said <= there, said - there
