@@ -42,7 +42,7 @@ def test_it_equals_the_index_based_reference(plant, case, label):
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("plant", ["tank", pytest.param("odd", marks=pytest.mark.slow)])
 def test_perfect_start_is_exact(plant, case):
     run = recorded(plant, True)[1][case]
     for label in OUTPUTS:

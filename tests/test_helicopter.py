@@ -169,6 +169,7 @@ def test_one_tick_off_is_seen(observer, what):
     assert np.abs(estimate(got) - want.z).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_process_noise_of_another_state_is_seen():
     p = planned("ekf", SHORT)
     gains = p.problem.gains["ekf"]

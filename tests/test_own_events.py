@@ -240,6 +240,7 @@ def test_one_device_has_the_bits_of_two_for_every_observer(block):
             same({o: block[clock][o] for o in RUN}, got)
 
 
+@pytest.mark.slow  # test_variable_sampling has the reference for every observer
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_every_run_has_the_numbers_of_the_reference(block, clock):
     model, u = by_hand.Model(CART.A, CART.B, CART.C, CASE.h), inputs(CASE)

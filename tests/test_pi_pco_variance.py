@@ -13,6 +13,7 @@ def found():
         return list(pi_pco.monte_carlo(pi_pco.GRID, 1024))
 
 
+@pytest.mark.slow
 def test_monte_carlo_confirms_the_closed_form_within_four_standard_errors(found):
     for c in found:
         assert max(np.abs(c.deviations)) < 4, c

@@ -66,7 +66,10 @@ def test_the_pushed_cart_runs_as_written_and_its_push_is_found(tmp_path):
     assert rms["position"].idxmax() == "open-loop"
 
 
-@pytest.mark.parametrize("first_line", ["import pcbench", "from typing import Any, NamedTuple", "import control"])
+@pytest.mark.parametrize(
+    "first_line",
+    ["import pcbench", "from typing import Any, NamedTuple", pytest.param("import control", marks=pytest.mark.slow)],
+)
 def test_python_examples_run(first_line, capsys):
     (example,) = [b for b in blocks("python") if b.startswith(first_line)]
     try:
