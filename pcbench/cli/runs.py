@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from pcbench.cli.shared import AsJson, Quiet, Set, app, console, names, say, setup
-from pcbench.cli.stopping import stop_if_asked
+from pcbench.cli.stopping import stoppable
 
 
 @app.command()
@@ -50,11 +50,6 @@ def run(
     chosen = study_file.load(study, changes)
     folder = out or str(Path("results") / chosen.name.replace("/", "-"))
     with show.progress(quiet or as_json) as draw:
-
-        def tell(event: str, value: float) -> None:
-            stop_if_asked()
-            draw(event, value)
-
         result = bench.run(
             chosen,
             seeds=seeds,
@@ -68,7 +63,7 @@ def run(
             workers=workers,
             block=block,
             memory=memory,
-            tell=tell,
+            tell=stoppable(draw),
             say=say,
         )
     if as_json:

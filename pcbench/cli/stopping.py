@@ -1,5 +1,6 @@
 """Ctrl-C: noted, raised, and raised again where a library swallows it."""
 
+from collections.abc import Callable
 from typing import Any
 
 STOPPED = 130  # the exit code of a program that Ctrl-C has ended
@@ -16,3 +17,13 @@ def stop_if_asked() -> None:
     """Raise KeyboardInterrupt where Ctrl-C was pressed and a library has swallowed it."""
     if _ASKED:
         raise KeyboardInterrupt
+
+
+def stoppable(draw: Callable[[str, float], None]) -> Callable[[str, float], None]:
+    """Return a `tell` that draws what it hears, and stops where that was asked for."""
+
+    def tell(event: str, value: float) -> None:
+        stop_if_asked()
+        draw(event, value)
+
+    return tell

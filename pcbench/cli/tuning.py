@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from pcbench.cli.shared import AsJson, Quiet, Set, app, console, names, setup
-from pcbench.cli.stopping import stop_if_asked
+from pcbench.cli.stopping import stoppable
 from pcbench.errors import UserError
 
 SeedRange = Annotated[str | None, typer.Option(metavar="FIRST:END", help="seeds, the end left out")]
@@ -39,11 +39,6 @@ def tune(
     from pcbench.tuning import effort
 
     with show.tuning(quiet or as_json) as draw:
-
-        def tell(event: str, value: float) -> None:
-            stop_if_asked()
-            draw(event, value)
-
         found = effort.tune(
             scenario,
             observer,
@@ -56,7 +51,7 @@ def tune(
             judges=_seeds(judge, "--judge", effort.JUDGES),
             out=out,
             overrides=changes,
-            tell=tell,
+            tell=stoppable(draw),
         )
     if as_json:
         judged = [j._asdict() for j in found.judged]
