@@ -4,6 +4,7 @@ All cells of a plant and horizon share one compiled program: the ring and the ar
 """
 
 from collections.abc import Container, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,11 @@ from pydantic import BaseModel
 
 from pcbench import axes, closed_loop, ensemble, irregular, sampling, shapes
 from pcbench.cells import Cell, cells_of, identity
-from pcbench.errors import UserError
+from pcbench.errors import UserError, unknown
 from pcbench.observers import base_of, entry_of
-from pcbench.plants import PLANTS, nonlinear, numbers_of
+from pcbench.plants import PLANTS, nonlinear, numbers_of, parameters_of
 from pcbench.problem import Layout, Problem
+from pcbench.scenarios import Scenario
 from pcbench.shapes import Planned, tail_tick, ticks
 from pcbench.signals import SINGLE, inputs, jumps
 from pcbench.study import Study, observers_of, options_of
@@ -57,8 +59,17 @@ def setting(cell: Cell) -> Setting:
         plant.ranges or ((-np.inf, np.inf),) * many,
         Partial(plant.model, params) if plant.model else None,
         Partial(plant.parts, params) if plant.parts else None,
+        partial(_variant, s),
         tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )
+
+
+def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
+    """The model that observers would be told with other parameters."""
+    for name in parameters:
+        if name not in parameters_of(s.plant):
+            raise unknown(f"{s.name}: parameter-range", f"parameter of plant {s.plant}", name, parameters_of(s.plant))
+    return PLANTS[s.plant].nominal(numbers_of(s)._replace(**parameters))
 
 
 def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:

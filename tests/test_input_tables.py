@@ -119,7 +119,7 @@ def test_reproduce_arm_prints_forty_entries_of_which_two_differ():
     assert verdicts["zeta = 1.8 bounds f' under d1 (38)"] == "holds"
     assert verdicts["modes with both sensors on the link, which no L1 moves"] == "misprint"
     shown = {row.claim: row.reproduced for row in rows}
-    assert "2.624562" in shown["SMO gains: least r of (23), (24)"]
+    assert "2.6245619" in shown["SMO gains: least r of (23), (24)"]
     assert "64.455306" in shown["PIO gains: least g of (38), (52) with the printed L1"]
     jump = "both at t = 6 s, the jump itself; back within 0.1 after 10.6 ms (SMO), 42.1 ms (PIO)"
     assert shown["under d2 SMO has the smaller largest error of d"] == jump

@@ -26,7 +26,7 @@ def phi(model, te):
 def test_two_solvers_find_the_closed_forms_optimum(te, solver):
     """t = 1 - ||(I - L C) Phi||; L itself has ties of size e^{-122 te} in that norm, so it is compared to that only."""
     Phi = phi(CART, te)
-    found = current_estimator.solve(Phi, CART.C, solver)
+    found = current_estimator.solve(Phi, CART.C, "test", solver)
     L = current_estimator.closed_form(Phi, CART.C)
     loose = 1e-6 if solver == "CLARABEL" else 1e-3
     assert found.t == pytest.approx(1 - np.linalg.norm((np.eye(2) - L @ CART.C) @ Phi, 2), abs=loose)
@@ -43,10 +43,10 @@ def test_where_the_closed_form_is_not_optimal_the_solvers_gain_stands():
     C = np.array([[1.0, 0.0, 0.0]])
     L = current_estimator.closed_form(slow, C)
     assert np.linalg.norm((np.eye(3) - L @ C) @ slow, 2) > 1
-    found = current_estimator.solve(slow, C)
+    found = current_estimator.solve(slow, C, "test")
     sharp = current_estimator.sharpen(found, slow, C)
     np.testing.assert_array_equal(sharp.L, found.L)
-    assert current_estimator.certify(sharp, slow, C).margin > 0
+    assert current_estimator.certify(sharp, slow, C, 1.0).margin > 0
 
 
 def test_the_closed_form_is_the_least_norm():
@@ -72,7 +72,7 @@ def test_the_gain_is_deadbeat_and_equals_the_reference(te):
 def test_a_gain_outside_the_lmi_is_refused_with_margin_and_status():
     Phi = phi(CART, 0.2)
     wrong = current_estimator.Solution(np.eye(2), np.array([[2.5], [0.0]]), 0.0, "optimal", "CLARABEL")
-    certificate = current_estimator.certify(wrong, Phi, CART.C)
+    certificate = current_estimator.certify(wrong, Phi, CART.C, 0.2)
     assert certificate.margin < 0
     with pytest.raises(DesignError, match=r"margin -.*CLARABEL said 'optimal'"):
         certified(certificate, "pccebo in test")
@@ -103,7 +103,9 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
     slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
     C = np.array([[1.0, 0.0, 0.0]])
     kept = [
-        cache.remembered(current_estimator.Solution, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C)).L
+        cache.remembered(
+            current_estimator.Solution, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C, "test")
+        ).L
         for Phi in (slow, 0.9 * slow, slow)
     ]
     assert not np.allclose(kept[0], kept[1])

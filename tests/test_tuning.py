@@ -117,7 +117,7 @@ def test_a_tuning_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_what_is_found_runs_as_a_study_and_gives_the_numbers_it_was_judged_by(tmp_path):
-    found = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
+    found = pcbench.tune("cart/gaussian", "pccebo", out=tmp_path / "out", **SMALL)
     (training, judging) = found.judged
     assert training.tuned == pytest.approx(min(p.value for p in found.points), rel=1e-12)
     assert training.start == pytest.approx(found.points[0].value, rel=1e-12)

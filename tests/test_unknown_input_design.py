@@ -12,9 +12,9 @@ from scipy.linalg import block_diag
 from pcbench.errors import DesignError, UserError
 from pcbench.synthesis import pi_lmi, sliding_mode
 from pcbench.synthesis.linear import Model
+from pcbench.synthesis.solvers import minimise
 from pcbench.synthesis.unknown_input import (
     injection,
-    minimise,
     proven_rate,
     require_movable,
     require_rate,
@@ -305,9 +305,9 @@ def test_a_solver_without_an_answer_is_quoted():
 
     x = cp.Variable()
     with pytest.raises(DesignError, match=r"arm: .*CLARABEL said 'infeasible'"):
-        minimise(x, [x >= 1, x <= 0], (x,), "arm", "CLARABEL")
+        minimise(x, [x >= 1, x <= 0], (x,), "arm", "CLARABEL", "ask for less")
     with pytest.raises(DesignError, match=r"arm: .*HEARSAY said '.*HEARSAY"):
-        minimise(x, [x >= 1], (x,), "arm", "HEARSAY")
+        minimise(x, [x >= 1], (x,), "arm", "HEARSAY", "ask for less")
 
 
 def test_foreign_answers_prove_nothing():

@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.observers import sample_by_sample
-from pcbench.observers.options import tunable
+from pcbench.observers.options import tunable, way
 from pcbench.observers.sample_by_sample import Model, Place, Pole, known_input, read, ring, write
 from pcbench.synthesis import chain, shared_lyapunov
 from pcbench.synthesis.certificate import Design, Setting, certified
@@ -69,7 +69,7 @@ class Options(BaseModel):
     """How the links' gains and outputs are found."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    gain: Literal["poles", "companion", "riccati"] = Field(
+    gain: Literal["poles", "companion", "riccati"] = way(
         "poles",
         description="each link's: F = pole I (or distinct poles, where C is not invertible), the paper's, Kalman's",
     )

@@ -8,12 +8,17 @@ from pydantic import Field
 from pcbench.errors import UserError
 from pcbench.synthesis.linear import Matrix
 
-TUNABLE = "tunable"  # the key in a field's extra
+TUNABLE, WAY = "tunable", "way"  # keys in a field's extra
 
 
 def tunable(default: Any, **how: Any) -> Any:
     """Return a field as pydantic's `Field` does, of an option that may be tuned: gains depend on it smoothly."""
     return Field(default, json_schema_extra={TUNABLE: True}, **how)
+
+
+def way(default: Any, **how: Any) -> Any:
+    """Return a field of an option that says in which way gains are found: what `pcbench design --method` sets."""
+    return Field(default, json_schema_extra={WAY: True}, **how)
 
 
 def matrix(given: float | list[list[float]], shape: tuple[int, int], where: str, what: str) -> Matrix:

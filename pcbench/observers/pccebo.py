@@ -13,24 +13,24 @@ A sample that comes after a newer one is put in its place (`in_order`); one that
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017) 3738-3751, doi 10.3906/elk-1606-160.
 Different from print: (7) and (8a) hold the input over a whole sampling period, here the integral is exact; (11) is
 printed for d = te only. Time index: the estimate is of now, read after the jump. All channels share one clock.
-Not claimed: that it filters noise (with the paper's L = [1, 0] it takes every measured position as it comes), nor that the
-certificate, which is for the mean period, covers intervals that vary.
+Not claimed: that it filters noise (with the paper's L = [1, 0] it takes every measured position as it comes), nor that a
+certificate for the mean period covers intervals that vary; with `period-range` it does.
 """
 
 from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.observers import free_response
 from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
-from pcbench.observers.options import matrix, tunable
-from pcbench.synthesis import cache, current_estimator, linear, riccati
-from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
+from pcbench.observers.options import matrix, tunable, way
+from pcbench.synthesis import current_gains, ranges
+from pcbench.synthesis.certificate import Design, Setting, one_clock
 from pcbench.synthesis.observability import require_detectable
+from pcbench.synthesis.ranges import Range
 from pcbench.types import Leaf, Observer
 
 
@@ -45,12 +45,19 @@ class Gains(NamedTuple):
 
 
 class Options(BaseModel):
-    """How the gain is found."""
+    """How the gain is found, and what is to be promised of it."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    gain: Literal["lmi", "riccati"] = Field("lmi", description="LMI (23), or a stationary Kalman filter's gain")
+    gain: Literal["lmi", "riccati", "decay", "h2", "hinf"] = way(
+        "lmi",
+        description="LMI (23); a stationary Kalman filter's; the fastest decay over a range; the least noise in the estimate, "
+        "by its covariance or by its energy",
+    )
     L: list[list[float]] | None = tunable(None, description="the gain itself [n, q], in place of one that is found")
-    q: float = Field(0.002, gt=0, description="riccati: assumed intensity of process noise through the input")
+    q: float = Field(0.002, gt=0, description="riccati, h2, hinf: assumed intensity of process noise through the input")
+    decay: float | None = Field(None, gt=0, description="least rate [1/s] at which errors are proven to decay")
+    period_range: Range | None = Field(None, description="intervals [s] to prove it over; default: the mean")
+    parameter_range: dict[str, Range] | None = Field(None, description="and ranges of the model's parameters, by name")
 
 
 def init(gains: Gains, xhat0: Array) -> Memory:
@@ -76,25 +83,14 @@ OBSERVER = Observer(init, free_response.note, jump, free_response.flow, estimate
 
 
 def design(setting: Setting, options: Options) -> Design:
-    """Find L at the (mean) sampling period and certify it by LMI (23); raise DesignError where it cannot be."""
-    period = one_clock(setting, "pccebo")
+    """Find L at the (mean) sampling period, or over a range, and certify it; raise DesignError where it cannot be."""
+    one_clock(setting, "pccebo")
     where = f"pccebo in {setting.scenario}"
     require_detectable(setting.model, where)
+    shape = setting.model.C.T.shape
+    given = None if options.L is None else matrix(options.L, shape, f"{where}: L", "states x outputs")
+    wide = options.period_range is not None or options.parameter_range is not None
+    maps = ranges.maps(setting, options.period_range, options.parameter_range, options.q, where) if wide else None
+    L, certificate = current_gains.find(setting, options.gain, given, options.q, options.decay, maps, where)
     moves = free_response.motion_of(setting.model, setting)
-    doubled = linear.doublings(setting.model, setting.dt, linear.bits_for(period))
-    Phi, C = linear.over(doubled, period), setting.model.C
-    if options.L is not None:
-        found = current_estimator.lyapunov(
-            Phi, C, matrix(options.L, (len(Phi), len(C)), f"{where}: L", "states x outputs")
-        )
-    elif options.gain == "riccati":
-        tick = linear.input_noise(setting.model, options.q, setting.dt) + setting.process_noise
-        noise = linear.noise_doublings(setting.model, tick, setting.dt, len(doubled))
-        Q, R = linear.noise_over(doubled, noise, period), np.diag(setting.noise_variance)
-        found = current_estimator.lyapunov(Phi, C, riccati.current_gain(Phi, C, Q, R, where))
-    else:
-        found = cache.remembered(current_estimator.Solution, "lmi23", (Phi, C), lambda: current_estimator.solve(Phi, C))
-        found = current_estimator.sharpen(found, Phi, C)
-    certificate = certified(current_estimator.certify(found, Phi, C), where)
-    gains = Gains(moves, C, setting.model.feedthrough, np.asarray(found.L), setting.places)
-    return Design(gains, certificate)
+    return Design(Gains(moves, setting.model.C, setting.model.feedthrough, L, setting.places), certificate)

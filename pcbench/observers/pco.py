@@ -21,23 +21,24 @@ one clock. Not claimed: that F(T) stable (as printed) makes PI-PCO stable; the c
 intervals of the schedule, lost samples left aside.
 """
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.observers import free_response
 from pcbench.observers.free_response import Memory, Motion, Point
 from pcbench.observers.in_order import Sample
 from pcbench.observers.options import matrix, tunable
-from pcbench.synthesis import reduced_order
+from pcbench.synthesis import ranges, reduced_order
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
+from pcbench.synthesis.ranges import Range
 from pcbench.types import Leaf, Observer
 
-Given = float | list[list[float]] | None
+Given = Literal["lmi"] | float | list[list[float]] | None
 
 
 class Gains(NamedTuple):
@@ -64,7 +65,10 @@ class Proportional(BaseModel):
     """PCO's gain, in the coordinates [y; w]."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    Kp: Given = tunable(None, description="gain [n-l, l] (a number where that is 1 x 1); default: by LMI")
+    Kp: Given = tunable(None, description="gain [n-l, l] (a number where that is 1 x 1), or 'lmi'; default: by LMI")
+    decay: float = Field(0.0, ge=0, description="least rate [1/s] at which errors are proven to decay")
+    period_range: Range | None = Field(None, description="intervals [s] to prove it over; default: the schedule's own")
+    parameter_range: dict[str, Range] | None = Field(None, description="and ranges of the model's parameters, by name")
 
 
 class ProportionalIntegral(Proportional):
@@ -104,15 +108,17 @@ def design(setting: Setting, options: Proportional) -> Design:
     integral = isinstance(options, ProportionalIntegral)
     name = "pi-pco" if integral else "pco"
     where = f"{name} in {setting.scenario}"
-    period = one_clock(setting, name)
-    plant = reduced_order.split(setting, setting.intervals or (period,), where)
+    one_clock(setting, name)
+    maps = ranges.maps(setting, options.period_range, options.parameter_range, 0.0, where)
+    plant = reduced_order.split(setting.model, maps, where)
     shape = (len(plant.T) - plant.outputs, plant.outputs)
     named = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})
-    if len({given is None for given in named.values()}) > 1:
+    asked = {name: given for name, given in named.items() if given is not None and given != "lmi"}
+    if 0 < len(asked) < len(named):
         raise UserError(f"{where}: got one of Kp and Ki, expected both or neither; the LMI finds them together.")
     what = "unmeasured states x outputs"
-    given = [matrix(each, shape, f"{where}: {name}", what) for name, each in named.items() if each is not None]
-    found = reduced_order.design(plant, given, integral, where)
+    given = [matrix(each, shape, f"{where}: {name}", what) for name, each in asked.items()]
+    found = reduced_order.design(plant, given, integral, options.decay, where)
     certificate = certified(found.certificate, where)
     moves = free_response.motion_of(setting.model, setting)
     gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.places)

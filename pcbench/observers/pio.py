@@ -24,7 +24,7 @@ from pcbench.plants import arm
 from pcbench.synthesis import pi_lmi, sliding_mode
 from pcbench.synthesis.certificate import Design, Setting, certified
 from pcbench.synthesis.linear import Matrix
-from pcbench.synthesis.unknown_input import injection, require_rate, split
+from pcbench.synthesis.unknown_input import injection, split
 from pcbench.types import Leaf
 
 
@@ -74,9 +74,8 @@ def design(setting: Setting, options: Options) -> Design:
         found = PRINTED
         certificate = certified(pi_lmi.certify(found, parts, L1), where)
     else:
-        L1 = sliding_mode.solve(parts, options.alpha, where).L1
-        found = pi_lmi.solve(parts, L1, options.beta, where)
-        certificate = require_rate(pi_lmi.certify(found, parts, L1), options.beta, where)
+        L1 = sliding_mode.design(parts, options.alpha, where)[0].L1
+        found, certificate = pi_lmi.design(parts, L1, options.beta, where)
     unknown_input.short_tick(setting, float(np.linalg.norm(found.KP, 2)), "|KP|", where)
     law = Law(np.asarray(found.KP), np.asarray(found.KI), np.asarray(options.xi))
     p = len(setting.model.C)

@@ -22,7 +22,7 @@ from pcbench.observers.options import tunable
 from pcbench.plants import arm
 from pcbench.synthesis import sliding_mode
 from pcbench.synthesis.certificate import Design, Setting, certified
-from pcbench.synthesis.unknown_input import injection, require_rate, split
+from pcbench.synthesis.unknown_input import injection, split
 from pcbench.types import Leaf
 
 PRINTED = sliding_mode.Found(
@@ -71,8 +71,7 @@ def design(setting: Setting, options: Options) -> Design:
         found = PRINTED
         certificate = certified(sliding_mode.certify(found, parts), where)
     else:
-        found = sliding_mode.solve(parts, options.alpha, where)
-        certificate = require_rate(sliding_mode.certify(found, parts), options.alpha, where)
+        found, certificate = sliding_mode.design(parts, options.alpha, where)
     gain = options.rho * float(np.linalg.norm(found.P2, 2)) / options.eps
     unknown_input.short_tick(setting, gain, "rho |P2| / eps", where)
     law = Law(np.asarray(found.P2), np.asarray(options.rho), np.asarray(options.eps))

@@ -28,6 +28,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.integrate import rk4
+from pcbench.observers.options import way
 from pcbench.synthesis import linear
 from pcbench.synthesis.certificate import Setting
 from pcbench.synthesis.linear import Matrix
@@ -72,7 +73,7 @@ class Options(BaseModel):
     """What the two have in common."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    gains: Literal["design", "paper"] = Field("design", description="by LMI, or as printed (for the arm)")
+    gains: Literal["design", "paper"] = way("design", description="by LMI, or as printed (for the arm)")
     measurement: Literal["predict", "hold"] = Field("predict", description="y between samples")
     reconstruct: bool = Field(False, description="the prediction to now carries the input found")
 

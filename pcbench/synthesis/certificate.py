@@ -20,6 +20,8 @@ class Certificate(NamedTuple):
     solver: str
     status: str
     numbers: Mapping[str, Any] = MappingProxyType({})  # matrices and rates worth showing, by name
+    rate: float = float("nan")  # [1/s] the decay of the error that is promised, without noise; NaN: none is
+    fallback: str = ""  # why the first solver's answer was not taken; empty: it was, or there is no solver
 
 
 class Design(NamedTuple):
@@ -53,6 +55,7 @@ class Setting(NamedTuple):
     unknown_range: tuple[tuple[float, float], ...] = ()  # [s] where they look for them
     field: Any = None  # (now, x[n], unknowns[s]) -> dx/dt[n], where the model is not linear
     parts: Any = None  # (u[m], x[2d]) -> a[d], phi[d] of accelerations a p + phi, where the plant is such a chain
+    variant: Any = None  # (parameters by name) -> the Model with those; raises UserError for a name that is none
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 
     @property

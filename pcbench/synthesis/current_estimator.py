@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgWarning, solve_discrete_lyapunov
 
-from pcbench.errors import DesignError, said
+from pcbench.synthesis import promises, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 from pcbench.synthesis.linear import Matrix
 
@@ -42,7 +42,7 @@ def closed_form(Phi: Matrix, C: Matrix) -> Matrix:
     return np.asarray(np.linalg.solve(c.T @ c, c.T @ Phi.T).T, float)
 
 
-def solve(Phi: Matrix, C: Matrix, solver: str = "CLARABEL") -> Solution:
+def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> Solution:
     """Solve the LMI with cvxpy; raise DesignError where the solver leaves no answer."""
     import cvxpy as cp
 
@@ -50,20 +50,9 @@ def solve(Phi: Matrix, C: Matrix, solver: str = "CLARABEL") -> Solution:
     P, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
     M = P @ Phi - Y @ (C @ Phi)
     block = cp.bmat([[P, M.T], [M, P]])
-    problem = cp.Problem(cp.Maximize(t), [block >> t * np.eye(2 * n), P << np.eye(n)])
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # an inaccurate answer is judged by its certificate
-            problem.solve(solver=solver)
-    except cp.SolverError as error:
-        raise DesignError(
-            f"pccebo: LMI (23) was not solved ({solver} said '{said(error)}'), expected a solution; try another period."
-        ) from error
-    if P.value is None or Y.value is None:
-        raise DesignError(
-            f"pccebo: LMI (23) got no solution ({solver} said '{problem.status}'), expected one; try another period."
-        )
-    return Solution(P.value, np.linalg.solve(P.value, Y.value), float(np.asarray(t.value)), str(problem.status), solver)
+    rules = [block >> t * np.eye(2 * n), P << np.eye(n)]
+    status, (X, Z, least) = solvers.minimise(-t, rules, (P, Y, t), where, solver, "try another period")
+    return Solution(X, np.asarray(np.linalg.solve(X, Z), dtype=np.float64), float(least), status, solver)
 
 
 def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> Solution:
@@ -94,12 +83,18 @@ def attained(found: Solution, Phi: Matrix, C: Matrix) -> float:
     return least_eigenvalue(np.block([[P, M.T], [M, P]]))
 
 
-def certify(found: Solution, Phi: Matrix, C: Matrix) -> Certificate:
-    """Re-check (23) with the gain itself: the least eigenvalue of [P, M'; M, P], M = P (I - L C) Phi, is the margin."""
+def certify(found: Solution, Phi: Matrix, C: Matrix, seconds: float) -> Certificate:
+    """Re-check (23) with the gain itself: the least eigenvalue of [P, M'; M, P], M = P (I - L C) Phi, is the margin.
+
+    `seconds` is the time from sample to sample, of which the promised rate of decay is.
+    """
     P, L = found.P, found.L
     closed = (np.eye(len(Phi)) - L @ C) @ Phi
     M = P @ closed
     block = np.block([[P, M.T], [M, P]])
     margin = min(least_eigenvalue(block), least_eigenvalue(P))
     numbers = {"P": P, "L": L, "eigenvalues": np.linalg.eigvals(closed)}
-    return Certificate("(23): [P, M'; M, P] > 0, M = P (I - L C) Phi", margin, found.solver, found.status, numbers)
+    rate = promises.rate(closed[None], P, np.array([seconds]))
+    return Certificate(
+        "(23): [P, M'; M, P] > 0, M = P (I - L C) Phi", margin, found.solver, found.status, numbers, rate
+    )

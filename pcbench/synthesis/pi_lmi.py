@@ -18,10 +18,12 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.errors import UserError
-from pcbench.synthesis import cache, unknown_input
+from pcbench.synthesis import cache, solvers, unknown_input
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.unknown_input import Split
+
+ADVICE = "ask for a slower rate"
 
 
 class Found(NamedTuple):
@@ -33,6 +35,17 @@ class Found(NamedTuple):
     g: float  # ||K inv(P)||
     status: str
     solver: str
+
+
+def design(plant: Split, L1: Matrix, beta: float, where: str) -> tuple[Found, Certificate]:
+    """Find the least gains that prove beta [1/s] beside L1, and re-check that they do; errors as of `solve`."""
+    found, certificate = solvers.proven(
+        lambda solver: solve(plant, L1, beta, where, solver),
+        lambda found: certify(found, plant, L1),
+        where,
+        unknown_input.enough(beta),
+    )
+    return found, unknown_input.require_rate(certificate, beta, where)
 
 
 def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLARABEL") -> Found:
@@ -70,7 +83,7 @@ def certify(found: Found, plant: Split, L1: Matrix) -> Certificate:
     K = np.hstack([np.zeros_like(plant.A21), KI, KP])
     g = float(np.linalg.norm(np.linalg.solve(P, K.T), 2))
     numbers = {"L1": L1, "KP": KP, "KI": KI, "P": P, "g": g, "rate_proven": margin}
-    return unproven._replace(margin=margin, numbers=numbers)
+    return unproven._replace(margin=margin, numbers=numbers, rate=margin)
 
 
 def form(P1: Matrix, P21: Matrix, P23: Matrix, P22: Matrix) -> Matrix:
@@ -104,7 +117,8 @@ def _solve(A11b: Matrix, A21: Matrix, beta: float, where: str, solver: str) -> F
     LL = cp.Variable((p, 2 * p))
     half = Ab @ Q - Bb @ cp.hstack([zero.T, LL]) + beta * Q
     rules = [half + half.T << 0, Q >> np.eye(k + 2 * p), q23 <= 0, cp.sigma_max(LL) <= g]
-    status, (X1, a, b, c, gains, least) = unknown_input.minimise(g, rules, (Q1, q21, q23, q22, LL, g), where, solver)
+    unknowns = (Q1, q21, q23, q22, LL, g)
+    status, (X1, a, b, c, gains, least) = solvers.minimise(g, rules, unknowns, where, solver, ADVICE)
     # The inverse channel by channel, so that its blocks are diagonal to the bit; Q23 > 0 is a solver's rounding of 0.
     b = np.minimum(b, 0.0)
     P = form(

@@ -7,27 +7,29 @@ With z = T x = [y; w], C inv(T) = [I 0], and e^{A T} partitioned after y and w, 
 from sample to sample. Source: Li, Wang, Tian, PI-PCO, (10) to (17) and (26); J is ours, the paper looks at F only.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import null_space
 
 from pcbench.errors import UserError
-from pcbench.synthesis import cache, common_lyapunov, linear
-from pcbench.synthesis.certificate import Certificate, Setting
-from pcbench.synthesis.linear import Matrix
+from pcbench.synthesis import common_lyapunov
+from pcbench.synthesis.certificate import Certificate
+from pcbench.synthesis.common_lyapunov import Range
+from pcbench.synthesis.linear import Matrix, Model
 from pcbench.synthesis.observability import require_observable
-
-SHOWN = 17  # intervals the solver sees; the re-check sees every one
+from pcbench.synthesis.ranges import Maps
 
 
 class Split(NamedTuple):
-    """A plant in coordinates [y; w], over every interval that can occur."""
+    """A plant in coordinates [y; w], over every map of a range."""
 
     T: Matrix  # [n, n]
     outputs: int  # l
-    A12: Matrix  # [intervals, l, n-l]
-    A22: Matrix  # [intervals, n-l, n-l]
+    A12: Matrix  # [maps, l, n-l]
+    A22: Matrix  # [maps, n-l, n-l]
+    seconds: Matrix  # [maps] interval of each
+    corners: Any  # which of them a solver is to see
 
 
 class Found(NamedTuple):
@@ -53,13 +55,12 @@ def coordinates(C: Matrix, where: str) -> Matrix:
     return np.vstack([C, unseen * np.sign(lead)])
 
 
-def split(setting: Setting, intervals: tuple[int, ...], where: str) -> Split:
-    """Return the partitions of T e^{A T_i} inv(T) over the intervals [ticks]; raise UserError where w is unobservable."""
-    require_observable(setting.model, where)
-    T, l = coordinates(setting.model.C, where), len(setting.model.C)
-    doubled = linear.doublings(setting.model, setting.dt, linear.bits_for(max(intervals)))
-    maps = np.stack([T @ linear.over(doubled, i) @ np.linalg.inv(T) for i in intervals])
-    return Split(T, l, maps[:, :l, l:], maps[:, l:, l:])
+def split(model: Model, maps: Maps, where: str) -> Split:
+    """Return the partitions of T Phi inv(T) over a range of maps; raise UserError where w is unobservable."""
+    require_observable(model, where)
+    T, l = coordinates(model.C, where), len(model.C)
+    whole = T @ maps.Phi @ np.linalg.inv(T)
+    return Split(T, l, whole[:, :l, l:], whole[:, l:, l:], maps.seconds, maps.corners)
 
 
 def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
@@ -71,38 +72,41 @@ def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
     return np.concatenate([np.concatenate([F, -I], 2), np.concatenate([Ki @ A12, I], 2)], 1)
 
 
-def design(plant: Split, given: list[Matrix], integral: bool, where: str) -> Found:
-    """Prove the gains that are given ([Kp] or [Kp, Ki]), or find them by the LMI and prove those."""
-    A12, A22 = _vertices(plant)
-    k, l = A22.shape[1], plant.outputs
-    zero = np.zeros((k, l))
-    if given:
-        Kp, Ki = given[0], given[1] if integral else zero
-        J = jacobian(A12, A22, Kp, Ki if integral else None)
-        found = cache.remembered(
-            common_lyapunov.Solution, "common-p", (J,), lambda: common_lyapunov.solve(J, None, where)
-        )
-    else:
-        J = jacobian(A12, A22, zero, zero if integral else None)
-        H = np.concatenate([A12, np.zeros_like(A12)], 2) if integral else A12
-        found = cache.remembered(
-            common_lyapunov.Solution, "common-g", (J, H), lambda: common_lyapunov.solve(J, H, where)
-        )
+def design(plant: Split, given: list[Matrix], integral: bool, rate: float, where: str) -> Found:
+    """Prove the gains that are given ([Kp] or [Kp, Ki]), or find them by the LMI and prove those, at a `rate` [1/s]."""
+    k, l = plant.A22.shape[1], plant.outputs
+    zero, corners = np.zeros((k, l)), _corners(plant, rate)
+    A12, A22, seconds = corners
+
+    def gains(found: common_lyapunov.Solution) -> tuple[Matrix, Matrix]:
+        if given:
+            return given[0], given[1] if integral else zero
         G = np.asarray(found.G, float).reshape(-1, l)
-        Kp, Ki = G[:k], -G[k:] if integral else zero
-    every = jacobian(plant.A12, plant.A22, Kp, Ki if integral else None)
-    what = "J(T)'P J(T) < P at every interval T" if integral else "F(T)'P F(T) < P at every interval T"
-    certificate = common_lyapunov.certify(found, every, what)
+        return G[:k], -G[k:] if integral else zero
+
+    def every(found: common_lyapunov.Solution) -> Range:
+        Kp, Ki = gains(found)
+        return Range(jacobian(plant.A12, plant.A22, Kp, Ki if integral else None), plant.seconds)
+
+    if given:
+        shown = Range(jacobian(A12, A22, given[0], given[1] if integral else None), seconds)
+    else:
+        H = np.concatenate([A12, np.zeros_like(A12)], 2) if integral else A12
+        shown = Range(jacobian(A12, A22, zero, zero if integral else None), seconds, H)
+    what = "J(T)'P J(T) < P" if integral else "F(T)'P F(T) < P"
+    what = what.replace("< P", f"< e^{{-2 {rate:g} T}} P") if rate else what
+    found, certificate = common_lyapunov.design(shown, every, rate, f"{what} at every interval T", where)
+    Kp, Ki = gains(found)
     numbers = dict(certificate.numbers) | {"Kp": Kp} | ({"Ki": Ki} if integral else {})
     return Found(Kp, Ki, certificate._replace(numbers=numbers))
 
 
-def _vertices(plant: Split) -> tuple[Matrix, Matrix]:
-    """The intervals the solver sees: the corners of the (A12, A22) box where both are numbers, else some of them."""
-    if plant.A22.shape[1:] == (1, 1) and plant.outputs == 1:
+def _corners(plant: Split, rate: float) -> tuple[Matrix, Matrix, Matrix]:
+    """What the solver sees: corners of the (A12, A22) box where both are numbers and no rate is asked, else some of them."""
+    if plant.A22.shape[1:] == (1, 1) and plant.outputs == 1 and rate == 0:
         a, e = plant.A12.ravel(), plant.A22.ravel()
-        corners = np.array([(x, y) for x in {a.min(), a.max()} for y in {e.min(), e.max()}])
-        corners = corners[np.lexsort(corners.T)]
-        return corners[:, 0].reshape(-1, 1, 1), corners[:, 1].reshape(-1, 1, 1)
-    some = np.unique(np.linspace(0, len(plant.A12) - 1, SHOWN).round().astype(int))
-    return plant.A12[some], plant.A22[some]
+        box = np.array([(x, y) for x in {a.min(), a.max()} for y in {e.min(), e.max()}])
+        box = box[np.lexsort(box.T)]
+        return box[:, 0].reshape(-1, 1, 1), box[:, 1].reshape(-1, 1, 1), np.zeros(len(box))
+    some = plant.corners
+    return plant.A12[some], plant.A22[some], plant.seconds[some]

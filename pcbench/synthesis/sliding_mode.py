@@ -19,12 +19,13 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from pcbench.errors import DesignError
-from pcbench.synthesis import cache, unknown_input
+from pcbench.synthesis import cache, solvers, unknown_input
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.unknown_input import Split
 
 BOUNDS = (1e2, 1e4, 1e6, 1e8)  # of P1 where it would grow for ever
+ADVICE = "ask for a slower rate"
 
 
 class Found(NamedTuple):
@@ -37,6 +38,15 @@ class Found(NamedTuple):
     r: float  # the largest of ||P1 L1|| and ||P2 A22s||
     status: str
     solver: str
+
+
+def design(plant: Split, alpha: float, where: str) -> tuple[Found, Certificate]:
+    """Find the least gains that prove alpha [1/s], and re-check that they do; errors as of `solve`."""
+    least = unknown_input.enough(alpha)
+    found, certificate = solvers.proven(
+        lambda solver: solve(plant, alpha, where, solver), lambda found: certify(found, plant), where, least
+    )
+    return found, unknown_input.require_rate(certificate, alpha, where)
 
 
 def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> Found:
@@ -70,7 +80,7 @@ def certify(found: Found, plant: Split) -> Certificate:
         return unproven
     r = float(max(np.linalg.norm(P1 @ L1, 2), np.linalg.norm(P2 @ A22s, 2)))
     numbers = {"L1": L1, "P1": P1, "P2": P2, "A22s": A22s, "r": r, "rate_proven": margin}
-    return unproven._replace(margin=margin, numbers=numbers)
+    return unproven._replace(margin=margin, numbers=numbers, rate=margin)
 
 
 def _solve(plant: Split, alpha: float, where: str, solver: str) -> Found:
@@ -96,6 +106,7 @@ def _bounded(plant: Split, alpha: float, bound: float, where: str, solver: str) 
     rules = [M << 0, P1 >> np.eye(k), P2 >> np.eye(p), cp.sigma_max(k1) <= r, cp.sigma_max(k2) <= r]
     if np.isfinite(bound):
         rules.append(P1 << bound * np.eye(k))
-    status, (X1, X2, x1, x2, least) = unknown_input.minimise(r, rules, (P1, P2, k1, k2, r), where, solver)
+    unknowns = (P1, P2, k1, k2, r)
+    status, (X1, X2, x1, x2, least) = solvers.minimise(r, rules, unknowns, where, solver, ADVICE)
     L1, A22s = (np.asarray(np.linalg.solve(X, x), dtype=np.float64) for X, x in ((X1, x1), (X2, -x2)))
     return Found(L1, X1, X2, A22s, float(least), status, solver)

@@ -14,24 +14,18 @@ Assumptions 1 and 2 do not make an L1 possible: modes of (A11, A211) may be unmo
 its link angle and velocity measured, those are printed at -0.006 +- 1.9365j; they are -0.000625 +- 1.9365j.
 """
 
-import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
 
-from pcbench.errors import DesignError, UserError, said
+from pcbench.errors import UserError
 from pcbench.synthesis.certificate import Certificate, certified
 from pcbench.synthesis.linear import Matrix, Model
 from pcbench.synthesis.observability import RANK, shown, unobservable
 
 TIE = 1e-9  # lengths this close are equal, and entries this small are zero
 SHORT = 1e-5  # part of the rate asked for that a proof may fall short of it: an optimum lies on the boundary
-TIGHT = {  # a solver's settings
-    "CLARABEL": dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-10)
-    | dict.fromkeys(("reduced_tol_gap_abs", "reduced_tol_gap_rel", "reduced_tol_feas"), 1e-6),
-    "SCS": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 200_000},
-}
 
 
 class Split(NamedTuple):
@@ -101,30 +95,6 @@ def require_movable(plant: Split, rate: float, where: str) -> None:
         )
 
 
-def minimise(
-    objective: Any, rules: list[Any], unknowns: tuple[Any, ...], where: str, solver: str
-) -> tuple[str, list[Matrix]]:
-    """Solve a problem of cvxpy to the last digits a solver gives; return its status and the unknowns' values.
-
-    Raises DesignError with the status where there are none. An inaccurate answer is judged by its certificate.
-    """
-    import cvxpy as cp
-
-    problem = cp.Problem(cp.Minimize(objective), rules)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # that an answer is inaccurate; the status says it too
-            problem.solve(solver=solver, **TIGHT.get(solver, {}))
-        status = str(problem.status)
-    except cp.SolverError as error:
-        status = str(error)
-    if status not in ("optimal", "optimal_inaccurate"):
-        raise DesignError(
-            f"{where}: the LMI was not solved ({solver} said '{said(status)}'), expected a solution; ask for a slower rate."
-        )
-    return status, [np.asarray(unknown.value, dtype=np.float64) for unknown in unknowns]
-
-
 def proven_rate(closed: Matrix, P: Matrix) -> float:
     """Return the largest rate with closed' P + P closed + 2 rate P <= 0, [1/s]; NaN where P is not positive definite."""
     P = (P + P.T) / 2
@@ -137,7 +107,12 @@ def proven_rate(closed: Matrix, P: Matrix) -> float:
 def require_rate(certificate: Certificate, rate: float, where: str) -> Certificate:
     """Return the certificate with the rate that was asked for; raise DesignError where less is proven."""
     numbers = dict(certificate.numbers) | {"rate_asked": rate}
-    return certified(certificate._replace(numbers=numbers), where, rate * (1 - SHORT))
+    return certified(certificate._replace(numbers=numbers), where, enough(rate))
+
+
+def enough(rate: float) -> float:
+    """Return how much of a rate [1/s] that was asked for has to be proven."""
+    return rate * (1 - SHORT)
 
 
 def _assumed(model: Model, where: str) -> Matrix:

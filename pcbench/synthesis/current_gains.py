@@ -1,0 +1,117 @@
+"""The ways to a current estimator's gain L [n, q], each with its certificate.
+
+    given     L itself
+    lmi       LMI (23) of Mohammed et al., sharp: `current_estimator`
+    riccati   a stationary Kalman filter's
+    decay     the fastest rate of decay that one P proves over a range, or a rate that is asked for
+    h2        the least covariance, and
+    hinf      the least energy gain, from noise to the estimate at a sample's arrival: `robust`
+
+The first three are found at the (mean) sampling period; where a range or a rate is asked for, what they found is proven over
+it by one P of its own. What noise does is said of all in the same way: `noise_rms` [n], exact at the mean period, is the
+stationary rms of the estimate's error at a sample's arrival which measurement noise alone leaves.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from pcbench.errors import DesignError
+from pcbench.synthesis import cache, common_lyapunov, current_estimator, linear, promises, riccati, robust, solvers
+from pcbench.synthesis.certificate import Certificate, Setting, certified
+from pcbench.synthesis.common_lyapunov import Range, Solution
+from pcbench.synthesis.linear import Matrix
+from pcbench.synthesis.ranges import Maps
+
+ROBUST = ("decay", "h2", "hinf")
+
+
+def find(
+    setting: Setting, method: str, given: Matrix | None, q: float, decay: float | None, maps: Maps | None, where: str
+) -> tuple[Matrix, Certificate]:
+    """Return L and its certificate; raise DesignError where there is none that stands.
+
+    `q`: process noise through the input, per second. `maps`: over which a promise is to hold, None: the mean period alone.
+    """
+    period, C, R = setting.period[0], setting.model.C, np.diag(setting.noise_variance)
+    tick = linear.input_noise(setting.model, q, setting.dt) + setting.process_noise
+    doubled = linear.doublings(setting.model, setting.dt, linear.bits_for(max(period, *setting.delay)))
+    noise = linear.noise_doublings(setting.model, tick, setting.dt, len(doubled))
+    Phi, Q, late = linear.over(doubled, period), linear.noise_over(doubled, noise, period), setting.delay[0]
+    ahead = linear.over(doubled, late)
+    mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
+    if given is None and method in ROBUST:
+        size = _size(setting, Phi, Q, R)
+        task = robust.Task(maps or mean, C, R, ahead / _prior(setting)[:, None], size)
+        found, certificate = robust.design(task, method, decay, where)  # type: ignore[arg-type]
+        L = np.asarray(found.L, float)
+    else:
+        L, certificate = _at_the_mean(method, given, Phi, Q, C, R, mean.seconds, where)
+        if maps is not None or decay:
+            certificate = _over(L, C, maps or mean, decay or 0.0, where)
+    X = ahead @ promises.covariance(promises.errors(L, C, Phi), L @ R @ L.T) @ ahead.T
+    numbers: dict[str, Any] = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
+    return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
+
+
+def _at_the_mean(
+    method: str, given: Matrix | None, Phi: Matrix, Q: Matrix, C: Matrix, R: Matrix, seconds: Matrix, where: str
+) -> tuple[Matrix, Certificate]:
+    def certify(found: current_estimator.Solution) -> Certificate:
+        sharp = sharpened(found)
+        return current_estimator.certify(sharp, Phi, C, float(seconds[0]))
+
+    def sharpened(found: current_estimator.Solution) -> current_estimator.Solution:
+        return current_estimator.sharpen(found, Phi, C) if given is None and method == "lmi" else found
+
+    def ask(solver: str) -> current_estimator.Solution:
+        name = f"lmi23-{solver.lower()}"
+        return cache.remembered(
+            current_estimator.Solution, name, (Phi, C), lambda: current_estimator.solve(Phi, C, where, solver)
+        )
+
+    if given is None and method == "lmi":
+        found, certificate = solvers.proven(ask, certify, where)
+    else:
+        L = riccati.current_gain(Phi, C, Q, R, where) if given is None else given
+        found = current_estimator.lyapunov(Phi, C, L)
+        certificate = certified(certify(found), where)
+    return np.asarray(sharpened(found).L, float), certificate
+
+
+def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:
+    """Prove a gain over a range, at a rate [1/s]."""
+    F = promises.errors(L, C, maps.Phi)
+    fastest = float((-np.log(np.maximum(np.abs(np.linalg.eigvals(F)).max(1), promises.LEAST)) / maps.seconds).min())
+    if not decay < fastest:
+        raise DesignError(
+            f"{where}: got a gain whose errors decay at {fastest:.3g} 1/s over some interval, expected more than {decay:g}; "
+            "ask for a slower decay or a narrower range, or take gain = 'h2'."
+        )
+    every = Range(F, maps.seconds)
+
+    def same(found: Solution) -> Range:
+        return every
+
+    what = f"F'P F < e^{{-2 {decay:g} T}} P at every map of the range, F = (I - L C) Phi"
+    corners = Range(F[maps.corners], maps.seconds[maps.corners])
+    return common_lyapunov.design(corners, same, decay, what, where)[1]
+
+
+def _size(setting: Setting, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
+    """The errors' size [n], for a solver's sake: a Kalman filter's where there is one, or else that of x(0)."""
+    prior = _prior(setting)
+    try:
+        L = riccati.current_gain(Phi, setting.model.C, Q, R, setting.scenario)
+    except DesignError:
+        return prior
+    keep = np.eye(len(Phi)) - L @ setting.model.C
+    X = promises.covariance(keep @ Phi, keep @ Q @ keep.T + L @ R @ L.T)
+    size = np.sqrt(np.diag(X))
+    return np.where(size > 1e-12 * prior, size, prior) if np.isfinite(size).all() else prior
+
+
+def _prior(setting: Setting) -> Matrix:
+    """The size of x(0) [n], 1 where it is known."""
+    size = np.sqrt(np.diag(setting.P0))
+    return np.where(size > 0, size, 1.0)

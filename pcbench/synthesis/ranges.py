@@ -1,0 +1,105 @@
+"""A model from sample to sample over a whole range: of sampling intervals, and of parameters of the model.
+
+What is proven over a range is proven at every whole tick of it, which are all the intervals that can occur, and at VALUES
+values of each parameter. A matrix inequality that is affine in the map holds between them too wherever the map there lies in
+the convex hull of those it was checked at (a polytope).
+Not claimed: anything of a plant whose parameters are not the observer's; that puts a forcing into the error.
+"""
+
+import itertools
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import AfterValidator
+
+from pcbench.errors import UserError
+from pcbench.synthesis import linear
+from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.linear import Matrix
+
+SHOWN = 17  # maps that a solver sees; the re-check sees every one
+VALUES = 33  # of a parameter
+MOST = 50_000  # maps in all
+
+
+def _increasing(given: list[float]) -> list[float]:
+    if len(given) != 2 or not given[0] < given[1]:
+        raise ValueError("a range: [lowest, highest]")
+    return given
+
+
+Range = Annotated[list[float], AfterValidator(_increasing)]
+
+
+class Maps(NamedTuple):
+    """A model over each of k intervals, under parameters of a range; n states."""
+
+    Phi: Matrix  # [k, n, n]
+    Q: Matrix  # [k, n, n] covariance that process noise adds
+    seconds: Matrix  # [k]
+    corners: Any  # [c] which of them a solver is to see
+
+    @property
+    def seen(self) -> "Maps":
+        """Return the corners alone."""
+        k = self.corners
+        return Maps(self.Phi[k], self.Q[k], self.seconds[k], np.arange(len(k)))
+
+
+def maps(
+    setting: Setting,
+    periods: list[float] | None,
+    parameters: dict[str, list[float]] | None,
+    q: float,
+    where: str,
+) -> Maps:
+    """Return the maps over every whole tick of `periods` (lowest, highest [s]; None: the schedule's own intervals).
+
+    And under every value of `parameters` (lowest, highest of each; None: as they are). `q` is the assumed process noise through
+    the input, per second. Raises UserError where a range holds no tick, or where a parameter is none of the plant's.
+    """
+    ticks = (
+        list(setting.intervals or sorted(set(setting.period))) if periods is None else _ticks(periods, setting, where)
+    )
+    grid = {name: np.linspace(low, high, VALUES) for name, (low, high) in (parameters or {}).items()}
+    many = len(ticks) * VALUES ** len(grid)
+    if many > MOST:
+        raise UserError(
+            f"{where}: got ranges of {len(ticks)} intervals and {len(grid)} parameters, which are {many} maps to check, "
+            f"expected {MOST} at most; narrow the periods or leave a parameter out."
+        )
+    parts = [_of(setting, dict(zip(grid, point, strict=True)), ticks, q) for point in itertools.product(*grid.values())]
+    Phi, Q = (np.concatenate([part[i] for part in parts]) for i in range(2))
+    seconds = np.tile(np.array(ticks) * setting.dt, len(parts))
+    return Maps(Phi, Q, seconds, _corners(len(ticks), len(grid)))
+
+
+def _ticks(periods: list[float], setting: Setting, where: str) -> list[int]:
+    low, high = (edge / setting.dt for edge in periods)
+    found = list(range(max(int(np.ceil(low - 1e-9)), 1), int(high + 1e-9) + 1))
+    if not found:
+        raise UserError(
+            f"{where}: got a period-range of {periods} s, expected one with a multiple of the tick of {setting.dt:g} s in it."
+        )
+    return found
+
+
+def _of(setting: Setting, parameters: dict[str, float], ticks: list[int], q: float) -> tuple[Matrix, Matrix]:
+    """The maps and process noise covariances of one model, [ticks, n, n]."""
+    model = setting.variant(parameters) if parameters else setting.model
+    tick = linear.input_noise(model, q, setting.dt) + setting.process_noise
+    doubled = linear.doublings(model, setting.dt, linear.bits_for(max(ticks)))
+    noise = linear.noise_doublings(model, tick, setting.dt, len(doubled))
+    return np.stack([linear.over(doubled, t) for t in ticks]), np.stack(
+        [linear.noise_over(doubled, noise, t) for t in ticks]
+    )
+
+
+def _corners(intervals: int, parameters: int) -> Any:
+    """Some intervals, the first and the last among them, at the lowest, middle and highest values of each parameter."""
+    each = [np.array([0, VALUES // 2, VALUES - 1])] * parameters
+    few = max(SHOWN // 3**parameters, 3)
+    some = np.unique(np.linspace(0, intervals - 1, min(few, intervals)).round().astype(int))
+    shape = (*[VALUES] * parameters, intervals)
+    grids = np.meshgrid(*each, some, indexing="ij")
+    return np.ravel_multi_index(tuple(g.ravel() for g in grids), shape)

@@ -1,0 +1,88 @@
+"""Two solvers for every matrix inequality, and what decides between them: a certificate, not what a solver says of itself.
+
+Clarabel, an interior-point method, is asked first. Where it has no answer, or one that does not stand when it is re-checked
+by eigenvalues, SCS is, a first-order method that shares no code with it. An answer of either is judged the same way; what a
+solver calls inaccurate may prove a gain, and what it calls optimal may not.
+"""
+
+import warnings
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pcbench.errors import DesignError, said
+from pcbench.synthesis.certificate import Certificate, certified
+from pcbench.synthesis.linear import Matrix
+
+SOLVERS = ("CLARABEL", "SCS")
+SETTINGS = {
+    "CLARABEL": dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), 1e-10)
+    | dict.fromkeys(("reduced_tol_gap_abs", "reduced_tol_gap_rel", "reduced_tol_feas"), 1e-6),
+    "SCS": {"eps_abs": 1e-8, "eps_rel": 1e-8, "max_iters": 200_000},
+}
+F = TypeVar("F")  # an answer
+ANSWERED = ("optimal", "optimal_inaccurate")
+
+
+class Impossible(DesignError):
+    """There is no such gain: a solver has proven it, so another need not be asked."""
+
+
+def minimise(
+    objective: Any, rules: list[Any], unknowns: tuple[Any, ...], where: str, solver: str, advice: str
+) -> tuple[str, list[Matrix]]:
+    """Solve a problem of cvxpy to the last digits a solver gives; return its status and the unknowns' values.
+
+    Raises DesignError with the status and the `advice` where there are none, Impossible where the solver proves that.
+    """
+    import cvxpy as cp
+
+    problem = cp.Problem(cp.Minimize(objective), rules)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # that an answer is inaccurate; the status says it too
+            problem.solve(solver=solver, **SETTINGS.get(solver, {}))
+        status = str(problem.status)
+    except cp.SolverError as error:
+        status = str(error)
+    if status not in ANSWERED:
+        kind = Impossible if status == "infeasible" else DesignError
+        raise kind(f"{where}: the LMI was not solved ({solver} said '{said(status)}'), expected a solution; {advice}.")
+    return status, [np.asarray(unknown.value, dtype=np.float64) for unknown in unknowns]
+
+
+def proven(
+    solve: Callable[[str], F],
+    certify: Callable[[F], Certificate],
+    where: str,
+    least: float = 0.0,
+    hopeless: Callable[[F], bool] = lambda found: False,
+    among: tuple[str, ...] = SOLVERS,
+) -> tuple[F, Certificate]:
+    """Return the first solver's answer whose certificate's margin is above `least`, and the certificate.
+
+    `solve` takes a solver's name. Where one says itself that there is nothing better to be had (`hopeless`), no other is asked.
+    Raises DesignError with the largest margin where no answer stands, or with the last status where there is none.
+    """
+    tried: list[str] = []
+    answers: list[tuple[F, Certificate]] = []
+    failure: DesignError | None = None
+    for solver in among:
+        try:
+            found = solve(solver)
+        except Impossible:
+            raise
+        except DesignError as error:
+            failure = error
+            tried.append(f"{solver} had no answer")
+            continue
+        certificate = certify(found)._replace(fallback=", ".join(tried))
+        answers.append((found, certificate))
+        if certificate.margin > least or hopeless(found):
+            break
+        tried.append(f"{solver}'s ('{certificate.status}') had margin {certificate.margin:.3g}")
+    if not answers and failure:
+        raise failure
+    best = max(answers, key=lambda each: -np.inf if np.isnan(each[1].margin) else each[1].margin)
+    return best[0], certified(best[1], where, least)
