@@ -25,7 +25,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from pcbench import bench, ensemble, machine
+from pcbench import bench, ensemble, machine, study_file
 from pcbench.dataset import blocks, campaign, executors, folder, store
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
@@ -47,7 +47,7 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
     """Return the seconds in which a study's blocks are filled, planning and statistics left out, and those of writing."""
     with tempfile.TemporaryDirectory() as out, machine.float64():
         place, began = store.target(out), []
-        claimed = folder.claim(place, bench.study_of(study, {}, []))
+        claimed = folder.claim(place, study_file.study_of(study, {}, []))
 
         def tell(event: str, value: float) -> None:
             if event == "planned":

@@ -28,7 +28,7 @@ from rich.console import Console
 from rich.table import Table
 from turns import Row, Timed, take
 
-from pcbench import bench, draws, ensemble, machine, planning, shapes, study_file
+from pcbench import draws, ensemble, machine, planning, shapes, study_file
 from pcbench.problem import Layout, Outcome, Problem
 
 SCENARIO, OBSERVERS = "cart/white", ["pccebo", "kfbo"]
@@ -175,7 +175,7 @@ def main() -> None:
     machine.setup()
     jax.config.update("jax_platforms", "cpu")
     jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
-    (planned,) = planning.plan(bench.study_of(study_file.load(SCENARIO, []), {"observers": OBSERVERS}, []))
+    (planned,) = planning.plan(study_file.study_of(study_file.load(SCENARIO, []), {"observers": OBSERVERS}, []))
     ticks = 2000 if options.quick else shapes.ticks(planned.cell)
     problem = planned.problem._replace(windows=np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]]))
     case = prepare(problem, ticks)

@@ -17,7 +17,7 @@ _LAZY = {
     "trace": "bench",
     "design": "bench",
     "tune": "tuning.effort",
-    "Result": "bench",
+    "Result": "result",
     "lti": "interop",
     "to_scipy": "interop",
     "to_control": "interop",

@@ -1,92 +1,22 @@
 """The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
 
-import json
-import tempfile
-from collections.abc import Callable
-from contextlib import ExitStack
-from copy import deepcopy
-from datetime import UTC, datetime
-from functools import cached_property
 from pathlib import Path
-from time import perf_counter
 from typing import Any
 
 import jax
 import numpy as np
 import pandas as pd
-import pyarrow.dataset as ds
 
-from pcbench import machine, recording, tables
-from pcbench.cells import cells
-from pcbench.dataset import campaign, closing, executors, folder, ledger, store, until
+from pcbench import machine, recording, running
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
 from pcbench.planning import alone, plan, setting
 from pcbench.plants import signals_of
-from pcbench.scenarios import Scenario
-from pcbench.study import Study, options_of, scenarios_of
-from pcbench.study_file import load, override, parse
+from pcbench.result import Result
+from pcbench.running import Say, Tell, silent
+from pcbench.study import options_of
+from pcbench.study_file import Described, one_cell, study_of
 from pcbench.synthesis.certificate import Design
-
-Tell = Callable[[str, float], None]
-Say = Callable[[str], None]
-Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
-
-
-class Result:
-    """What a study gave: three tables as pandas frames (see `tables.MEANING`), and its provenance.
-
-    Without a folder of its own it stands in a temporary one, which goes when the result does.
-    """
-
-    def __init__(
-        self, study: Study, place: store.Target, out: Path | str | None, effort: campaign.Effort, keep: Any = None
-    ):
-        self.study, self.out, self.effort, self._place, self._keep = study, out, effort, place, keep
-        self.provenance: dict[str, Any] = json.loads(store.text(place, "provenance.json") or b"{}")
-
-    @cached_property
-    def stats(self) -> pd.DataFrame:
-        """One row per cell, observer, signal and metric."""
-        return self._closing("stats.parquet")
-
-    @cached_property
-    def pairs(self) -> pd.DataFrame:
-        """One row per cell, pair of observers, signal and metric."""
-        return self._closing("pairs.parquet")
-
-    @cached_property
-    def runs(self) -> pd.DataFrame:
-        """One row per cell, observer, seed and signal."""
-        files = [f"{self._place.root}/{name}" for name in store.names(self._place, "runs")]
-        base = f"{self._place.root}/runs"
-        found = ds.dataset(
-            files, filesystem=self._place.fs, format="parquet", partitioning="hive", partition_base_dir=base
-        )
-        whole = found.to_table().to_pandas()
-        first = ["study", "scenario", "observer", "cell"]
-        ordered = whole[first + [c for c in whole.columns if c not in first]]
-        return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
-
-    def _closing(self, name: str) -> pd.DataFrame:
-        found = closing.table(self._place, name)
-        if found is None:
-            raise UserError(f"{self._place.name}/{name}: is gone or damaged; run the study again to have it made anew.")
-        return tables.frame(found)
-
-    def __repr__(self) -> str:
-        return f"<pcbench result of study '{self.study.name}': {len(self.stats)} rows of stats>"
-
-
-def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Study:
-    """Return a checked study from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
-    if isinstance(study, str | Path):
-        study, overrides = load(str(study), overrides), []
-    raw = deepcopy(study.model_dump(exclude_none=True) if isinstance(study, Study) else dict(study))
-    for change in overrides:
-        override(raw, change)
-    raw |= {key: value for key, value in changes.items() if value is not None}
-    return parse(raw, str(raw.get("name", "study")))
 
 
 def run(
@@ -108,7 +38,7 @@ def run(
     workers: int | None = None,
     block: int | None = None,
     memory: str | int | None = None,
-    tell: Tell = lambda event, value: None,
+    tell: Tell = silent,
     say: Say = lambda sentence: None,
 ) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there: run again, it goes on.
@@ -123,68 +53,21 @@ def run(
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
-    goal = until.parse(until_se, max_seeds)
-    with machine.float64(), ExitStack() as stack:
-        chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
-        start, began = perf_counter(), datetime.now(UTC)
-        keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
-        place = store.target(keep.name if keep else str(out))
-        claimed = folder.claim(place, chosen, fresh)
-        until.check(goal, claimed)
-        choice = campaign.Options(positive(block, "--block"), executors.share(memory, dask, workers, devices))
-        made = (
-            executors.dask(dask, positive(workers, "--workers"))
-            if dask
-            else executors.here(positive(devices, "devices"))
-        )
-        execute = stack.enter_context(made)
-        there = [] if claimed.fresh else campaign.whole(place, claimed, say)
-        effort = campaign.fill(place, claimed, there, execute, campaign.everything(claimed, there), choice, tell)
-        for wanted in until.rounds(goal, place, claimed, say):
-            there = ledger.settled(ledger.present(place))
-            effort = campaign.added(effort, campaign.fill(place, claimed, there, execute, wanted, choice, tell))
-        there = ledger.settled(ledger.present(place))
-        if effort.runs or not closing.is_closed(place, there):
-            tell("closing", 0.0)
-            about = {
-                "started": began.isoformat(timespec="seconds"),
-                "wall_seconds": round(perf_counter() - start, 3),
-                "compile_seconds": round(effort.compile_seconds, 3),
-                "writing_seconds": round(effort.writing_seconds, 3),
-                "runs_added": effort.runs,
-                "until_se": until_se,
-            }
-            closing.close(place, claimed, there, about)
-    where: str | Path | None = out
-    if out is not None and place.local:
-        where = Path(place.root if "://" in str(out) else out)
-    return Result(chosen, place, where, effort, keep)
-
-
-def positive(count: int | None, where: str) -> int | None:
-    """Return a count that was given; raise UserError where it is none."""
-    if count is not None and count < 1:
-        raise UserError(f"{where}: got {count}, expected 1 or more; leave it out.")
-    return count
-
-
-def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Any]:
-    """Return a study of some observers in one scenario with its one cell; raise UserError where there are more."""
-    study = study_of(study_of(what, {}, overrides), {"observers": observers}, [])
-    every = [cell for name in study.scenarios for cell in cells(study, name)]
-    if len(every) > 1:
-        raise UserError(
-            f"{study.name}: got {len(every)} cells, expected one here; name one scenario, each axis with one value."
-        )
-    return study, every[0]
-
-
-def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
-    """Return the one scenario that a name or a TOML file stands for; raise UserError where there are more."""
-    study = load(what, overrides)
-    if len(study.scenarios) > 1:
-        raise UserError(f"{what}: got {len(study.scenarios)} scenarios, expected one here; name a scenario.")
-    return scenarios_of(study)[study.scenarios[0]]
+    chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
+    return running.execute(
+        chosen,
+        out=out,
+        fresh=fresh,
+        until_se=until_se,
+        max_seeds=max_seeds,
+        devices=devices,
+        dask=dask,
+        workers=workers,
+        block=block,
+        memory=memory,
+        tell=tell,
+        say=say,
+    )
 
 
 def trace(

@@ -186,7 +186,8 @@ def dashes(given: dict[str, Any]) -> dict[str, Any]:
 
 def _of_sensible_size(value: Any, where: str) -> None:
     """Raise UserError where a number, or one in a list, is so large or so small that its square is of no use."""
-    for each in value if isinstance(value, list) else []:
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else []
+    for each in inside:
         _of_sensible_size(each, where)
     if not isinstance(value, int | float) or value != value:
         return
@@ -219,8 +220,12 @@ def sentence(where: str, error: ValidationError, model: type[BaseModel]) -> User
 
 def _place(loc: tuple[int | str, ...]) -> str:
     """Where pydantic found something, as TOML writes it; without its names for the kinds that a value may be of."""
-    parts = [part for i, part in enumerate(loc) if not i or not str(part).rstrip("]").endswith(KINDS)]
+    parts = [part for i, part in enumerate(loc) if not i or not _is_kind(str(part))]
     return "".join(f"[{part}]" if isinstance(part, int) else f".{short(part)}" for part in parts).removeprefix(".")
+
+
+def _is_kind(part: str) -> bool:
+    return part.rstrip("]").endswith(KINDS) or part.startswith("literal[")
 
 
 def _expected(message: str) -> str:

@@ -4,16 +4,17 @@ Every mistake ends in one sentence: where, what was found, what was expected, wh
 """
 
 import tomllib
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from pcbench import axes as axis
-from pcbench.cells import cells
+from pcbench.cells import Cell, cells
 from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
-from pcbench.scenarios import SCENARIOS
+from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study import (
     OWN,
     STUDIES,
@@ -26,6 +27,7 @@ from pcbench.study import (
     sentence,
 )
 
+Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
 NOT_TOML = (ValueError, RecursionError)  # what tomllib raises: also of numbers too long, and of lists too deep
 
 
@@ -78,6 +80,36 @@ def parse(raw: dict[str, Any], where: str) -> Study:
             for cell in every:
                 axis.works_on(observer, cell.scenario, where)
     return study
+
+
+def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Study:
+    """Return a checked study from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
+    if isinstance(study, str | Path):
+        study, overrides = load(str(study), overrides), []
+    raw = deepcopy(study.model_dump(exclude_none=True) if isinstance(study, Study) else dict(study))
+    for change in overrides:
+        override(raw, change)
+    raw |= {key: value for key, value in changes.items() if value is not None}
+    return parse(raw, str(raw.get("name", "study")))
+
+
+def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
+    """Return a study of some observers in one scenario with its one cell; raise UserError where there are more."""
+    study = study_of(study_of(what, {}, overrides), {"observers": observers}, [])
+    every = [cell for name in study.scenarios for cell in cells(study, name)]
+    if len(every) > 1:
+        raise UserError(
+            f"{study.name}: got {len(every)} cells, expected one here; name one scenario, each axis with one value."
+        )
+    return study, every[0]
+
+
+def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
+    """Return the one scenario that a name or a TOML file stands for; raise UserError where there are more."""
+    study = load(what, overrides)
+    if len(study.scenarios) > 1:
+        raise UserError(f"{what}: got {len(study.scenarios)} scenarios, expected one here; name a scenario.")
+    return scenarios_of(study)[study.scenarios[0]]
 
 
 def _observers(study: Study, names: list[str], where: str) -> None:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pcbench import bench, cells, differentiable, metrics, planning, shapes, simulation
+from pcbench import cells, differentiable, metrics, planning, shapes, simulation, study_file
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.study import options_of
 from pcbench.tuning import free, gradient
@@ -32,7 +32,7 @@ SIMULATE = jax.jit(simulation.simulate, static_argnums=0)
 @cache
 def planned(scenario, observers):
     """A cell with a short horizon, as few lanes as seeds."""
-    study = bench.study_of(scenario, {"observers": list(observers)}, [])
+    study = study_file.study_of(scenario, {"observers": list(observers)}, [])
     cell = cells.cells(study, scenario)[0]
     horizon, tail = SHORT[scenario]
     cell = cell._replace(scenario=cell.scenario._replace(horizon=horizon, tail=tail))
@@ -56,7 +56,6 @@ def test_they_are_the_metrics_of_the_tables(scenario):
 SLOPES = {
     "pccebo": ("cart/gaussian", {"L": [[0.4], [0.1]]}, "tail_rmse"),
     "kfbo": ("cart/gaussian", {"R": 0.5}, "mae"),
-    "ekf": ("cart/gaussian", {"R": 0.5, "q": 0.1}, "tail_mse"),
     "dkf": ("cart/gaussian", {"R": 0.5, "q": 0.1}, "tail_pooled_rmse"),
     "pco": ("cart/variable", {"Kp": -30.0}, "mse"),
     "pi-pco": ("cart/variable", {"Kp": -30.0, "Ki": 5.0}, "rmse"),
@@ -78,7 +77,7 @@ def test_every_smooth_observer_has_its_gradient_checked():
 def test_gradients_are_those_of_finite_differences(observer):
     scenario, given, metric = SLOPES[observer]
     study, p = planned(scenario, (observer,))
-    study = bench.study_of(scenario, {"observers": [observer], "options": {observer: given}}, [])
+    study = study_file.study_of(scenario, {"observers": [observer], "options": {observer: given}}, [])
     known, options = planning.setting(p.cell), options_of(study, p.cell.scenario, observer)
     parameters, at = free.start(observer, options, {}, list(set(given) & set(free.tunable(observer))), "test")
     aim = goal(metric, p.cell.scenario, None, "test")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench import bench, machine, planning
+from pcbench import machine, planning, study_file
 from pcbench.observers import entry_of
 from pcbench.study import options_of
 from pcbench.tuning import effort
@@ -17,7 +17,7 @@ HALF = {"training": (3_000_000_000, 256), "judges": (3_500_000_000, 256)}
 def brute_force(grid):
     """The least tail RMSE in cart/gaussian over a grid of gains L, on the training seeds."""
     with machine.float64():
-        study, cell = bench.one_cell("cart/gaussian", ["pccebo"], [])
+        study, cell = study_file.one_cell("cart/gaussian", ["pccebo"], [])
         known, options = planning.setting(cell), options_of(study, cell.scenario, "pccebo")
 
         def gains(L):

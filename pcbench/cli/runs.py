@@ -90,12 +90,12 @@ def trace(
     Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.parquet
     """
     setup()
-    from pcbench import bench, tables
+    from pcbench import bench, study_file, tables
     from pcbench.dataset import store
     from pcbench.plants import signals_of
 
     frame = bench.trace(scenario, names(observer), seed=seed, overrides=changes)
     place = store.target(out.parent)
     store.make(place)
-    store.put_table(place, out.name, tables.trace_table(frame, signals_of(bench.scenario_of(scenario, changes))))
+    store.put_table(place, out.name, tables.trace_table(frame, signals_of(study_file.scenario_of(scenario, changes))))
     print(f"{len(frame)} ticks, columns {', '.join(frame.columns)}: {out}")

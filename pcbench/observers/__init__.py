@@ -1,6 +1,6 @@
 """The observers, one file each, and the dict that names them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Literal, NamedTuple
 
 from pydantic import BaseModel
@@ -28,7 +28,10 @@ class Entry(NamedTuple):
     takes: Takes = "one constant delay"
     heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
     nonlinear: bool = False  # it is designed for plants without a linear model
-    smooth: bool = True  # its estimate has a slope by its options
+    smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand
+    designed: Mapping[str, Any] | None = (
+        None  # options of gains for the noise and delays as they are; None: it has none such
+    )
 
 
 OBSERVERS = {
@@ -39,6 +42,7 @@ OBSERVERS = {
         True,
         "current estimator, predicted to now; gain by LMI or Riccati",
         "one clock",
+        designed={"gain": "riccati"},
     ),
     "kfbo": Entry(
         kfbo.OBSERVER,
@@ -47,6 +51,7 @@ OBSERVERS = {
         False,
         "Kalman filter of the held, late measurement",
         "one constant delay",
+        designed={"R": "noise"},
     ),
     "pco": Entry(
         pco.OBSERVER,
@@ -55,6 +60,7 @@ OBSERVERS = {
         True,
         "piecewise continuous, reduced order; gain given or by LMI",
         "one clock",
+        designed={"Kp": "lmi"},
     ),
     "pi-pco": Entry(
         pco.OBSERVER,
@@ -63,6 +69,7 @@ OBSERVERS = {
         True,
         "PCO with an integral; gains given or by LMI",
         "one clock",
+        designed={"Kp": "lmi", "Ki": "lmi"},
     ),
     "chain": Entry(
         chain.OBSERVER,
@@ -71,6 +78,7 @@ OBSERVERS = {
         True,
         "a link for each delay, from the latest sensor to now; poles or Riccati",
         "constant delays",
+        designed={"gain": "riccati"},
     ),
     "equal-delay": Entry(
         equal_delay.OBSERVER,
@@ -97,6 +105,7 @@ OBSERVERS = {
         "one constant delay",
         heavy=True,
         smooth=False,
+        designed={"gains": "design"},
     ),
     "pio": Entry(
         pio.OBSERVER,
@@ -107,6 +116,7 @@ OBSERVERS = {
         "one constant delay",
         heavy=True,
         smooth=False,
+        designed={"gains": "design"},
     ),
     "high-gain": Entry(
         high_gain.OBSERVER,
@@ -127,6 +137,7 @@ OBSERVERS = {
         "any schedule",
         heavy=True,
         nonlinear=True,
+        smooth=False,
     ),
     "dkf": Entry(
         dkf.OBSERVER,

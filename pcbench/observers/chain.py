@@ -29,6 +29,7 @@ from pcbench.observers.options import tunable, way
 from pcbench.observers.sample_by_sample import Model, Place, Pole, known_input, read, ring, write
 from pcbench.synthesis import chain, shared_lyapunov
 from pcbench.synthesis.certificate import Design, Setting, certified
+from pcbench.synthesis.promises import rate_of
 from pcbench.synthesis.sampled import sampled
 from pcbench.types import Arrival, Leaf, Now, Observer
 
@@ -166,6 +167,7 @@ def design(setting: Setting, options: Options) -> Design:
     pole = options.pole if options.pole_per_tick is None else options.pole_per_tick
     found = chain.links(plant, options.gain, pole, per_sample, options.output, where)
     certificate = certified(chain.certify(found, plant.C, options.gain), where)
+    certificate = certificate._replace(rate=rate_of(1 - certificate.margin, plant.period * setting.dt))
     if options.shared:
         extra = shared_lyapunov.check(found, plant.scale)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)

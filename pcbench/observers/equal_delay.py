@@ -24,6 +24,7 @@ from pcbench.observers.options import tunable
 from pcbench.observers.sample_by_sample import Pole
 from pcbench.synthesis import chain, late
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
+from pcbench.synthesis.promises import rate_of
 from pcbench.synthesis.sampled import by_poles, power, sampled
 
 OBSERVER = output_error.OBSERVER
@@ -57,4 +58,6 @@ def design(setting: Setting, options: Options) -> Design:
         gains = output_error.corrected_next(setting, A, K, (d,) * len(plant.tau))
     what = f"radius of the errors' map < 1, if every delay were {d} samples"
     certificate = Certificate(what, 1 - rate, options.variant, "computed", {"K": K, "radius": rate, "believed": d})
+    if set(plant.tau) == {d}:  # otherwise the delays as they are disturb it, and no rate is promised
+        certificate = certificate._replace(rate=rate_of(rate, plant.period * setting.dt))
     return Design(gains, certified(certificate, where))

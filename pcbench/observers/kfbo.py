@@ -15,7 +15,7 @@ Options: `lag-aware` uses d + te/2 in place of d (te must be even in ticks); `sa
 Y_i - C z(t_i) instead of the measurement, z' = A z + B u(t - d) + K (Y_i - C z(t_i)), which can be unstable.
 """
 
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -57,7 +57,9 @@ class Options(BaseModel):
     """Weights of the Riccati equation and the two variants."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    R: float = tunable(1.0, gt=0, description="assumed intensity of measurement noise")
+    R: Annotated[float, Field(gt=0)] | Literal["noise"] = tunable(
+        1.0, description="assumed intensity of measurement noise; 'noise': a sample's variance times the period"
+    )
     Q: float = Field(0.002, gt=0, description="assumed intensity of process noise through the input")
     lag_aware: bool = Field(False, description="use d + te/2 in place of d")
     sampled_innovation: bool = Field(False, description="hold the innovation, not the measurement")
@@ -115,8 +117,10 @@ def design(setting: Setting, options: Options) -> Design:
         )
     delay, period = setting.delay[0], setting.period[0]
     A, B, C, h, m = model.A, model.B, model.C, setting.dt, model.B.shape[1]
-    stationary = riccati.continuous(model, options.Q * B @ B.T, options.R * np.eye(len(C)), where)
+    R = options.R * np.eye(len(C)) if options.R != "noise" else np.diag(setting.noise_variance * setting.period * h)
+    stationary = riccati.continuous(model, options.Q * B @ B.T, R, where)
     certificate = certified(stationary.certificate, where)
+    certificate = certificate._replace(numbers={**certificate.numbers, "R": R[0, 0]})
     K = stationary.K
     if options.lag_aware and (period % 2 or len(set(setting.period)) > 1):
         raise UserError(

@@ -21,6 +21,7 @@ from pcbench.observers.options import tunable
 from pcbench.observers.sample_by_sample import Pole
 from pcbench.synthesis import chain, late
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
+from pcbench.synthesis.promises import rate_of
 from pcbench.synthesis.sampled import by_poles, sampled
 
 OBSERVER = output_error.OBSERVER
@@ -45,4 +46,6 @@ def design(setting: Setting, options: Options) -> Design:
     numbers = {"K": K, "radius_without_delays": undelayed}
     numbers |= {"radius_with_these": delayed} if np.isfinite(delayed) else {}  # too long a delay: not computed
     certificate = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)
+    if delayed < 1:
+        certificate = certificate._replace(rate=rate_of(delayed, plant.period * setting.dt))
     return Design(output_error.corrected_next(setting, plant.A, K, ages), certified(certificate, where))

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from pcbench import bench, machine, planning, shapes, sweep
 from pcbench.cells import Cell
 from pcbench.reproduce.claim import Claim, statement
+from pcbench.result import Result
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study import Choices, Study, options_of
 
@@ -135,7 +136,7 @@ def _robustness() -> list[Claim]:
     return out
 
 
-def _tail_rms(result: bench.Result) -> dict[str, float]:
+def _tail_rms(result: Result) -> dict[str, float]:
     """The position's root-mean-square error over the tail and all runs, by observer."""
     rows = result.stats.query("signal == 'position' and metric == 'tail_pooled_rmse'")
     return dict(zip(rows["observer"], rows["mean"], strict=True))

@@ -7,6 +7,8 @@ Errors of a current estimator, e = x - xhat at the time of a sample, after it wa
 All are computed from the gain itself in NumPy, whoever found it. Where a range of maps is given, one P (or X) is for all.
 """
 
+import math
+
 import numpy as np
 from scipy.linalg import eigh, solve_discrete_lyapunov
 from scipy.optimize import minimize_scalar
@@ -30,6 +32,11 @@ def rate(F: Matrix, P: Matrix, seconds: Matrix) -> float:
         return float("nan")
     factors = np.linalg.norm(U @ F @ np.linalg.inv(U), 2, axis=(1, 2))
     return float((-np.log(np.maximum(factors, LEAST)) / seconds).min())
+
+
+def rate_of(factor: float, seconds: float) -> float:
+    """Return the rate [1/s] of errors that a spectral radius or norm multiplies every so many seconds."""
+    return -math.log(max(factor, LEAST)) / seconds
 
 
 def noise(L: Matrix, C: Matrix, Q: Matrix, R: Matrix) -> Matrix:

@@ -43,7 +43,7 @@ def continuous(model: Model, Q: Matrix, R: Matrix, where: str) -> Stationary:
     poles = np.linalg.eigvals(A - K @ C)
     margin = float(-poles.real.max()) if solved else float("nan")
     numbers = {"P": P, "K": K, "poles": poles, "relative_residual": float(np.abs(residual).max() / scale)}
-    return Stationary(P, K, Certificate("A - K C Hurwitz, (27) solved", margin, "scipy", "solved", numbers))
+    return Stationary(P, K, Certificate("A - K C Hurwitz, (27) solved", margin, "scipy", "solved", numbers, margin))
 
 
 def current_gain(Phi: Matrix, C: Matrix, Q: Matrix, R: Matrix, where: str) -> Matrix:

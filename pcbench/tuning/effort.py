@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
+from pydantic import ValidationError
 
-from pcbench import bench, ensemble, machine, planning, sweep
+from pcbench import ensemble, machine, planning, study_file, sweep
+from pcbench.cells import digest
 from pcbench.dataset import store
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
@@ -67,7 +69,7 @@ def tune(
     where = f"tune {observer}"
     _check(budget, training, judges, where)
     with machine.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
-        study, cell = bench.one_cell(scenario, [observer], overrides or [])
+        study, cell = study_file.one_cell(scenario, [observer], overrides or [])
         where = f"{where} in {cell.scenario.name}"
         aim = goal(objective, cell.scenario, signal, where)
         options, known = options_of(study, cell.scenario, observer), planning.setting(cell)
@@ -80,7 +82,8 @@ def tune(
         (p,) = planning.plan(study)
         how = _method(method, aim, p, where)
         evaluate = _evaluate(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
-        about = f"{where}: {aim.metric} of {aim.name} by {how}, {budget} points, seeds {_shown(training)}, of {_digest(study)}"
+        effort = f"by {how}, {budget} points, seeds {_shown(training)}"
+        about = f"{where}: {aim.metric} of {aim.name} {effort}, of {digest(study)[:12]}"
         place = store.target(str(out) if out is not None else spare)
         history = History(place, about, free.entries(parameters), tell)
         tell("begin", float(budget))
@@ -137,7 +140,7 @@ def _method(asked: str | None, aim: Goal, p: Planned, where: str) -> str:
         raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
     against = {
         f"{aim.metric} has no gradient": not aim.smooth,
-        "what it does is not smooth in its free parameters": not entry_of(p.labels[0]).smooth,
+        "its steps cannot be differentiated": not entry_of(p.labels[0]).smooth,
         "each run has a schedule of its own": not isinstance(p.problem.schedule, Schedule),
         "a closed loop is not differentiated": p.layout.controller is not None,
     }
@@ -164,7 +167,7 @@ def _evaluate(how: str, p: Planned, aim: Goal, root_seed: int, seeds: Any, desig
     def at(point: Vector) -> tuple[float, Vector]:
         try:
             return with_slope(point) if how == "descent" else alone(point)
-        except UserError:  # its design refuses
+        except (UserError, ValidationError):  # its design refuses, or it is no option
             return float("inf"), np.full(len(point), np.nan)
 
     return at
@@ -175,9 +178,3 @@ def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any
     raw = study.model_dump(exclude_none=True)
     raw["options"] = raw.get("options", {}) | {observer: raw.get("options", {}).get(observer, {}) | chosen}
     return {key: raw[key] for key in raw if raw[key] != {}}
-
-
-def _digest(study: Study) -> str:
-    from pcbench.cells import digest
-
-    return digest(study)[:12]

@@ -6,7 +6,7 @@ mean the same in all of them. Gains follow by the observer's own design, which c
 """
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import annotated_types
 import numpy as np
@@ -60,7 +60,9 @@ def start(
                 f"{where}: got '{name}' to tune, expected {' or '.join(allowed) or 'nothing: it has no free parameters'}."
             )
         value = getattr(options, name)
-        value = designed.get(name) if value is None else value
+        value = designed.get(name) if value is None or isinstance(value, str) else value
+        if value is None and names is None:
+            continue
         if value is None:
             raise UserError(
                 f"{where}: {name} has no value to start from, expected one; write [options.{label}] {name} = ..."
@@ -113,9 +115,16 @@ def _unbounded(value: Vector, kind: str, scale: float) -> Vector:
 
 def _kind(field: FieldInfo) -> str:
     """How an option is bounded: its own declaration says."""
-    low = any(isinstance(m, annotated_types.Gt | annotated_types.Ge) for m in field.metadata)
-    high = any(isinstance(m, annotated_types.Lt | annotated_types.Le) for m in field.metadata)
+    bounds = [*field.metadata, *_inside(field.annotation)]
+    low = any(isinstance(m, annotated_types.Gt | annotated_types.Ge) for m in bounds)
+    high = any(isinstance(m, annotated_types.Lt | annotated_types.Le) for m in bounds)
     return ("fraction" if high else "positive") if low else "real"
+
+
+def _inside(annotation: Any) -> list[Any]:
+    """What the kinds of value that an option may have declare of themselves."""
+    declared = [m for kind in get_args(annotation) for m in getattr(kind, "__metadata__", ())]
+    return [m for each in declared for m in (each.metadata if isinstance(each, FieldInfo) else [each])]
 
 
 def _extra(field: FieldInfo) -> dict[str, Any]:

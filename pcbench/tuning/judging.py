@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from pcbench import bench
+from pcbench import running, study_file
 from pcbench.observers import base_of
 from pcbench.statistics import POOLED
 from pcbench.study import Study
@@ -41,7 +41,7 @@ def judge(
     metric, out = POOLED.get(aim.metric, aim.metric), []
     for what, (first, many) in seeds.items():
         changes = {"observers": list(labels), "options": options, "first_seed": first, "seeds": many}
-        result = bench.run(bench.study_of(study, changes, []))
+        result = running.execute(study_file.study_of(study, changes, []))
         stats = result.stats[(result.stats.signal == aim.name) & (result.stats.metric == metric)].set_index("observer")
         (pair,) = result.pairs[(result.pairs.signal == aim.name) & (result.pairs.metric == metric)].to_dict("records")
         sign = 1.0 if pair["observer_a"] == labels[1] else -1.0
