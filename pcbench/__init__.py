@@ -16,6 +16,7 @@ _LAZY = {
     "run": "bench",
     "trace": "bench",
     "design": "bench",
+    "trade_off": "bench",
     "tune": "tuning.effort",
     "Result": "result",
     "lti": "interop",

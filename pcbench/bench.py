@@ -1,4 +1,4 @@
-"""The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
+"""The Python face of pcbench: `run`, `trace`, `design` and `trade_off`, each a command as well."""
 
 from pathlib import Path
 from typing import Any
@@ -7,14 +7,12 @@ import jax
 import numpy as np
 import pandas as pd
 
-from pcbench import machine, recording, running
+from pcbench import designing, machine, recording, running
 from pcbench.errors import UserError
-from pcbench.observers import entry_of
-from pcbench.planning import alone, plan, setting
+from pcbench.planning import alone, plan
 from pcbench.plants import signals_of
 from pcbench.result import Result
 from pcbench.running import Say, Tell, silent
-from pcbench.study import options_of
 from pcbench.study_file import Described, one_cell, study_of
 from pcbench.synthesis.certificate import Design
 
@@ -113,8 +111,27 @@ def _held(arrived: np.ndarray) -> np.ndarray:
     return np.where(last >= 0, np.take_along_axis(arrived, np.maximum(last, 0), 0), np.nan)
 
 
-def design(scenario: Described, observer: str, *, overrides: list[str] | None = None) -> Design:
-    """Return an observer's gains in a scenario with the certificate that proves them."""
+def design(
+    scenario: Described, observer: str, *, method: str | None = None, overrides: list[str] | None = None
+) -> Design:
+    """Return an observer's gains in a scenario with the certificate that proves them; `method` as `pcbench design` has it.
+
+    The certificate says the inequality, its margin, the solver and whether it was a fallback, and the decay rate promised.
+    Raises UserError for a word that is none, DesignError with the margin where the gains are not certified.
+    """
     with machine.float64():
-        study, cell = one_cell(scenario, [observer], overrides or [])
-        return entry_of(observer).design(setting(cell), options_of(study, cell.scenario, observer))
+        return designing.design(scenario, observer, method=method, overrides=overrides)[2]
+
+
+def trade_off(
+    scenario: Described,
+    observer: str,
+    option: str,
+    values: list[Any],
+    *,
+    method: str | None = None,
+    overrides: list[str] | None = None,
+) -> pd.DataFrame:
+    """Return what a design promises for each value of one of its options: see `designing.trade_off`."""
+    with machine.float64():
+        return designing.trade_off(scenario, observer, option, values, method=method, overrides=overrides)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
@@ -313,9 +314,38 @@ def gains(design: Any, console: Console) -> None:
     console.print(
         f"certificate: {c.inequality}\nmargin {c.margin:.6g}, solver {c.solver}, status {c.status}", markup=False
     )
+    if c.fallback:
+        console.print(f"a fallback: {c.fallback}", markup=False)
+    promise = f"at {c.rate:.6g} per second or faster" if np.isfinite(c.rate) else "at no rate that is promised"
+    console.print(f"errors decay {promise}", markup=False)
     for name, value in c.numbers.items():
         body = np.array2string(np.asarray(value), precision=12, separator=", ", suppress_small=False)
         console.print(f"{name} =\n{body}" if "\n" in body else f"{name} = {body}", markup=False)
+
+
+def trade_off(title: str, table: pd.DataFrame, console: Console) -> None:
+    """Print a trade-off: the option, what is promised, and the other numbers that it changes."""
+    fixed = [table.columns[0], "rate", "margin", "solver"]
+    moving = [c for c in table.columns if c not in (*fixed, "fallback", "refused") and table[c].nunique() > 1]
+    shown = _table(title)
+    for head in (*fixed, *moving):
+        shown.add_column(head + (" [1/s]" if head == "rate" else ""), justify="right")
+    stands = table[table.refused == ""]
+    for row in stands.to_dict("records"):
+        shown.add_row(*(f"{row[c]:.4g}" if isinstance(row[c], float) else str(row[c]) for c in (*fixed, *moving)))
+    console.print(shown)
+    if len(stands) > 1 and not moving and stands.rate.nunique() <= 1:
+        text = f"{fixed[0]} changes nothing here: the gains are not found from it; name a --method that does."
+        console.print(text, highlight=False)
+    for row in table[table.refused != ""].to_dict("records"):
+        console.print(f"{fixed[0]} = {row[fixed[0]]}: {row['refused']}", highlight=False, markup=False)
+    for row in stands[stands.fallback != ""].to_dict("records"):
+        console.print(f"{fixed[0]} = {row[fixed[0]]}, a fallback: {row['fallback']}", highlight=False, markup=False)
+
+
+def arrow(table: pd.DataFrame) -> pa.Table:
+    """Return a frame as it is put into a Parquet file."""
+    return pa.Table.from_pandas(table, preserve_index=False)
 
 
 def claims(title: str, rows: list[Any], console: Console) -> None:

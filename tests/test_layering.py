@@ -16,6 +16,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"cli.shared", "cli.stopping"},
     {"show", "catalogue", "reproduce"},
     {"bench", "interop"},
+    {"designing"},
     {"tuning.effort"},
     {"tuning.judging"},
     {"running"},

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import Field
+from pydantic.fields import FieldInfo
 
 from pcbench.errors import UserError
 from pcbench.synthesis.linear import Matrix
@@ -19,6 +20,11 @@ def tunable(default: Any, **how: Any) -> Any:
 def way(default: Any, **how: Any) -> Any:
     """Return a field of an option that says in which way gains are found: what `pcbench design --method` sets."""
     return Field(default, json_schema_extra={WAY: True}, **how)
+
+
+def extra(field: FieldInfo) -> dict[str, Any]:
+    """Return what an option says of itself besides its type."""
+    return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
 
 
 def matrix(given: float | list[list[float]], shape: tuple[int, int], where: str, what: str) -> Matrix:

@@ -40,6 +40,7 @@ def find(
     Phi, Q, late = linear.over(doubled, period), linear.noise_over(doubled, noise, period), setting.delay[0]
     ahead = linear.over(doubled, late)
     mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
+    promises.require_slower(decay or 0.0, (maps or mean).seconds, where)
     if given is None and method in ROBUST:
         size = _size(setting, Phi, Q, R)
         task = robust.Task(maps or mean, C, R, ahead / _prior(setting)[:, None], size)

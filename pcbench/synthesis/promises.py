@@ -13,8 +13,10 @@ import numpy as np
 from scipy.linalg import eigh, solve_discrete_lyapunov
 from scipy.optimize import minimize_scalar
 
+from pcbench.errors import UserError
 from pcbench.synthesis.linear import Matrix
 
+GONE = 12.0  # e^-12 over an interval is as good as nothing
 NONE = 1e300  # a bound that is none
 LEAST = 1e-150  # of a factor e^{-rate T}: an error that vanishes at once
 
@@ -32,6 +34,16 @@ def rate(F: Matrix, P: Matrix, seconds: Matrix) -> float:
         return float("nan")
     factors = np.linalg.norm(U @ F @ np.linalg.inv(U), 2, axis=(1, 2))
     return float((-np.log(np.maximum(factors, LEAST)) / seconds).min())
+
+
+def require_slower(rate: float, seconds: Matrix, where: str) -> None:
+    """Raise UserError where a rate [1/s] is so fast that an error would be gone within some interval [s]."""
+    most = GONE / float(np.max(seconds))
+    if rate > most:
+        raise UserError(
+            f"{where}: got a decay of {rate:g} 1/s, expected {most:.3g} at most over intervals of {np.max(seconds):g} s, "
+            "within which faster errors are gone; ask for a slower one."
+        )
 
 
 def rate_of(factor: float, seconds: float) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from pcbench.errors import UserError
-from pcbench.synthesis import common_lyapunov
+from pcbench.synthesis import common_lyapunov, promises
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.common_lyapunov import Range
 from pcbench.synthesis.linear import Matrix, Model
@@ -74,6 +74,7 @@ def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
 
 def design(plant: Split, given: list[Matrix], integral: bool, rate: float, where: str) -> Found:
     """Prove the gains that are given ([Kp] or [Kp, Ki]), or find them by the LMI and prove those, at a `rate` [1/s]."""
+    promises.require_slower(rate, plant.seconds, where)
     k, l = plant.A22.shape[1], plant.outputs
     zero, corners = np.zeros((k, l)), _corners(plant, rate)
     A12, A22, seconds = corners

@@ -44,7 +44,7 @@ def minimise(
             warnings.simplefilter("ignore", UserWarning)  # that an answer is inaccurate; the status says it too
             problem.solve(solver=solver, **SETTINGS.get(solver, {}))
         status = str(problem.status)
-    except cp.SolverError as error:
+    except (cp.SolverError, ValueError, ArithmeticError) as error:  # a solver's own errors, by its name or not
         status = str(error)
     if status not in ANSWERED:
         kind = Impossible if status == "infeasible" else DesignError

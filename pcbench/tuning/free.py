@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
-from pcbench.observers.options import TUNABLE
+from pcbench.observers.options import TUNABLE, extra
 
 Vector = NDArray[np.float64]
 NOTHING = 1e-15  # of a matrix' size: 0
@@ -40,7 +40,7 @@ class Free(NamedTuple):
 
 def tunable(label: str) -> list[str]:
     """Return the names of the options of an observer that may be tuned."""
-    return [name for name, field in entry_of(label).options.model_fields.items() if _extra(field).get(TUNABLE)]
+    return [name for name, field in entry_of(label).options.model_fields.items() if extra(field).get(TUNABLE)]
 
 
 def start(
@@ -125,7 +125,3 @@ def _inside(annotation: Any) -> list[Any]:
     """What the kinds of value that an option may have declare of themselves."""
     declared = [m for kind in get_args(annotation) for m in getattr(kind, "__metadata__", ())]
     return [m for each in declared for m in (each.metadata if isinstance(each, FieldInfo) else [each])]
-
-
-def _extra(field: FieldInfo) -> dict[str, Any]:
-    return field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
