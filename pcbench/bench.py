@@ -15,6 +15,7 @@ from pcbench.result import Result
 from pcbench.running import Say, Tell, silent
 from pcbench.study_file import Described, one_cell, study_of
 from pcbench.synthesis.certificate import Design
+from pcbench.tuning import fairness, gap
 
 
 def run(
@@ -46,26 +47,30 @@ def run(
     again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of every observer is
     that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a scheduler's address,
     or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
-    a time; by default a quarter of the machine's). `tell` hears of progress, `say` of damaged files. Raises UserError, one
-    sentence, for whatever the user can mend.
+    a time; by default a quarter of the machine's). `tell` hears of progress, `say` of damaged files. A study's `tuning` is done
+    first: `tuning.fairness`; of several the result has a table `fair`. Raises UserError, one sentence, for whatever the user
+    can mend.
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
-    return running.execute(
-        chosen,
-        out=out,
-        fresh=fresh,
-        until_se=until_se,
-        max_seeds=max_seeds,
-        devices=devices,
-        dask=dask,
-        workers=workers,
-        block=block,
-        memory=memory,
-        tell=tell,
-        say=say,
-    )
+    with machine.float64():
+        made = fairness.prepare(chosen, out, fresh, tell)
+        result = running.execute(
+            made.study,
+            out=out,
+            fresh=fresh,
+            until_se=until_se,
+            max_seeds=max_seeds,
+            devices=devices,
+            dask=dask,
+            workers=workers,
+            block=block,
+            memory=memory,
+            tell=tell,
+            say=say,
+        )
+        return gap.report(made, result, out, tell)
 
 
 def trace(

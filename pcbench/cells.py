@@ -123,7 +123,7 @@ def resolved(study: Study, every: list[Cell] | None = None) -> dict[str, Any]:
         }
     known = scenarios_of(study)
     scenarios = {s: _said(json.loads(json.dumps(known[s]._asdict(), default=dict))) for s in study.scenarios}
-    out = study.model_dump(exclude_none=True)
+    out = study.model_dump(exclude_none=True, exclude={"tuning", "tune"})  # by now they are options like any others
     ran_by = {s: observers_of(study, s) for s in study.scenarios}
     said = {"options": options, "scenarios": scenarios, "observers": ran_by}
     said |= {"cells": numbering(study, every)} if every else {}

@@ -24,6 +24,7 @@ class Result:
         self, study: Study, place: store.Target, out: Path | str | None, effort: campaign.Effort, keep: Any = None
     ):
         self.study, self.out, self.effort, self._place, self._keep = study, out, effort, place, keep
+        self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `tuning.fairness`
         self.provenance: dict[str, Any] = json.loads(store.text(place, "provenance.json") or b"{}")
 
     @cached_property

@@ -59,6 +59,8 @@ def progress(quiet: bool) -> Iterator[Any]:
                 bar.update(task, advance=value, description="simulating")
             elif event == "closing":
                 bar.update(task, description="statistics")
+            elif event.startswith(("tuning", "comparing")):
+                bar.update(task, description=event)
 
         yield tell
 
@@ -117,6 +119,24 @@ def tuned(found: Any, observer: str, folder: str | None, console: Console) -> No
         console.print(f"The start is kept: {found.kept_start}.", highlight=False)
     if folder is not None:
         console.print(f"{folder}/tuned.toml can be run: pcbench run {folder}/tuned.toml", highlight=False)
+
+
+def fair(table: pd.DataFrame, console: Console) -> None:
+    """Print what gains as printed, by design and tuned are worth, on training runs and on others, and against the bound."""
+    rows: list[dict[str, Any]] = table.to_dict("records")  # type: ignore[assignment]
+    title = "{scenario}: {metric} of {signal} [{unit}], on training runs and on others".format(**rows[0])
+    cells = ["cell"] if table.cell.nunique() > 1 else []
+    shown = _table(title)
+    for head in (*cells, "observer", "gains", "training", "held out", "gap", "diverged", "of the bound"):
+        shown.add_column(head, justify="left" if head in ("observer", "gains") else "right")
+    for row in rows:
+        means = [f"{row[m]:.4g} ± {2 * row[m + '_se']:.2g}" for m in ("training", "held_out")]
+        share = f"{100 * row['efficiency']:.1f} %" if row["efficiency"] == row["efficiency"] else "-"
+        gap = f"{row['gap']:+.2g} ± {2 * row['gap_se']:.1g}"
+        shown.add_row(*(str(row[c]) for c in (*cells, "observer", "tuning")), *means, gap, str(row["diverged"]), share)
+    console.print(shown)
+    for label, note in dict.fromkeys((row["label"], row["note"]) for row in rows if row["note"]):
+        console.print(f"{label}: the start is kept: {note}.", highlight=False)
 
 
 def _short(value: Any) -> str:

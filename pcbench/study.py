@@ -17,6 +17,7 @@ from pcbench.signals import PATHS, SIGNALS, SINGLE
 Values = list[Any]
 KINDS = ("float", "str")  # how pydantic's names end for a value that may be of several kinds
 LEAST = 1e-30  # a number of an option is 0 or no smaller: the square of the least noise is larger
+TUNINGS = ("paper", "design", "tuned")  # gains as printed (a scenario's), by design for what is known, by tuning
 OWN = "lti"  # the scenario of a study's own plant
 
 
@@ -51,6 +52,16 @@ class Choices(BaseModel):
         return precision
 
 
+class Tune(BaseModel):
+    """`[tune]`: what gains are tuned for, and the effort, the same for every observer of a study."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+    objective: str = Field("rmse", description="metric of the tables to make small")
+    signal: str | None = Field(None, description="of which signal; default: the first")
+    budget: int = Field(60, ge=1, le=100_000, description="times that all training runs are simulated")
+    training: int = Field(256, ge=2, le=100_000, description="training runs; their seeds are far from a study's")
+
+
 class Study(BaseModel):
     """A study as it stands in a TOML file; seconds and SI units."""
 
@@ -64,6 +75,23 @@ class Study(BaseModel):
     axes: dict[str, Values] = {}
     options: dict[str, dict[str, Any]] = {}
     lti: Lti | None = None
+    tuning: str | list[str] = Field("paper", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them")
+    tune: Tune = Tune()
+
+    @field_validator("tuning", mode="before")
+    @classmethod
+    def _known(cls, given: Any) -> Any:
+        asked = [given] if isinstance(given, str) else given
+        if not isinstance(asked, list) or not asked or any(each not in TUNINGS for each in asked):
+            raise ValueError(f"{', '.join(map(repr, TUNINGS))}, or a list of them")
+        if len(set(asked)) < len(asked):
+            raise ValueError("each of them once")
+        return given
+
+    @property
+    def tunings(self) -> list[str]:
+        """Return whose gains are asked for, as a list."""
+        return [self.tuning] if isinstance(self.tuning, str) else list(self.tuning)
 
 
 STUDIES = {
@@ -112,6 +140,14 @@ STUDIES = {
             "drift": [0.0, 0.3],
         },
         options={"scenario": {"random_start": True}},
+    ),
+    "fair": Study(
+        name="fair",
+        scenarios=["cart/gaussian"],
+        seeds=1024,
+        options={"scenario": {"random_start": True}},
+        tuning=list(TUNINGS),
+        tune=Tune(objective="tail_pooled_rmse"),
     ),
     "variable-sampling": Study(
         name="variable-sampling",

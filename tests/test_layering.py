@@ -17,6 +17,8 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"show", "catalogue", "reproduce"},
     {"bench", "interop"},
     {"designing"},
+    {"tuning.gap"},
+    {"tuning.fairness"},
     {"tuning.effort"},
     {"tuning.judging"},
     {"running"},

@@ -1,4 +1,4 @@
-"""Robust gains: promises hold over the whole range, are the optimum where that is known, and are refused where they are wrong."""
+"""Robust gains: promises hold over the whole range, are the optimum where that is known, and are refused where wrong."""
 
 import numpy as np
 import pytest
@@ -224,7 +224,7 @@ def test_ranges_hold_every_tick_and_both_ends_of_a_parameter():
     s = known("cart")._replace(variant=lambda p: CART._replace(A=np.array([[0.0, 1.0], [0.0, -p["lam"]]])))
     maps = ranges.maps(s, [0.1, 0.103], {"lam": [100.0, 150.0]}, 0.0, "test")
     assert len(maps.Phi) == 4 * ranges.VALUES
-    for lam, ms in ((100.0, 100), (150.0, 103)):
+    for lam, ms in ((100.0, 100), (150.0, 103), (150.0, 100)):
         gap = np.abs(maps.Phi - expm(np.array([[0.0, 1.0], [0.0, -lam]]) * ms * 1e-3)).max((1, 2))
         (where,) = np.flatnonzero(gap < 1e-15)
         assert maps.seconds[where] == ms * 1e-3

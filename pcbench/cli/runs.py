@@ -69,10 +69,14 @@ def run(
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": chosen.name, "out": str(folder), "provenance": result.provenance, "stats": stats}
+        if result.fair is not None:
+            summary["fair"] = json.loads(result.fair.to_json(orient="records"))
         print(json.dumps(summary, indent=2))
     elif not quiet:
         screen = console()
         show.closing(result, screen, metric)
+        if result.fair is not None:
+            show.fair(result.fair, screen)
         screen.print("... - best: paired over the same draws; '=' is not distinguishable (Holm, 5 %).", highlight=False)
         screen.print(show.effort(result, folder), highlight=False)
 

@@ -16,6 +16,7 @@ from pcbench.study_file import NOT_TOML, parse
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
+BESIDE = ("tuning/", "training/")  # of a study whose gains are tuned: made before its own runs begin
 KEPT = ("options", "scenarios", "observers", "cells")  # under [resolved]
 NOT_TOML_EITHER = (*NOT_TOML, KeyError, TypeError, AttributeError)
 SHOWN = 3  # differences that a refusal names
@@ -41,7 +42,7 @@ def claim(place: store.Target, study: Study, fresh: bool = False) -> Claim:
         every = cells_of(study)
         return Claim(study, every, to_toml(study, every), True)
     if said is None:
-        others = store.names(place)
+        others = [name for name in store.names(place) if not name.startswith(BESIDE)]
         if others:
             raise UserError(
                 f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."

@@ -6,7 +6,6 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-import tomli_w
 from pydantic import ValidationError
 
 from pcbench import ensemble, machine, planning, study_file, sweep
@@ -17,11 +16,11 @@ from pcbench.observers import entry_of
 from pcbench.sampling import Schedule
 from pcbench.shapes import Planned
 from pcbench.study import Study, options_of
-from pcbench.tuning import free, gradient, ways
+from pcbench.tuning import free, gradient, record, ways
 from pcbench.tuning.free import Vector
 from pcbench.tuning.goal import Goal, goal
-from pcbench.tuning.judging import Judged, against, judge
-from pcbench.tuning.record import History, Point
+from pcbench.tuning.judging import against, judge
+from pcbench.tuning.record import History, Judged, Point
 
 BUDGET = 60
 TRAINING = (3_000_000_000, 256)  # first seed and how many: no study of the usual seeds meets them
@@ -29,6 +28,10 @@ JUDGES = (3_500_000_000, 1024)
 METHODS = ("descent", "search")
 Tell = Callable[[str, float], None]
 Evaluate = Callable[[Vector], tuple[float, Vector]]
+
+
+class NoStart(UserError):
+    """A tuning's start does not work."""
 
 
 class Tuned(NamedTuple):
@@ -72,6 +75,13 @@ def tune(
         study, cell = study_file.one_cell(scenario, [observer], overrides or [])
         where = f"{where} in {cell.scenario.name}"
         aim = goal(objective, cell.scenario, signal, where)
+        of = (
+            f"{method or 'the method that fits'}, {budget} points, seeds {_shown(training)}, judged on {_shown(judges)}"
+        )
+        about = f"{where}: {aim.metric} of {aim.name} by {of}, of {', '.join(only or ['all'])}, {digest(study)[:12]}"
+        place = store.target(str(out) if out is not None else spare)
+        if done := record.finished(place, about):
+            return Tuned(goal=aim, **done)
         options, known = options_of(study, cell.scenario, observer), planning.setting(cell)
         designed = entry_of(observer).design(known, options)
         parameters, start = free.start(observer, options, designed.certificate.numbers, only, where)
@@ -82,9 +92,6 @@ def tune(
         (p,) = planning.plan(study)
         how = _method(method, aim, p, where)
         evaluate = _evaluate(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
-        effort = f"by {how}, {budget} points, seeds {_shown(training)}"
-        about = f"{where}: {aim.metric} of {aim.name} {effort}, of {digest(study)[:12]}"
-        place = store.target(str(out) if out is not None else spare)
         history = History(place, about, free.entries(parameters), tell)
         tell("begin", float(budget))
         _descend(how, history, start, evaluate, budget, where)
@@ -92,10 +99,18 @@ def tune(
         tell("judging", 0.0)
         judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
         kept = against(judged)
-        made = _study(study, observer, {} if kept else found)
-        if out is not None:
-            store.put(place, "tuned.toml", (f"# {about}\n" + tomli_w.dumps(made)).encode())
-        return Tuned(made, free.written(parameters, start), found, kept, judged, history.points, how, aim)
+        tuned = Tuned(
+            _study(study, observer, {} if kept else found),
+            free.written(parameters, start),
+            found,
+            kept,
+            judged,
+            history.points,
+            how,
+            aim,
+        )
+        record.finish(place, about, tuned)
+        return tuned
 
 
 def _descend(how: str, history: History, start: Vector, evaluate: Evaluate, budget: int, where: str) -> None:
@@ -103,7 +118,7 @@ def _descend(how: str, history: History, start: Vector, evaluate: Evaluate, budg
         first = not history.points
         value, slope = history.ask(at, evaluate)
         if first and not np.isfinite(value):
-            raise UserError(
+            raise NoStart(
                 f"{where}: a training run diverges, or the gains are refused, at the start; expected a start that works; write "
                 "another one under [options]."
             )
@@ -175,6 +190,7 @@ def _evaluate(how: str, p: Planned, aim: Goal, root_seed: int, seeds: Any, desig
 
 def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:
     """The study with the observer's options put in, as TOML writes it."""
-    raw = study.model_dump(exclude_none=True)
-    raw["options"] = raw.get("options", {}) | {observer: raw.get("options", {}).get(observer, {}) | chosen}
-    return {key: raw[key] for key in raw if raw[key] != {}}
+    raw = study.model_dump(exclude_none=True, exclude_defaults=True)
+    options = raw.get("options", {})
+    mine = options.get(observer, {}) | chosen
+    return raw | ({"options": options | {observer: mine}} if mine else {})

@@ -1,29 +1,15 @@
 """Start against tuned, on the training runs and on runs that no gradient has seen: the tables' own numbers."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from pcbench import running, study_file
 from pcbench.observers import base_of
 from pcbench.statistics import POOLED
 from pcbench.study import Study
 from pcbench.tuning.goal import Goal
+from pcbench.tuning.record import Judged
 
 WORSE = 2.0  # standard errors that tuned may be worse than its start
-
-
-class Judged(NamedTuple):
-    """A goal's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
-
-    what: str  # training or judging
-    first: int
-    seeds: int
-    start: float
-    start_se: float
-    tuned: float
-    tuned_se: float
-    difference: float  # tuned less start, paired over the same draws
-    difference_se: float
-    diverged: tuple[int, int]  # runs, of start and tuned
 
 
 def judge(

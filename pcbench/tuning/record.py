@@ -1,5 +1,6 @@
-"""What a tuning has seen so far, point by point, in a Parquet file: all that is needed to go on."""
+"""What a tuning has seen so far, point by point, in a Parquet file: all that is needed to go on; and what it has found."""
 
+import tomllib
 from collections.abc import Callable
 from math import isfinite
 from time import monotonic
@@ -7,14 +8,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import tomli_w
 
 from pcbench.dataset import store
 from pcbench.errors import UserError
 from pcbench.tuning.free import Vector
 
-HISTORY = "history.parquet"
+HISTORY, FOUND = "history.parquet", "tuned.toml"
 ABOUT = b"pcbench.tuning"  # the key in the file's metadata: what was tuned for what
 PAUSE = 2.0  # [s] between two writings
+
+
+class Judged(NamedTuple):
+    """A goal's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
+
+    what: str  # training or judging
+    first: int
+    seeds: int
+    start: float
+    start_se: float
+    tuned: float
+    tuned_se: float
+    difference: float  # tuned less start, paired over the same draws
+    difference_se: float
+    diverged: tuple[int, int]  # runs, of start and tuned
 
 
 class Point(NamedTuple):
@@ -106,3 +123,28 @@ def _read(place: store.Target, about: str) -> list[Point]:
             f"{place.name}: holds another tuning ({said}), expected {about}; give another folder with --out."
         )
     return points
+
+
+def finish(place: store.Target, about: str, tuned: Any) -> None:
+    """Put what was found into its place: a study that can be run, and under [resolved.tuning] how it came about."""
+    said = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
+    said |= {"method": tuned.method, "judged": [_plain(j) for j in tuned.judged]}
+    store.put(place, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
+
+
+def finished(place: store.Target, about: str) -> dict[str, Any] | None:
+    """Return the parts of what an earlier run of the same tuning has found; None where there is none."""
+    content = store.text(place, FOUND)
+    try:
+        study = tomllib.loads((content or b"").decode())
+        said = study.pop("resolved")["tuning"]
+        if said.pop("about") != about:
+            return None
+        judged = [Judged(**j | {"diverged": tuple(j["diverged"])}) for j in said.pop("judged")]
+        return said | {"study": study, "judged": judged, "points": _read(place, about)}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None  # not there, or damaged: the history is read, and it is written anew
+
+
+def _plain(judged: Judged) -> dict[str, Any]:
+    return judged._asdict() | {"diverged": list(judged.diverged)}
