@@ -74,7 +74,7 @@ class Options(BaseModel):
         "poles",
         description="each link's: F = pole I (or distinct poles, where C is not invertible), the paper's, Kalman's",
     )
-    pole: Pole = tunable(1e-4, description="of each link, over its d samples; unused by riccati")
+    pole: Pole = tunable(1e-4, (-1, 1), description="of each link, over its d samples; unused by riccati")
     pole_per_tick: Pole | None = Field(None, description="in place of pole: of each sample, r^d for a link")
     output: Literal["updated", "deadbeat"] = Field(
         "updated", description="yhat from the corrected estimate (V = C K), or V = C A^d pinv(C)"

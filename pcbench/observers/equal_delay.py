@@ -36,7 +36,7 @@ class Options(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     variant: Literal["held", "theorem1"] = Field("held", description="the slow one, or a single link of the chain")
     delay: int | None = Field(None, ge=1, le=200, description="samples; default: the shortest of the channels'")
-    pole: Pole = tunable(1e-4, description="theorem1: F = pole I, or distinct poles where C is not invertible")
+    pole: Pole = tunable(1e-4, (-1, 1), description="theorem1: F = pole I, or distinct poles where C is not invertible")
 
 
 def design(setting: Setting, options: Options) -> Design:

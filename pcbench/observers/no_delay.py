@@ -34,7 +34,7 @@ class Options(BaseModel):
     variant: Literal["aligned", "plain"] = Field(
         "aligned", description="samples against their own time, or against now"
     )
-    pole: Pole = tunable(1e-4, description="A - K C = pole I, or distinct poles where C is not invertible")
+    pole: Pole = tunable(1e-4, (-1, 1), description="A - K C = pole I, or distinct poles where C is not invertible")
 
 
 def design(setting: Setting, options: Options) -> Design:

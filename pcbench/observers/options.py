@@ -12,9 +12,12 @@ from pcbench.synthesis.linear import Matrix
 TUNABLE, WAY = "tunable", "way"  # keys in a field's extra
 
 
-def tunable(default: Any, **how: Any) -> Any:
-    """Return a field as pydantic's `Field` does, of an option that may be tuned: gains depend on it smoothly."""
-    return Field(default, json_schema_extra={TUNABLE: True}, **how)
+def tunable(default: Any, between: tuple[float, float] | None = None, **how: Any) -> Any:
+    """Return a field as pydantic's `Field` does, of an option that may be tuned: gains depend on it smoothly.
+
+    `between` are the numbers within which it lies, where both bound it.
+    """
+    return Field(default, json_schema_extra={TUNABLE: list(between or ())}, **how)
 
 
 def way(default: Any, **how: Any) -> Any:

@@ -6,7 +6,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from pcbench import ensemble, machine, planning, study_file, sweep
 from pcbench.cells import digest
@@ -16,6 +16,7 @@ from pcbench.observers import entry_of
 from pcbench.sampling import Schedule
 from pcbench.shapes import Planned
 from pcbench.study import Study, options_of
+from pcbench.synthesis.certificate import Design, Setting
 from pcbench.tuning import free, gradient, record, ways
 from pcbench.tuning.free import Vector
 from pcbench.tuning.goal import Goal, goal
@@ -84,7 +85,7 @@ def tune(
             return Tuned(goal=aim, **done)
         options, known = options_of(study, cell.scenario, observer), planning.setting(cell)
         designed = entry_of(observer).design(known, options)
-        parameters, start = free.start(observer, options, designed.certificate.numbers, only, where)
+        parameters, start = freed(observer, known, options, designed, only, where)
 
         def design(at: Vector) -> Any:
             return entry_of(observer).design(known, free.put(options, parameters, at)).gains
@@ -111,6 +112,25 @@ def tune(
         )
         record.finish(place, about, tuned)
         return tuned
+
+
+def freed(
+    observer: str, known: Setting, options: BaseModel, designed: Design, only: list[str] | None, where: str
+) -> tuple[list[free.Free], Vector]:
+    """Return the free parameters that gains depend on here, and where they start; errors as of `free.start`."""
+    every, at = free.start(observer, options, designed.certificate.numbers, only, where)
+
+    def gains(there: Vector) -> list[Any]:
+        return gradient.numbers(entry_of(observer).design(known, free.put(options, every, there)).gains)
+
+    used = free.used(every, at, gains)
+    if not used:
+        names = ", ".join(f.name for f in every)
+        raise UserError(
+            f"{where}: got free parameters ({names}) that its gains do not depend on as they are found here, expected one that "
+            "they do; change the way they are found, or tune another observer."
+        )
+    return free.start(observer, options, designed.certificate.numbers, used, where)
 
 
 def _descend(how: str, history: History, start: Vector, evaluate: Evaluate, budget: int, where: str) -> None:

@@ -15,14 +15,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pcbench import running
+from pcbench import planning, running
 from pcbench.dataset import store
 from pcbench.dataset.folder import BESIDE, TEXT
 from pcbench.errors import UserError
 from pcbench.observers import base_of, entry_of
 from pcbench.running import Tell, silent
-from pcbench.study import Study, dashes, observers_of, scenarios_of
-from pcbench.study_file import study_of
+from pcbench.study import Study, dashes, observers_of, options_of, scenarios_of
+from pcbench.study_file import one_cell, study_of
 from pcbench.tuning import effort, free
 from pcbench.tuning.goal import Goal, goal
 
@@ -144,7 +144,7 @@ def _better(
     study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Goal, tell: Tell
 ) -> dict[str, dict[str, Any]]:
     """By observer that has free parameters, the options of its better version on the training runs: where tuning starts."""
-    free_ones = [v for v in versions if free.tunable(v.observer)]
+    free_ones = [v for v in versions if _is_free(study, v, options[v.label])]
     if not free_ones:
         return {}
     tell("comparing starts", 0.0)
@@ -159,6 +159,19 @@ def _better(
         if v.observer not in best or merit < best[v.observer][0]:
             best[v.observer] = merit, v.label
     return {observer: options[label] for observer, (_, label) in best.items()}
+
+
+def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
+    """Say whether a version has free parameters that its gains depend on."""
+    if not free.tunable(version.observer):
+        return False
+    here, cell = one_cell(_with(study, {version.observer: options}), [version.observer], ["axes={}"])
+    known, chosen = planning.setting(cell), options_of(here, cell.scenario, version.observer)
+    designed = entry_of(version.observer).design(known, chosen)
+    try:
+        return bool(effort.freed(version.observer, known, chosen, designed, None, study.name))
+    except UserError:
+        return False
 
 
 def _tuned(

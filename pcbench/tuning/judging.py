@@ -42,6 +42,8 @@ def against(judged: list[Judged]) -> str:
     (j,) = (each for each in judged if each.what == "judging")
     if j.diverged[1] > j.diverged[0]:
         return f"{j.diverged[1]} of {j.seeds} judging runs diverge, {j.diverged[0]} with the start"
+    if j.difference != j.difference:
+        return f"{j.diverged[1]} of {j.seeds} judging runs diverge, as with the start"
     if not j.difference <= WORSE * j.difference_se:
         return f"worse than its start on the judging runs by {j.difference:.3g} (standard error {j.difference_se:.2g})"
     return ""

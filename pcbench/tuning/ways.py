@@ -14,7 +14,7 @@ from scipy.optimize import minimize
 from pcbench.tuning.free import Vector
 
 FIRST = 0.1  # length of the first step, in free parameters,
-LONGEST = 1.0  # and of any
+LONGEST = 1.0  # and of any, at first: where steps of that length go down, longer ones may be tried
 ENOUGH = 1e-4  # of the decrease that the slope promises
 SMALLEST = 1e-9  # step, of the free parameters
 SPREAD = 0.25  # the simplex' first edges
@@ -26,25 +26,27 @@ def descent(ask: Ask, start: Vector, budget: int) -> None:
     rule = optax.scale_by_lbfgs()
     at, (value, slope), left = start, ask(start), budget - 1
     state = rule.init(at)
-    fresh = True
+    fresh, longest = True, LONGEST
     while left > 0 and slope.any():
         ahead, state = rule.update(slope, state, at)
         step = -np.asarray(ahead, float)
         if fresh or slope @ step >= 0:
             step = -slope * FIRST / np.linalg.norm(slope)
-        step *= min(1.0, LONGEST / np.linalg.norm(step))
-        tried = False
+        cut = min(1.0, longest / float(np.linalg.norm(step)))
+        step, tried, whole = step * cut, False, True
         while left > 0 and np.linalg.norm(step) > SMALLEST:
             there, left, tried = ask(at + step), left - 1, True
             if there[0] <= value + ENOUGH * (slope @ step) and np.isfinite(there[1]).all():
                 break
-            step /= 2
+            step, whole = step / 2, False
         else:
             if fresh or not tried:
                 return
             state, fresh = rule.init(at), True  # what was learnt of the curvature misleads here
             continue
         at, (value, slope), fresh = at + step, there, False
+        if whole and cut < 1:
+            longest *= 2
 
 
 def search(value: Callable[[Vector], float], start: Vector, budget: int) -> None:
