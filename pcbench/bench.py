@@ -70,7 +70,7 @@ def run(
             tell=tell,
             say=say,
         )
-        return gap.report(made, result, out, tell)
+        return gap.report(made, result, out, fresh, tell)
 
 
 def trace(

@@ -1,6 +1,8 @@
 """Studies whose gains come about in several ways: which versions there are, on which seeds, and what stands in the table."""
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -14,6 +16,7 @@ from pcbench.observers import OBSERVERS, entry_of
 from pcbench.study import STUDIES, TUNINGS, observers_of
 from pcbench.tuning import effort, fairness
 
+README = (Path(__file__).parent.parent / "README.md").read_text()
 FAIR = {
     "name": "little",
     "scenarios": ["cart/gaussian"],
@@ -179,4 +182,13 @@ def test_nothing_beats_the_bound_and_tuned_is_not_worse_than_its_start():
         start = min(by.held_out[observer][t] for t in ("paper", "design") if t in by.held_out[observer])
         se = np.hypot(by.held_out_se[observer, "tuned"], by.held_out_se[observer, "paper"])
         assert by.held_out[observer, "tuned"] <= start + 2 * se
-    assert by.held_out["pccebo", "tuned"] < 0.6 * by.held_out["pccebo", "paper"]
+    rows = re.findall(
+        r"^\| (as printed|by design|tuned) \| (\d+) % \| (\d+) % \| (?:(\d+) %|as printed) \|$", README, re.M
+    )
+    assert len(rows) == 3
+    for (_, *said), tuning in zip(rows, TUNINGS, strict=True):
+        for observer, share in zip(("pccebo", "kfbo", "dkf"), said, strict=True):
+            assert not share or abs(100 * by.efficiency[observer, tuning] - int(share)) < 1, (observer, tuning)
+    assert (100 * (by.efficiency_high - by.efficiency_low) / 2).max() < 4
+    printed, tuned = (by.held_out["kfbo", t] / by.held_out["pccebo", t] for t in ("paper", "tuned"))
+    assert (round(printed, 1), round(tuned, 1)) == (2.6, 2.2)

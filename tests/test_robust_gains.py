@@ -7,7 +7,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
-from pcbench.synthesis import current_estimator, current_gains, promises, ranges, robust, solvers
+from pcbench.synthesis import common_lyapunov, current_estimator, current_gains, promises, ranges, robust, solvers
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.ranges import Maps
 
@@ -130,6 +130,19 @@ def test_a_second_solver_agrees_and_is_certified_alike(kind):
     for name in ("rms_bound", "g"):
         if name in proofs[0].numbers:
             assert proofs[1].numbers[name] == pytest.approx(proofs[0].numbers[name], rel=1e-3)
+
+
+@pytest.mark.parametrize("H", [None, np.array([[[0.3, 1.0]], [[0.5, 0.2]]])], ids=["given", "sought"])
+def test_a_second_solver_agrees_on_one_lyapunov_matrix_for_a_range(H):
+    J = np.array([[[0.9, 0.3], [-0.2, 0.6]], [[0.7, -0.1], [0.4, 0.8]]])
+    seen = common_lyapunov.Range(J, np.array([0.2, 0.5]), H)
+    both = [common_lyapunov.solve(seen, 0.2, "test", solver) for solver in solvers.SOLVERS]
+    assert both[1].t == pytest.approx(both[0].t, rel=1e-4)
+    for found in both:
+        closed = J if H is None else J - found.G @ H
+        proof = common_lyapunov.certify(found, common_lyapunov.Range(closed, seen.seconds), 0.2, "test")
+        assert proof.margin == pytest.approx(found.t, rel=1e-3)
+        assert proof.rate > 0.2
 
 
 def test_certificates_refuse_what_is_wrong():

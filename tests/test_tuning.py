@@ -131,7 +131,8 @@ def test_what_is_found_runs_as_a_study_and_gives_the_numbers_it_was_judged_by(tm
 @pytest.mark.slow
 def test_a_start_that_cannot_be_bettered_is_kept_and_said(monkeypatch, tmp_path):
     """What was found is made worse than it is: nothing that is worse on other seeds is handed out."""
-    monkeypatch.setattr(effort.free, "written", lambda free, at: {"L": [[1.9], [0.0]]})
+    real = effort.judge
+    monkeypatch.setattr(effort, "judge", lambda study, o, found, *how: real(study, o, {"L": [[1.9], [0.0]]}, *how))
     found = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
     assert "worse than its start on the judging runs" in found.kept_start
     assert "L" not in (tmp_path / "out" / "tuned.toml").read_text().partition("options")[2]

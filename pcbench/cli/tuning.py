@@ -18,7 +18,7 @@ def tune(
     observer: Annotated[str, typer.Argument(help="an observer's name")],
     budget: Annotated[int | None, typer.Option(help="times that all training runs are simulated [default: 60]")] = None,
     objective: Annotated[str, typer.Option(help="metric of the tables to make small")] = "rmse",
-    signal: Annotated[str | None, typer.Option(help="of which signal [default: the first]")] = None,
+    signal: Annotated[str | None, typer.Option(help="of which signal [default: the first of a closing table]")] = None,
     method: Annotated[str | None, typer.Option(help="descent (with gradients) or search [default: as can be]")] = None,
     only: Annotated[str | None, typer.Option(help="comma-separated options to tune [default: all that can be]")] = None,
     train: SeedRange = None,

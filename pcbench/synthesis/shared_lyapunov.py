@@ -10,12 +10,13 @@ Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 3 and Appendix B; Rema
 Theorem 2 when A_0 = 0, certifies an unstable system and is not used.
 """
 
-import warnings
 from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from pcbench.errors import DesignError
+from pcbench.synthesis import solvers
 from pcbench.synthesis.certificate import least_eigenvalue
 from pcbench.synthesis.chain import Link
 from pcbench.synthesis.linear import Matrix
@@ -35,7 +36,7 @@ def couplings(chain: list[Link]) -> list[list[Matrix]]:
     return out
 
 
-def check(chain: list[Link], scale: Matrix, solver: str = "CLARABEL") -> dict[str, Any]:
+def check(chain: list[Link], scale: Matrix, among: tuple[str, ...] = solvers.SOLVERS) -> dict[str, Any]:
     """Search e for the largest t with (29) <= -t I and t I <= P <= I, at the scale of x(0); report, never refuse.
 
     Returns `shared_margin`, re-checked by eigenvalues (positive: (29) holds; NaN: no answer), `shared_epsilon`, `shared_P`.
@@ -47,7 +48,7 @@ def check(chain: list[Link], scale: Matrix, solver: str = "CLARABEL") -> dict[st
 
     def loss(exponent: float) -> float:
         e = 10.0**exponent
-        P = _solve(F, Phi, e, solver)
+        P = _solve(F, Phi, e, among)
         found[e] = (float("nan"), P) if P.size == 0 else (_margin(F, Phi, e, P), P)
         return -found[e][0] if np.isfinite(found[e][0]) else 1.0
 
@@ -61,7 +62,7 @@ def _inequality(F: Matrix, Phi: list[Matrix], e: float, P: Any) -> Any:
     return P - (1 + e) * F.T @ P @ F - sum(len(Phi) * (1 + 1 / e) * term for term in coupled)
 
 
-def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, solver: str) -> Matrix:
+def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, among: tuple[str, ...]) -> Matrix:
     import cvxpy as cp
 
     n = len(F[0])
@@ -70,13 +71,12 @@ def _solve(F: list[Matrix], Phi: list[list[Matrix]], e: float, solver: str) -> M
     for M, each in zip(F, Phi, strict=True):
         left = _inequality(M, each, e, P)
         rules.append((left + left.T) / 2 >> t * np.eye(n))
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # an inaccurate answer is judged by its eigenvalues
-            cp.Problem(cp.Maximize(t), rules).solve(solver=solver)
-    except cp.SolverError:
-        return np.zeros((0, 0))
-    return np.zeros((0, 0)) if P.value is None else np.asarray(P.value, float)
+    for solver in among:
+        try:
+            return solvers.minimise(-t, rules, (P,), "(29)", solver, "none is needed")[1][0]
+        except DesignError:
+            continue
+    return np.zeros((0, 0))
 
 
 def _margin(F: list[Matrix], Phi: list[list[Matrix]], e: float, P: Matrix) -> float:

@@ -18,7 +18,7 @@ from pcbench.tuning.goal import Goal
 TABLE = "fair.parquet"
 
 
-def report(made: Prepared, result: Result, out: str | Path | None, tell: Tell = silent) -> Result:
+def report(made: Prepared, result: Result, out: str | Path | None, fresh: bool, tell: Tell = silent) -> Result:
     """Return the result with its table `fair`: every version on training seeds and on the study's own, and against the bound.
 
     One row per cell and version: `training` and `held_out` are means of the objective (of a pooled one the root of the mean
@@ -30,7 +30,7 @@ def report(made: Prepared, result: Result, out: str | Path | None, tell: Tell = 
         return result
     seeds = {"first_seed": effort.TRAINING[0], "seeds": made.study.tune.training}
     beside = None if out is None else f"{out}/training"
-    training = running.execute(made.study.model_copy(update=seeds), out=beside, tell=tell)
+    training = running.execute(made.study.model_copy(update=seeds), out=beside, fresh=fresh, tell=tell)
     result.fair = table(made.versions, made.aim, training.stats, result.stats)
     if out is not None:
         store.put_table(store.target(str(out)), TABLE, pa.Table.from_pandas(result.fair, preserve_index=False))

@@ -46,11 +46,14 @@ class Goal(NamedTuple):
 
 
 def goal(objective: str, scenario: Scenario, signal: str | None, where: str) -> Goal:
-    """Return the goal that a metric's name and a signal's (default: the first) say; raise UserError for another word."""
+    """Return the goal that a metric's name and a signal's say (default: the first that a closing table shows).
+
+    Raises UserError for another word.
+    """
     if objective not in MEASURES:
         raise unknown(f"{where}: --objective", "metric to tune for", objective, MEASURES)
     names = [name for name, _ in signals_of(scenario)]
     if signal is not None and signal not in names:
         raise unknown(f"{where}: --signal", "signal", signal, names)
-    chosen = names.index(signal) if signal else 0
+    chosen = names.index(signal or (*scenario.headline, names[0])[0])
     return Goal(objective, chosen, names[chosen], signals_of(scenario)[chosen][1])
