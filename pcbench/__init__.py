@@ -18,6 +18,7 @@ _LAZY = {
     "design": "bench",
     "trade_off": "bench",
     "tune": "tuning.effort",
+    "opened": "result",
     "Result": "result",
     "lti": "interop",
     "to_scipy": "interop",

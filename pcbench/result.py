@@ -9,9 +9,27 @@ import pandas as pd
 import pyarrow.dataset as ds
 
 from pcbench import tables
-from pcbench.dataset import campaign, closing, store
+from pcbench.dataset import campaign, closing, folder, ledger, store
 from pcbench.errors import UserError
-from pcbench.study import Study
+from pcbench.study import Study, observers_of
+
+FAIR = "fair.parquet"
+
+
+def opened(out: str | Path) -> "Result":
+    """Return what a run has left in a folder or under a URI; raise UserError where there is nothing, or it is not whole."""
+    place = store.target(str(out))
+    claimed = folder.opened(place)
+    there = ledger.settled(ledger.present(place))
+    if not closing.is_closed(place, there):
+        raise UserError(
+            f"{place.name}: got a study without closing tables of its runs, expected a finished one; go on with pcbench run "
+            f"{place.name}/study.toml --out {place.name}."
+        )
+    result = Result(claimed.study, place, out, campaign.Effort())
+    found = store.get(place, FAIR)
+    result.fair = None if found is None else store.parsed(found).to_pandas()
+    return result
 
 
 class Result:
@@ -40,15 +58,25 @@ class Result:
     @cached_property
     def runs(self) -> pd.DataFrame:
         """One row per cell, observer, seed and signal."""
-        files = [f"{self._place.root}/{name}" for name in store.names(self._place, "runs")]
-        base = f"{self._place.root}/runs"
-        found = ds.dataset(
-            files, filesystem=self._place.fs, format="parquet", partitioning="hive", partition_base_dir=base
-        )
-        whole = found.to_table().to_pandas()
+        whole = self._dataset().to_table().to_pandas()
         first = ["study", "scenario", "observer", "cell"]
         ordered = whole[first + [c for c in whole.columns if c not in first]]
         return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
+
+    def runs_of(self, scenario: str, metrics: list[str], cell: int) -> pd.DataFrame:
+        """Return some metrics of the runs of one cell: observer (in the study's order), seed, signal, diverged, metrics."""
+        here = (ds.field("scenario") == scenario) & (ds.field("cell") == cell)
+        found = self._dataset().to_table(["observer", "seed", "signal", "diverged", *metrics], filter=here).to_pandas()
+        order = {name: i for i, name in enumerate(observers_of(self.study, scenario))}
+        found["place"] = found.observer.astype(str).map(order)
+        return found.sort_values(["place", "seed"], kind="stable", ignore_index=True).drop(columns="place")
+
+    def _dataset(self) -> ds.Dataset:
+        files = [f"{self._place.root}/{name}" for name in store.names(self._place, "runs")]
+        base = f"{self._place.root}/runs"
+        return ds.dataset(
+            files, filesystem=self._place.fs, format="parquet", partitioning="hive", partition_base_dir=base
+        )
 
     def _closing(self, name: str) -> pd.DataFrame:
         found = closing.table(self._place, name)

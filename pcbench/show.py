@@ -77,7 +77,7 @@ def counting(quiet: bool) -> Iterator[Any]:
             if event in ("checked", "compared", "merged"):
                 bar.advance(current[-1], value)
             else:
-                current.append(bar.add_task(event, total=value))
+                current.append(bar.add_task(event, total=value or None))
 
         yield tell
 
@@ -237,18 +237,18 @@ def _scenario(
         order = list(ranked.observer)
         for observer in order:
             row, best = wide.loc[observer], observer == order[0]
-            shown = [_interval(row.loc[metric])]
-            shown += ["" if best else _difference(pairs[pairs.cell == number], observer, order[0])]
-            shown += [_interval(row.loc["pooled_rmse"]), _interval(row.loc["tail_pooled_rmse"])]
+            shown = [interval(row.loc[metric])]
+            shown += ["" if best else difference(pairs[pairs.cell == number], observer, order[0])]
+            shown += [interval(row.loc["pooled_rmse"]), interval(row.loc["tail_pooled_rmse"])]
             if bounded:
-                shown += [_interval(row.loc["efficiency"]) if "efficiency" in row.index else ""]
-            shown += [_settled(row.loc["settling_time"], scenario.horizon)]
+                shown += [interval(row.loc["efficiency"]) if "efficiency" in row.index else ""]
+            shown += [settled(row.loc["settling_time"], scenario.horizon)]
             if jumps:
-                shown += [_interval(row.loc["recovery_time"])]
+                shown += [interval(row.loc["recovery_time"])]
             if aimed:
-                shown += [_interval(row.loc["tail_tracking_rmse"])]
+                shown += [interval(row.loc["tail_tracking_rmse"])]
             if lost:
-                shown += [_fraction(row.loc["divergence"])]
+                shown += [fraction(row.loc["divergence"])]
             place = [_axis(cell[a].iloc[0]) if best else "" for a in axes]
             table.add_row(*place, f"[bold]{observer}[/bold]" if best else observer, *shown)
         table.add_section()
@@ -264,7 +264,7 @@ def _table(title: str) -> Table:
     return Table(title=escape(title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
 
 
-def _interval(row: Any) -> str:
+def interval(row: Any) -> str:
     """An estimate with half its interval; without one where the runs are all alike; rounding of zero as 0."""
     half = (row["ci_high"] - row["ci_low"]) / 2
     if abs(row["mean"]) < ROUNDING:
@@ -274,17 +274,17 @@ def _interval(row: Any) -> str:
     return f"{row['mean']:.4g}" if not half > 1e-9 * abs(row["mean"]) else f"{row['mean']:.4g} ± {half:.2g}"
 
 
-def _fraction(row: Any) -> str:
+def fraction(row: Any) -> str:
     """A fraction of runs with its interval, in per cent."""
     return f"{100 * row['mean']:.3g} % ({100 * row['ci_low']:.3g} .. {100 * row['ci_high']:.3g})"
 
 
-def _settled(row: Any, horizon: float) -> str:
+def settled(row: Any, horizon: float) -> str:
     """The median settling time; 'never' where most runs were outside their band at the end."""
     return "-" if np.isnan(row["p50"]) else "never" if row["p50"] >= horizon else f"{row['p50']:.3g}"
 
 
-def _difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
+def difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
     """The difference to the best with its interval, and '=' where it is not distinguishable."""
     forward = pairs[(pairs.observer_a == observer) & (pairs.observer_b == best)]
     backward = pairs[(pairs.observer_a == best) & (pairs.observer_b == observer)]

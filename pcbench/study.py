@@ -149,6 +149,7 @@ STUDIES = {
         tuning=list(TUNINGS),
         tune=Tune(objective="tail_pooled_rmse"),
     ),
+    "all": Study(name="all", scenarios=list(SCENARIOS), seeds=256),
     "variable-sampling": Study(
         name="variable-sampling",
         scenarios=["cart/variable", "cart/variable-bias", "cart/variable-gain"],

@@ -101,8 +101,8 @@ def test_the_table_shown_is_the_one_that_comes_out():
     for line in shown.splitlines()[3:]:
         observer = line.split()[0]
         for metric in ("mae", "pooled_rmse", "tail_pooled_rmse", "efficiency"):
-            assert f" {show._interval(stats.loc[(observer, metric)])} " in line, (observer, metric)
-        best = show._difference(result.pairs.query(MAE), observer, "dkf") if observer != "dkf" else ""
+            assert f" {show.interval(stats.loc[(observer, metric)])} " in line, (observer, metric)
+        best = show.difference(result.pairs.query(MAE), observer, "dkf") if observer != "dkf" else ""
         assert best in line
         assert observer == "dkf" or best.startswith("+")
 

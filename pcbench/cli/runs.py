@@ -2,12 +2,14 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from pcbench.cli.shared import AsJson, Quiet, Set, app, console, names, say, setup
 from pcbench.cli.stopping import stoppable
+
+LONG = 30.0  # s of a study
 
 
 @app.command()
@@ -66,6 +68,10 @@ def run(
             tell=stoppable(draw),
             say=say,
         )
+    if (
+        result.effort.runs and result.provenance["wall_seconds"] > LONG
+    ):  # little beside the study: a report is quicker then
+        _examples(result, quiet or as_json)
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": chosen.name, "out": str(folder), "provenance": result.provenance, "stats": stats}
@@ -79,6 +85,19 @@ def run(
             show.fair(result.fair, screen)
         screen.print("... - best: paired over the same draws; '=' is not distinguishable (Holm, 5 %).", highlight=False)
         screen.print(show.effort(result, folder), highlight=False)
+
+
+def _examples(result: Any, quiet: bool) -> None:
+    """Leave one run of each scenario tick by tick, for a report."""
+    from pcbench import examples, machine, show
+
+    names = list(dict.fromkeys(result.stats.scenario))
+    with machine.float64(), show.counting(quiet) as draw:
+        tell = stoppable(draw)
+        tell("examples", float(len(names)))
+        for name in names:
+            examples.of(result.study, name, result.out)
+            tell("checked", 1.0)
 
 
 @app.command()

@@ -9,13 +9,11 @@ import pyarrow as pa
 
 from pcbench import running
 from pcbench.dataset import store
-from pcbench.result import Result
+from pcbench.result import FAIR, Result
 from pcbench.running import Tell, silent
 from pcbench.tuning import effort
 from pcbench.tuning.fairness import Prepared, Version
 from pcbench.tuning.goal import Goal
-
-TABLE = "fair.parquet"
 
 
 def report(made: Prepared, result: Result, out: str | Path | None, fresh: bool, tell: Tell = silent) -> Result:
@@ -33,7 +31,7 @@ def report(made: Prepared, result: Result, out: str | Path | None, fresh: bool, 
     training = running.execute(made.study.model_copy(update=seeds), out=beside, fresh=fresh, tell=tell)
     result.fair = table(made.versions, made.aim, training.stats, result.stats)
     if out is not None:
-        store.put_table(store.target(str(out)), TABLE, pa.Table.from_pandas(result.fair, preserve_index=False))
+        store.put_table(store.target(str(out)), FAIR, pa.Table.from_pandas(result.fair, preserve_index=False))
     return result
 
 

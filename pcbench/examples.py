@@ -1,0 +1,85 @@
+"""One run of each scenario tick by tick, thinned for the eye: what a report shows in time.
+
+It is the study's first seed in the scenario's first cell, simulated anew by `bench.trace` and kept in the folder `examples`
+beside the tables, where it is found again.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pcbench import bench
+from pcbench.cells import cells
+from pcbench.dataset import store
+from pcbench.planning import setting
+from pcbench.plants import signals_of
+from pcbench.study import Study, observers_of, scenarios_of
+from pcbench.study_file import study_of
+
+POINTS = 400  # ticks that are kept
+UNIT = 1e-12  # a row of C shows a state as it is when it differs from a unit vector by less
+
+
+def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
+    """Return signal, series, kind, t [s], value of one run; made where it does not stand in the folder `out`.
+
+    `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, measured (as it has arrived and is
+    held; of signals that an output shows as they are) or target (of a closed loop).
+    """
+    place = None if out is None else store.target(str(out))
+    name = f"examples/{scenario.replace('/', '%2F')}.parquet"
+    found = None if place is None else store.get(place, name)
+    if found is not None:
+        return store.parsed(found).to_pandas()
+    made = _made(study, scenario)
+    if place is not None:
+        store.put_table(place, name, pa.Table.from_pandas(made, preserve_index=False))
+    return made
+
+
+def stand(out: str | Path, scenario: str) -> bool:
+    """Say whether a folder has a scenario's example."""
+    return store.get(store.target(str(out)), f"examples/{scenario.replace('/', '%2F')}.parquet") is not None
+
+
+def _made(study: Study, scenario: str) -> pd.DataFrame:
+    axes = {name: [values[0]] for name, values in study.axes.items()}
+    here = study_of(study, {"scenarios": [scenario], "axes": axes}, [])
+    names, closed = observers_of(here, scenario), bool(scenarios_of(here)[scenario].controller)
+    groups = [[name] for name in names] if closed else [names]
+    parts = [part for group in groups for part in _series(here, scenario, group, closed)]
+    return pd.concat(parts, ignore_index=True)
+
+
+def _series(study: Study, scenario: str, observers: list[str], closed: bool) -> list[pd.DataFrame]:
+    trace = bench.trace(study, observers, seed=study.first_seed)
+    thin = trace.iloc[:: -(-len(trace) // POINTS)]
+    s = scenarios_of(study)[scenario]
+    shown = _shown(study, scenario)
+    out = []
+    for signal, _ in signals_of(s):
+        columns = {(f"plant under {observers[0]}" if closed else "plant", "truth"): signal}
+        columns |= {(o, "estimate"): f"{o}.{signal}" for o in observers}
+        columns |= (
+            {("target", "target"): f"target.{signal}"} if observers[0] == observers_of(study, scenario)[0] else {}
+        )
+        columns |= {("measured", "measured"): f"y{shown[signal] + 1}"} if signal in shown and not closed else {}
+        for (series, kind), column in columns.items():
+            if column in thin:
+                values = {"signal": signal, "series": series, "kind": kind, "t": thin.t, "value": thin[column]}
+                out.append(pd.DataFrame(values))
+    return out
+
+
+def _shown(study: Study, scenario: str) -> dict[str, int]:
+    """Which output shows a state as it is, by state."""
+    C = setting(cells(study, scenario)[0]).model.C
+    states = [name for name, _ in signals_of(scenarios_of(study)[scenario])]
+    return {
+        states[j]: i
+        for i in range(len(C))
+        for j in range(C.shape[1])
+        if np.abs(C[i] - np.eye(C.shape[1])[j]).max() < UNIT
+    }

@@ -1,0 +1,146 @@
+"""What a picture shows, as frames: taken from a result's tables, before anything is drawn.
+
+Every frame is of one signal of one scenario. Axes that vary are those with more than one value among the scenario's cells.
+"""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pcbench.errors import UserError, unknown
+from pcbench.result import Result
+from pcbench.study import scenarios_of
+from pcbench.tables import AXIS_UNITS, axes_of
+
+POINTS = 160  # of a distribution
+ALPHA = 0.05
+
+
+def scenario_of(result: Result, scenario: str | None) -> str:
+    """Return the scenario that is meant (None: the first); raise UserError for another word."""
+    names = list(dict.fromkeys(result.stats.scenario))
+    if scenario is not None and scenario not in names:
+        raise unknown(f"study {result.study.name}", "scenario", scenario, names)
+    return scenario or names[0]
+
+
+def signals(result: Result, scenario: str) -> list[str]:
+    """Return the signals that a scenario's pictures show by default."""
+    there = list(dict.fromkeys(result.stats.signal[result.stats.scenario == scenario]))
+    chosen = [s for s in scenarios_of(result.study)[scenario].headline if s in there]
+    return chosen or there[:1]
+
+
+def signal_of(result: Result, scenario: str, signal: str | None) -> str:
+    """Return the signal that is meant (None: the first that is shown); raise UserError for another word."""
+    names = list(dict.fromkeys(result.stats.signal[result.stats.scenario == scenario]))
+    if signal is not None and signal not in names:
+        raise unknown(f"scenario {scenario}", "signal", signal, names)
+    return signal or signals(result, scenario)[0]
+
+
+def rows(result: Result, scenario: str | None, signal: str | None, metric: str) -> pd.DataFrame:
+    """Return the rows of stats of one metric, with each varying axis as plain numbers or words."""
+    scenario = scenario_of(result, scenario)
+    signal, stats = signal_of(result, scenario, signal), result.stats
+    if metric not in set(stats.metric):
+        raise unknown(f"study {result.study.name}", "metric", metric, sorted(set(stats.metric)))
+    part = stats[(stats.scenario == scenario) & (stats.signal == signal) & (stats.metric == metric)].copy()
+    for name in axes_of(dict.fromkeys(part.columns)):
+        part[name] = [plain(value) for value in part[name]]
+    return part.reset_index(drop=True)
+
+
+def plain(value: Any) -> Any:
+    """Return an axis' value as a number or a word: of channels that differ with commas."""
+    if isinstance(value, np.ndarray | list | tuple):
+        return ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in value)
+    return value.item() if isinstance(value, np.generic) else value
+
+
+def varying(part: pd.DataFrame) -> list[str]:
+    """Return the axes with more than one value."""
+    return [name for name in axes_of(dict.fromkeys(part.columns)) if part[name].nunique(dropna=False) > 1]
+
+
+def label(axis: str) -> str:
+    """Return an axis' title with its unit."""
+    unit = "s" if axis == "profile" else AXIS_UNITS.get(axis, "")
+    text = axis.removeprefix("plant.").replace("_", " ")
+    return f"{text} [{unit}]" if unit not in ("", "1") and axis != "profile" else text
+
+
+def fixed(part: pd.DataFrame, free: list[str], at: dict[str, Any] | None = None) -> pd.DataFrame:
+    """Return the rows in which every varying axis but the `free` has one value: as `at` says, or else its first.
+
+    Raises UserError where `at` names no axis or no value of one.
+    """
+    for name in at or {}:
+        if name not in varying(part):
+            raise unknown("at", "axis that varies", name, varying(part))
+    for name in [name for name in varying(part) if name not in free]:
+        value = (at or {}).get(name, part[name].iloc[0])
+        if value not in set(part[name]):
+            raise UserError(
+                f"at: got {name} = {value!r}, expected one of {sorted(set(part[name]), key=str)}; take one."
+            )
+        part = part[part[name] == value]
+    return part
+
+
+def distribution(
+    result: Result, scenario: str | None = None, signal: str | None = None, metric: str = "rmse", cell: int = 0
+) -> pd.DataFrame:
+    """Return observer, value, share: the fraction of runs [0, 1] at or below a value of a metric, diverged runs left out.
+
+    At most POINTS points for each observer, the least and the largest among them.
+    """
+    scenario = scenario_of(result, scenario)
+    signal, runs = signal_of(result, scenario, signal), result.runs_of(scenario, [metric], cell)
+    part = runs[(runs.signal == signal) & ~runs.diverged]
+    out = []
+    for observer, values in part.groupby("observer", sort=False)[metric]:
+        ordered = np.sort(values.to_numpy()[np.isfinite(values.to_numpy())])
+        if len(ordered):
+            places = np.unique(np.linspace(0, len(ordered) - 1, min(POINTS, len(ordered))).round().astype(int))
+            share = (places + 1) / len(ordered)
+            out.append(pd.DataFrame({"observer": observer, "value": ordered[places], "share": share}))
+    return pd.concat(out, ignore_index=True) if out else pd.DataFrame({"observer": [], "value": [], "share": []})
+
+
+def winners(
+    result: Result, scenario: str | None = None, signal: str | None = None, metric: str = "mae"
+) -> pd.DataFrame:
+    """Return for each cell its axes, the `winner`, its `mean`, and `text`; winner is empty where the best is no surer than 5 %.
+
+    The best has the fewest diverged runs and then the least mean. It wins where every other observer has more diverged runs or
+    differs from it by Holm's adjusted p-value; where the runs do not vary there is no test, and a difference is one.
+    """
+    part = rows(result, scenario, signal, metric)
+    scenario, signal = part.scenario.iloc[0], part.signal.iloc[0]
+    pairs = result.pairs
+    pairs = pairs[(pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == metric)]
+    out = []
+    for cell, mine in part.groupby("cell", sort=False):
+        order = mine.sort_values(["diverged", "mean"], kind="stable")
+        best, others = order.iloc[0], order.iloc[1:]
+        met = pairs[pairs.cell == cell]
+        surely = all(_apart(met, best, other) for other in others.to_dict("records"))
+        known = {name: best[name] for name in varying(part)}
+        text = best.observer if surely else "tie"
+        out.append(
+            known | {"cell": cell, "winner": best.observer if surely else "", "mean": best["mean"], "text": text}
+        )
+    return pd.DataFrame(out)
+
+
+def _apart(pairs: pd.DataFrame, best: Any, other: Any) -> bool:
+    if other["diverged"] > best.diverged or not np.isfinite(other["mean"]):
+        return True
+    names = {best.observer, other["observer"]}
+    row = pairs[pairs.observer_a.isin(names) & pairs.observer_b.isin(names)]
+    if row.empty:
+        return False
+    p, tied = float(row.p_holm.iloc[0]), float(row.prob_a_better.iloc[0]) == 0.5
+    return not tied if np.isnan(p) else p <= ALPHA

@@ -1,0 +1,1 @@
+"""A study's results as one HTML page that opens anywhere."""

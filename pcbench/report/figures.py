@@ -1,0 +1,52 @@
+"""The report's pictures as files for a paper: SVG and PNG of each, drawn by matplotlib."""
+
+import io
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from pcbench import plots
+from pcbench.dataset import store
+from pcbench.plots import frames
+from pcbench.result import Result
+
+DPI = 160
+KINDS = ("svg", "png")
+
+
+def write(result: Result, out: str | Path, tell: Callable[[str, float], None] = lambda event, value: None) -> list[str]:
+    """Write every figure that the result has something for, and return the names of the files, without their kind."""
+    place, names = store.target(str(out)), []
+    store.make(place)
+    for name, figure in drawn(result):
+        for kind in KINDS:
+            content = io.BytesIO()
+            figure.savefig(content, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
+            store.put(place, f"{name}.{kind}", content.getvalue())
+        names.append(name)
+        tell("checked", 1.0)
+    return names
+
+
+def drawn(result: Result) -> Iterator[tuple[str, Figure]]:
+    """Yield a name and a figure, scenario after scenario."""
+    for scenario in dict.fromkeys(result.stats.scenario):
+        head = scenario.replace("/", "-")
+        for signal in frames.signals(result, scenario):
+            here: dict[str, Any] = {"scenario": scenario, "signal": signal}
+            name = f"{head}-{signal}"
+            yield f"{name}-distribution", plots.distributions(result, **here)
+            axes = frames.varying(frames.rows(result, scenario, signal, "mae"))
+            for axis in axes:
+                yield f"{name}-over-{axis.replace('.', '-')}", plots.curves(result, axis, **here)
+            if len(axes) >= 2:
+                yield f"{name}-map", plots.heatmaps(result, **here)
+                yield f"{name}-winners", plots.winners(result, **here)
+            yield f"{name}-time", plots.time(result, **here)
+        lost = frames.rows(result, scenario, None, "divergence")
+        if len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
+            yield f"{head}-divergence", plots.divergence(result, scenario=scenario)
+    if result.fair is not None:
+        yield "fair", plots.fair(result)

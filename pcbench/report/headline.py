@@ -1,0 +1,78 @@
+"""The report's first table of a scenario: who is better, by how much, and how surely."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from pcbench import show
+from pcbench.plots import frames
+from pcbench.plots.palette import styles
+from pcbench.plots.sheet import title_of
+from pcbench.result import Result
+
+MOST = 4  # cells that stand in full; of more, wins are counted
+HEADS = ("observer", "metric", "against the best", "rms error", "tail rms error", "efficiency", "diverged")
+
+
+class Headline(NamedTuple):
+    """A table of words, a row for each observer."""
+
+    title: str
+    heads: list[str]
+    rows: list[dict[str, Any]]  # cells in the order of heads, colour, best: this one is the best, note
+    note: str
+
+
+def headlines(result: Result, scenario: str, signal: str, metric: str) -> list[Headline]:
+    """Return a table for each cell, or of many cells one that counts who wins how many."""
+    part = frames.rows(result, scenario, signal, metric)
+    cells = list(dict.fromkeys(part.cell))
+    if len(cells) > MOST:
+        return [_counted(result, scenario, signal, metric, part)]
+    return [_cell(result, scenario, signal, metric, part, cell) for cell in cells]
+
+
+def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame, cell: int) -> Headline:
+    stats, pairs, look = result.stats, result.pairs, styles(part.observer)
+    mine = stats[(stats.scenario == scenario) & (stats.signal == signal) & (stats.cell == cell)]
+    met = pairs[
+        (pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == metric) & (pairs.cell == cell)
+    ]
+    wide = mine.set_index(["observer", "metric"])
+    order = list(part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last").observer)
+    rows = []
+    for observer in order:
+        row = wide.loc[observer]
+        against = "best" if observer == order[0] else show.difference(met, observer, order[0])
+        share = show.interval(row.loc["efficiency"]) if "efficiency" in row.index else "-"
+        lost = row.loc["divergence"]
+        cells = [observer, show.interval(row.loc[metric]), "not surely different" if against == "=" else against]
+        cells += [show.interval(row.loc["pooled_rmse"]), show.interval(row.loc["tail_pooled_rmse"]), share]
+        cells += ["none" if lost["mean"] == 0 else show.fraction(lost)]
+        rows.append({"cells": cells, "colour": look[observer].colour, "best": observer == order[0]})
+    here = part[part.cell == cell].iloc[0]
+    at = ", ".join(f"{frames.label(a)} {here[a]}" for a in frames.varying(part))
+    unit, n = here.unit, int((part.n + part.diverged).max())
+    heads = ["observer", f"{title_of(metric, signal, unit)}", f"less the best [{unit}]", f"rms error [{unit}]"]
+    heads += [f"tail rms error [{unit}]", "efficiency", "diverged"]
+    title = f"{signal.replace('_', ' ')}" + (f" at {at}" if at else "")
+    return Headline(title, heads, rows, f"{n:,} runs each; ± is half a 95 % interval.")
+
+
+def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame) -> Headline:
+    won, look = frames.winners(result, scenario, signal, metric), styles(part.observer)
+    wins = won[won.winner != ""].winner.value_counts()
+    rows: list[dict[str, Any]] = []
+    for observer, mine in part.groupby("observer", sort=False):
+        share = 100 * mine.diverged.sum() / max((mine.n + mine.diverged).sum(), 1)
+        median = f"{np.nanmedian(mine['mean']):.4g}" if mine["mean"].notna().any() else "-"
+        cells = [str(observer), str(wins.get(observer, 0)), median, "none" if not share else f"{share:.3g} %"]
+        rows.append(
+            {"cells": cells, "colour": look[str(observer)].colour, "best": False, "wins": int(wins.get(observer, 0))}
+        )
+    rows.sort(key=lambda row: -row["wins"])
+    heads = ["observer", "cells won", f"median over cells: {title_of(metric, signal, part.unit.iloc[0])}", "diverged"]
+    ties = int((won.winner == "").sum())
+    note = f"{len(won)} cells, {ties} of them ties: the best is not surely better than every other (5 %, Holm)."
+    return Headline(f"{signal.replace('_', ' ')} over all cells", heads, rows, note)

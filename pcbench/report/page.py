@@ -1,0 +1,169 @@
+"""One self-contained page from a study's folder: tables, charts, and how to repeat it. Nothing is loaded from elsewhere."""
+
+import json
+from collections.abc import Callable, Iterator
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import altair as alt
+import jinja2
+import vl_convert
+
+from pcbench import examples
+from pcbench.dataset import store
+from pcbench.plants import signals_of
+from pcbench.plots import frames
+from pcbench.report import headline, lines, maps
+from pcbench.report.chart import Chart
+from pcbench.result import Result, opened
+from pcbench.study import scenarios_of
+from pcbench.tables import MEANING
+
+METRIC, SPREAD = "mae", "rmse"
+EXPLAINED = ("mae", "rmse", "tail_rmse", "peak", "settling_time", "efficiency", "divergence", "mean_diff", "p_holm")
+Tell = Callable[[str, float], None]
+
+
+class Section(NamedTuple):
+    """What the page says of one scenario."""
+
+    anchor: str
+    title: str
+    summary: str
+    source: str
+    headlines: list[headline.Headline]
+    charts: list[dict[str, Any]]
+
+
+def write(folder: str | Path, out: str | Path, tell: Tell = lambda event, value: None) -> int:
+    """Write the page of a study's folder as one file, and return its size in bytes.
+
+    Runs shown in time are simulated where the folder has none yet, and kept there. Raises UserError where the folder holds no
+    finished study.
+    """
+    content = page(opened(folder), tell).encode()
+    target = store.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
+    store.make(target)
+    store.put(target, str(out).replace("\\", "/").rpartition("/")[2], content)
+    return len(content)
+
+
+def page(result: Result, tell: Tell = lambda event, value: None) -> str:
+    """Return the page's HTML."""
+    names = list(dict.fromkeys(result.stats.scenario))
+    tell("scenarios", float(len(names)))
+    sections, specs = [], {}
+    for number, name in enumerate(names):
+        made = []
+        for i, chart in enumerate(_charts(result, name)):
+            key = f"chart-{number}-{i}"
+            specs[key] = chart.spec
+            made.append({"id": key, "title": chart.title, "text": chart.text, "note": chart.note})
+        s = scenarios_of(result.study)[name]
+        tables = [
+            h for signal in frames.signals(result, name) for h in headline.headlines(result, name, signal, METRIC)
+        ]
+        sections.append(
+            Section(f"scenario-{number}", name, f"{s.summary[0].upper()}{s.summary[1:]}.", s.source, tables, made)
+        )
+        tell("checked", 1.0)
+    return str(
+        _template().render(
+            title=f"Study {result.study.name}",
+            what=_what(result),
+            sections=sections,
+            command=_command(result),
+            study=_said(result),
+            provenance=_provenance(result),
+            meaning=[(name.replace("_", " "), MEANING[name]) for name in EXPLAINED if name in MEANING],
+            bundle=_bundle(),
+            specs=json.dumps(specs, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
+        )
+    )
+
+
+def _charts(result: Result, scenario: str) -> Iterator[Chart]:
+    """Every chart that a scenario's results have something for."""
+    for signal in frames.signals(result, scenario)[:2]:
+        whole = frames.rows(result, scenario, signal, METRIC)
+        yield lines.distribution(
+            frames.rows(result, scenario, signal, SPREAD), frames.distribution(result, scenario, signal, SPREAD), SPREAD
+        )
+        axes = frames.varying(whole)
+        if len(axes) >= 2:
+            yield maps.winners(whole, frames.winners(result, scenario, signal, METRIC), axes[0], axes[1], METRIC)
+            yield maps.heatmap(whole, axes[0], axes[1], METRIC)
+        for axis in axes:
+            yield lines.curve(whole, axis, METRIC)
+    lost = frames.rows(result, scenario, None, "divergence")
+    axes = frames.varying(lost)
+    if len(axes) >= 2 and (lost["mean"] > 0).any():
+        yield maps.heatmap(lost, axes[0], axes[1], "divergence")
+    if result.fair is not None:
+        yield maps.fair(result.fair[result.fair.cell == result.fair.cell.iloc[0]])
+    signal = frames.signals(result, scenario)[0]
+    units = dict(signals_of(scenarios_of(result.study)[scenario]))
+    run = examples.of(result.study, scenario, result.out)
+    yield lines.time(
+        run[run.signal == signal], list(dict.fromkeys(lost.observer)), signal, units[signal], result.study.first_seed
+    )
+
+
+def _what(result: Result) -> str:
+    stats = result.stats
+    cells = stats.groupby("scenario").cell.nunique().sum()
+    observers = ", ".join(dict.fromkeys(stats.observer))
+    runs = int((stats[stats.metric == METRIC].n + stats[stats.metric == METRIC].diverged).max())
+    many = f"{cells} combinations of axis values" if cells > stats.scenario.nunique() else "each as published"
+    return (
+        f"Compared: {observers}; in {stats.scenario.nunique()} scenarios, {many}, with up to {runs:,} noise seeds each."
+    )
+
+
+def _command(result: Result) -> str:
+    commit = (result.provenance.get("git") or {}).get("commit")
+    lines = [f"pip install pcbench=={result.provenance.get('versions', {}).get('pcbench', '')}"]
+    lines += [f"# or the commit {commit}"] if commit else []
+    return "\n".join(
+        [
+            *lines,
+            "pcbench run study.toml --out again        # study.toml is below, and in the folder",
+            "pcbench report again",
+        ]
+    )
+
+
+def _said(result: Result) -> str:
+    from pcbench.cells import to_toml
+
+    return to_toml(result.study).partition("[resolved")[0].strip()
+
+
+def _provenance(result: Result) -> list[tuple[str, str]]:
+    p = result.provenance
+    flat = {"versions": ", ".join(f"{k} {v}" for k, v in p.get("versions", {}).items())}
+    flat |= {"device": ", ".join(str(v) for v in p.get("device", {}).values()), "system": p.get("system", "")}
+    flat |= {
+        k: str(p[k])
+        for k in ("precision", "root_seed", "study_sha256", "started", "wall_seconds", "compile_seconds")
+        if k in p
+    }
+    git = p.get("git") or {}
+    flat |= {"commit": f"{git['commit']}{' (changed)' if git.get('changed') else ''}"} if git.get("commit") else {}
+    return [(k.replace("_", " "), v) for k, v in flat.items() if v]
+
+
+@cache
+def _bundle() -> str:
+    """Vega-Lite and what it needs, as one script."""
+    version = alt.SCHEMA_VERSION.lstrip("v").rpartition(".")[0]
+    found = vl_convert.javascript_bundle(vl_version=version)  # type: ignore[call-arg]
+    return str(found).replace("</script", "<\\/script")
+
+
+@cache
+def _template() -> jinja2.Template:
+    text = files("pcbench.report").joinpath("page.html").read_text(encoding="utf-8")
+    return jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(text)
