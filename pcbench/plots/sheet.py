@@ -37,8 +37,10 @@ def legend(figure: Figure, ax: Axes) -> None:
 def title_of(metric: str, signal: str, unit: str) -> str:
     """Return a metric of a signal as an axis' title, with its unit."""
     late, plain = metric.startswith("tail_"), metric.removeprefix("tail_").removeprefix("pooled_")
-    words = WORDS.get(plain, plain.replace("_", " ")) + (", tail" if late else "")
-    return f"{words} of {signal.replace('_', ' ')}" + (f" [{unit}]" if unit and metric not in UNITLESS else "")
+    words = f"{WORDS.get(plain, plain.replace('_', ' '))} of {signal.replace('_', ' ')}" + (
+        " in the tail" if late else ""
+    )
+    return words + (f" [{unit}]" if unit and metric not in UNITLESS else "")
 
 
 def unit_of(part: pd.DataFrame) -> str:

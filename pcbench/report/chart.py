@@ -40,7 +40,9 @@ def look(whole: pd.DataFrame) -> dict[str, Any]:
     """Return colour and dashes by observer, with one legend for both."""
     labels = names(whole)
     style = styles(labels)
-    legend = alt.Legend(orient="bottom", columns=3, symbolType="stroke", symbolStrokeWidth=2.5, symbolSize=300)
+    legend = alt.Legend(
+        orient="bottom", columns=3, symbolType="stroke", symbolStrokeWidth=2.5, symbolSize=300, symbolOpacity=1
+    )
     colours = alt.Scale(domain=labels, range=[style[n].colour for n in labels])
     dashes = alt.Scale(domain=labels, range=[list(style[n].dash) or [1, 0] for n in labels])
     return {
@@ -107,5 +109,5 @@ def spec(chart: Any, params: list[Any] | None = None) -> dict[str, Any]:
         spec |= {"width": "container", "height": HEIGHT}
     return spec | {
         "config": spec.get("config", {})
-        | {"font": "system-ui, sans-serif", "axis": {"grid": True, "gridColor": "#EEEEEE"}}
+        | {"font": "system-ui, sans-serif", "axis": {"grid": True, "gridColor": "#EEEEEE", "labelOverlap": "greedy"}}
     }

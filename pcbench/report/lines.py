@@ -26,9 +26,10 @@ def distribution(whole: pd.DataFrame, part: pd.DataFrame, metric: str) -> Chart:
     )
     median = part[part.share >= 0.5].groupby("observer", sort=False).value.first()
     text = "Medians: " + ", ".join(f"{o} {v:.3g} {unit}" for o, v in median.items()) + "."
-    return Chart(
-        f"How {title_of(metric, signal, '')} is distributed", chart.spec(line), text, "Left is better, steep is even."
-    )
+    first = whole[whole.cell == whole.cell.iloc[0]].iloc[0]
+    at = ", ".join(f"{frames.label(axis)} {first[axis]}" for axis in frames.varying(whole))
+    note = "Left is better, steep is even." + (f" Shown at {at}." if at else "")
+    return Chart(f"How {title_of(metric, signal, '')} is distributed", chart.spec(line), text, note)
 
 
 def curve(whole: pd.DataFrame, axis: str, metric: str) -> Chart:

@@ -9,7 +9,8 @@ from pcbench.plots.sheet import title_of, unit_of
 from pcbench.report import chart
 from pcbench.report.chart import Chart
 
-STEP = 46  # pixels
+STEP, WIDE = 46, 5  # pixels of a small map's cell, and how many maps stand side by side
+PLAIN = alt.Axis(grid=False, labelAngle=0)
 WORDS = {"paper": "as printed", "design": "by design", "tuned": "tuned"}
 
 
@@ -28,9 +29,11 @@ def heatmap(whole: pd.DataFrame, x: str, y: str, metric: str) -> Chart:
     )
     base, choices = chart.choosing(alt.Chart(chart.rounded(data)), whole, chart.others(whole, x, y))
     cells = base.mark_rect().encode(
-        x=alt.X(f"{chart.safe(x)}:O", title=frames.label(x)),
-        y=alt.Y(f"{chart.safe(y)}:O", title=frames.label(y), sort="descending"),
-        color=alt.Color("mean:Q", title=title, scale=scale, legend=alt.Legend(orient="bottom", gradientLength=240)),
+        x=alt.X(f"{chart.safe(x)}:O", title=frames.label(x), axis=PLAIN),
+        y=alt.Y(f"{chart.safe(y)}:O", title=frames.label(y), sort="descending", axis=PLAIN),
+        color=alt.Color(
+            "mean:Q", title=title, scale=scale, legend=alt.Legend(orient="bottom", gradientLength=240, titleLimit=600)
+        ),
         tooltip=[
             "observer",
             chart.safe(x),
@@ -39,7 +42,7 @@ def heatmap(whole: pd.DataFrame, x: str, y: str, metric: str) -> Chart:
         ],
     )
     small = cells.properties(width=alt.Step(STEP), height=alt.Step(30)).facet(
-        alt.Facet("observer:N", title=None, sort=chart.names(whole)), columns=3
+        alt.Facet("observer:N", title=None, sort=chart.names(whole)), columns=WIDE
     )
     first = frames.fixed(whole, [x, y])
     means = first.groupby("observer", sort=False)["mean"]
@@ -68,8 +71,8 @@ def winners(whole: pd.DataFrame, won: pd.DataFrame, x: str, y: str, metric: str)
         legend=alt.Legend(values=names, orient="bottom") if names else None,
     )
     places = {
-        "x": alt.X(f"{chart.safe(x)}:O", title=frames.label(x)),
-        "y": alt.Y(f"{chart.safe(y)}:O", title=frames.label(y), sort="descending"),
+        "x": alt.X(f"{chart.safe(x)}:O", title=frames.label(x), axis=PLAIN),
+        "y": alt.Y(f"{chart.safe(y)}:O", title=frames.label(y), sort="descending", axis=PLAIN),
     }
     tips = ["text", chart.safe(x), chart.safe(y), alt.Tooltip("mean:Q", format=".4g", title="its mean")]
     cells = base.mark_rect(stroke="#CCCCCC").encode(color=colour, tooltip=tips, **places)

@@ -21,7 +21,7 @@ from pcbench.result import Result, opened
 from pcbench.study import scenarios_of
 from pcbench.tables import MEANING
 
-METRIC, SPREAD = "mae", "rmse"
+METRIC, SPREAD = "mae", "tail_rmse"
 EXPLAINED = ("mae", "rmse", "tail_rmse", "peak", "settling_time", "efficiency", "divergence", "mean_diff", "p_holm")
 Tell = Callable[[str, float], None]
 
@@ -112,14 +112,12 @@ def _charts(result: Result, scenario: str) -> Iterator[Chart]:
 
 
 def _what(result: Result) -> str:
-    stats = result.stats
-    cells = stats.groupby("scenario").cell.nunique().sum()
-    observers = ", ".join(dict.fromkeys(stats.observer))
-    runs = int((stats[stats.metric == METRIC].n + stats[stats.metric == METRIC].diverged).max())
-    many = f"{cells} combinations of axis values" if cells > stats.scenario.nunique() else "each as published"
-    return (
-        f"Compared: {observers}; in {stats.scenario.nunique()} scenarios, {many}, with up to {runs:,} noise seeds each."
-    )
+    mine = result.stats[result.stats.metric == METRIC]
+    scenarios, cells = mine.scenario.nunique(), int(mine.groupby("scenario").cell.nunique().sum())
+    observers, runs = ", ".join(dict.fromkeys(mine.observer)), int((mine.n + mine.diverged).max())
+    many = f"{cells} combinations of axis values" if cells > scenarios else "each as published"
+    where = f"{scenarios} scenario" + ("s" if scenarios > 1 else "")
+    return f"Compared: {observers}; in {where}, {many}, with up to {runs:,} noise seeds each."
 
 
 def _command(result: Result) -> str:
