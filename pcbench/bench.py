@@ -54,23 +54,13 @@ def run(
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
+    how: dict[str, Any] = {"devices": devices, "dask": dask, "workers": workers, "block": block, "memory": memory}
+    running.check(until_se, max_seeds, **how)
+    how |= {"tell": tell, "say": say, "fresh": fresh}
     with machine.float64():
         made = fairness.prepare(chosen, out, fresh, tell)
-        result = running.execute(
-            made.study,
-            out=out,
-            fresh=fresh,
-            until_se=until_se,
-            max_seeds=max_seeds,
-            devices=devices,
-            dask=dask,
-            workers=workers,
-            block=block,
-            memory=memory,
-            tell=tell,
-            say=say,
-        )
-        return gap.report(made, result, out, fresh, tell)
+        result = running.execute(made.study, out=out, until_se=until_se, max_seeds=max_seeds, **how)
+        return gap.report(made, result, out, **how)
 
 
 def trace(

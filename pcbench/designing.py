@@ -8,7 +8,7 @@ import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from pcbench.cells import Cell
-from pcbench.errors import DesignError, UserError, unknown
+from pcbench.errors import UserError, unknown
 from pcbench.observers import entry_of
 from pcbench.observers.options import WAY, extra
 from pcbench.planning import setting
@@ -17,6 +17,7 @@ from pcbench.study_file import Described, one_cell, study_of
 from pcbench.synthesis.certificate import Design
 
 FEW = 6  # entries of an array that a row of a trade-off shows
+NOTHING = 1e-15  # of an array's size: 0
 BACK = 0.999  # part of a decay that is asked when a gain is read back: a proof of all of it stands on an edge
 HIDDEN = ("P", "P1", "P2", "shared_P")  # what proves, not what is promised
 
@@ -45,9 +46,8 @@ def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str
     numbers = _as_options(model, options, found)
     chosen = options.model_dump(exclude_none=True)
     if numbers:
-        chosen = {k: v for k, v in chosen.items() if k not in _way_of(observer)} | numbers
-        if chosen.get("decay"):
-            chosen = _proven_again(cell, observer, chosen)
+        found_again = {k: v for k, v in chosen.items() if k not in _way_of(observer)} | numbers
+        chosen = _proven_again(study, cell, observer, found_again) or chosen
     c = found.certificate
     proof = {"inequality": c.inequality, "margin": _finite(c.margin), "solver": c.solver, "status": c.status}
     proof |= {"fallback": c.fallback, "decay_rate": _finite(c.rate)}
@@ -136,26 +136,27 @@ def _as_options(model: type[BaseModel], options: BaseModel, found: Design) -> di
             and not extra(field).get(WAY)
         ):
             number = np.asarray(found.certificate.numbers[name], float)
-            for each in (number.tolist(), number.flat[0].item()) if number.size else ():
+            number = np.where(np.abs(number) < NOTHING * np.abs(number).max(initial=0.0), 0.0, number)
+            for each in (number.tolist(), *([number.item()] if number.size == 1 else [])):
                 try:
                     model.model_validate(options.model_dump() | {name: each})
                 except ValidationError:
                     continue
-                if number.size == 1 or isinstance(each, list):
-                    out[name] = each
-                    break
+                out[name] = each
     return out
 
 
-def _proven_again(cell: Cell, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:
-    """The options with a decay that these numbers can be proven to have; without one where it cannot be."""
-    slower = chosen | {"decay": BACK * chosen["decay"]}
-    entry = entry_of(observer)
-    try:
-        entry.design(setting(cell), entry.options.model_validate(slower))
-    except DesignError:
-        return {k: v for k, v in chosen.items() if k != "decay"}
-    return slower
+def _proven_again(study: Study, cell: Cell, observer: str, chosen: dict[str, Any]) -> dict[str, Any] | None:
+    """The options with these numbers, with as much of a decay as they can be proven to have; None where they are refused."""
+    slower = [chosen | {"decay": BACK * chosen["decay"]}] if chosen.get("decay") else []
+    for each in (*slower, {k: v for k, v in chosen.items() if k != "decay" or not v}):
+        try:
+            here = _changed(study.model_copy(update={"options": {}}), observer, each)
+            entry_of(observer).design(setting(cell), options_of(here, cell.scenario, observer))
+        except UserError:
+            continue
+        return each
+    return None
 
 
 def _entries(numbers: Any) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from pcbench.plants import signals_of
 from pcbench.study import Study, observers_of, scenarios_of
 from pcbench.study_file import study_of
 
-POINTS = 400  # ticks that are kept
+POINTS = 300  # ticks that are kept
 UNIT = 1e-12  # a row of C shows a state as it is when it differs from a unit vector by less
 
 

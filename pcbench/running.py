@@ -37,7 +37,7 @@ def execute(
     say: Say = lambda sentence: None,
 ) -> Result:
     """Run a study and return its tables; the arguments and errors are those of `bench.run`."""
-    goal = until.parse(until_se, max_seeds)
+    goal = check(until_se, max_seeds, devices, dask, workers, block, memory)
     with machine.float64(), ExitStack() as stack:
         start, began = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
@@ -72,6 +72,23 @@ def execute(
     if out is not None and place.local:
         where = Path(place.root if "://" in str(out) else out)
     return Result(study, place, where, effort, keep)
+
+
+def check(
+    until_se: str | None = None,
+    max_seeds: int | None = None,
+    devices: int | None = None,
+    dask: str | None = None,
+    workers: int | None = None,
+    block: int | None = None,
+    memory: str | int | None = None,
+) -> until.Goal | None:
+    """Return the standard error to be reached; raise UserError for an argument of `execute` that is none, before any work."""
+    positive(block, "--block")
+    positive(workers, "--workers")
+    positive(devices, "devices")
+    executors.share(memory, dask, workers, devices)
+    return until.parse(until_se, max_seeds)
 
 
 def positive(count: int | None, where: str) -> int | None:

@@ -127,7 +127,7 @@ def fair(table: pd.DataFrame, console: Console) -> None:
     title = "{scenario}: {metric} of {signal} [{unit}], on training runs and on others".format(**rows[0])
     cells = ["cell"] if table.cell.nunique() > 1 else []
     shown = _table(title)
-    for head in (*cells, "observer", "gains", "training", "held out", "gap", "diverged", "of the bound"):
+    for head in (*cells, "observer", "gains", "training", "held out", "gap", "diverged", "tail rms: of the bound"):
         shown.add_column(head, justify="left" if head in ("observer", "gains") else "right")
     for row in rows:
         means = [f"{row[m]:.4g} ± {2 * row[m + '_se']:.2g}" for m in ("training", "held_out")]

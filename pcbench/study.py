@@ -176,11 +176,16 @@ def observers_of(study: Study, scenario: str) -> list[str]:
 
 
 def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
-    """Return an observer's options: the scenario's, with the study's put over them, the label's own over its name's."""
-    given: dict[str, Any] = {}
+    """Return an observer's options, checked and complete: see `given`."""
+    return checked_options(observer, given(study, scenario, observer), f"{study.name}: options.{observer}")
+
+
+def given(study: Study, scenario: Scenario, observer: str) -> dict[str, Any]:
+    """Return the options that are given: the scenario's, with the study's put over them, the label's own over its name's."""
+    out: dict[str, Any] = {}
     for label in dict.fromkeys([base_of(observer) or observer, observer]):
-        given |= scenario.options.get(label, {}) | dashes(study.options.get(label, {}))
-    return checked_options(observer, given, f"{study.name}: options.{observer}")
+        out |= dashes(dict(scenario.options.get(label, {}))) | dashes(study.options.get(label, {}))
+    return out
 
 
 def choices_of(study: Study) -> Choices:

@@ -73,6 +73,8 @@ def design(
         else:
             show.trade_off(f"{observer} in {scenario}", table, console())
         return
+    if out is not None and sweep is None:
+        _may_write(out)
     with machine.float64():
         study, cell, found = designing.design(scenario, observer, method=method, overrides=changes)
         text = designing.to_toml(designing.as_study(study, cell, observer, found)) if out is not None else ""
@@ -88,6 +90,16 @@ def design(
         show.gains(found, screen)
         if out is not None:
             screen.print(f"It can be run: pcbench run {out}", highlight=False, markup=False)
+
+
+def _may_write(out: Path) -> None:
+    """Raise UserError where a file stands there that no design has written."""
+    try:
+        there = out.read_text(encoding="utf-8") if out.is_file() else "[resolved.certificate]"
+    except (OSError, ValueError):
+        there = ""
+    if "[resolved.certificate]" not in there:
+        raise UserError(f"--out {out}: holds something else than a design, expected a new file; give another name.")
 
 
 def _values(text: str) -> tuple[str, list[Any]]:

@@ -120,7 +120,7 @@ def design(setting: Setting, options: Options) -> Design:
     R = options.R * np.eye(len(C)) if options.R != "noise" else np.diag(setting.noise_variance * setting.period * h)
     stationary = riccati.continuous(model, options.Q * B @ B.T, R, where)
     certificate = certified(stationary.certificate, where)
-    certificate = certificate._replace(numbers={**certificate.numbers, "R": R[0, 0]})
+    certificate = certificate._replace(numbers={**certificate.numbers, "R": np.diag(R)})
     K = stationary.K
     if options.lag_aware and (period % 2 or len(set(setting.period)) > 1):
         raise UserError(

@@ -13,7 +13,7 @@ from pcbench.result import Result
 from pcbench.study import scenarios_of
 from pcbench.tables import AXIS_UNITS, axes_of
 
-POINTS = 160  # of a distribution
+POINTS = 100  # of a distribution
 ALPHA = 0.05
 
 

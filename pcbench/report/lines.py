@@ -71,13 +71,14 @@ def time(part: pd.DataFrame, names: list[str], signal: str, unit: str, seed: int
     series = list(dict.fromkeys(part.series))
     colours = [_of_series(s, look) for s in series]
     low, high = _room(part)
+    part = part.assign(value=part.value.where(part.value.between(low - (high - low), high + (high - low))))
     wide = part[part.kind != "measured"]
     scale = alt.Scale(domain=series, range=colours)
     x = alt.X("t:Q", title="t [s]")
     y = alt.Y(
         "value:Q",
         title=f"{signal.replace('_', ' ')} [{unit}]",
-        scale=alt.Scale(domain=[low, high], clamp=True, nice=False),
+        scale=alt.Scale(domain=[low, high], nice=False),
     )
     colour = alt.Color(
         "series:N", title=None, scale=scale, legend=alt.Legend(orient="bottom", columns=3, symbolType="stroke")

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
-from functools import cache
+from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,6 +19,7 @@ from pcbench.report import headline, lines, maps
 from pcbench.report.chart import Chart
 from pcbench.result import Result, opened
 from pcbench.study import scenarios_of
+from pcbench.synthesis import cache
 from pcbench.tables import MEANING
 
 METRIC, SPREAD = "mae", "tail_rmse"
@@ -153,15 +154,19 @@ def _provenance(result: Result) -> list[tuple[str, str]]:
     return [(k.replace("_", " "), v) for k, v in flat.items() if v]
 
 
-@cache
 def _bundle() -> str:
     """Vega-Lite and what it needs, as one script."""
-    version = alt.SCHEMA_VERSION.lstrip("v").rpartition(".")[0]
-    found = vl_convert.javascript_bundle(vl_version=version)  # type: ignore[call-arg]
-    return str(found).replace("</script", "<\\/script")
+    release = alt.SCHEMA_VERSION.lstrip("v").rpartition(".")[0]
+    kept = cache.folder() / f"vega-lite-{release}-{version('vl-convert-python')}.js"
+    try:
+        return kept.read_text(encoding="utf-8")
+    except OSError:
+        found = str(vl_convert.javascript_bundle(vl_version=release))  # type: ignore[call-arg]
+    text = found.replace("</script", "<\\/script")
+    cache.keep(kept, text)
+    return text
 
 
-@cache
 def _template() -> jinja2.Template:
     text = files("pcbench.report").joinpath("page.html").read_text(encoding="utf-8")
     return jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(text)

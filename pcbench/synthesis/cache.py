@@ -39,7 +39,7 @@ def remembered(kind: Any, name: str, problem: tuple[np.ndarray, ...], solve: Cal
         return kind(**{k: np.array(v) if isinstance(v, list) else v for k, v in stored.items()})
     except (OSError, ValueError, TypeError, AttributeError):
         found = solve()
-        _store(path, found)
+        keep(path, _said(found))
         return found
 
 
@@ -50,12 +50,16 @@ def _source(module: str) -> bytes:
     return Path(found).read_bytes() if found else b""
 
 
-def _store(path: Path, found: Any) -> None:
-    text = json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found._asdict().items()})
+def keep(path: Path, text: str) -> None:
+    """Put a text into the cache, whole or not at all; one that cannot be written only costs time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False) as beside:
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as beside:
             beside.write(text)
         os.replace(beside.name, path)
     except OSError:
-        return  # a cache that cannot be written only costs time
+        return
+
+
+def _said(found: Any) -> str:
+    return json.dumps({k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in found._asdict().items()})

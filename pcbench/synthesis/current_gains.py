@@ -3,7 +3,7 @@
     given     L itself
     lmi       LMI (23) of Mohammed et al., sharp: `current_estimator`
     riccati   a stationary Kalman filter's
-    decay     the fastest rate of decay that one P proves over a range, or a rate that is asked for
+    decay     the fastest rate of decay that one P proves over a range (up to e^-5 a sample), or a rate that is asked for
     h2        the least covariance, and
     hinf      the least energy gain, from noise to the estimate at a sample's arrival: `robust`
 

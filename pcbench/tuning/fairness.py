@@ -5,8 +5,9 @@
     tuned     by `tune`: the same effort for every observer, from the better of the two above on the training runs
 
 Three ranges of seeds have nothing in common: training runs, those that decide whether a tuned gain or its start is kept, and
-the study's own, on which all are compared. Observers without a design of their own, or without free parameters, have fewer
-versions. What is returned to be run has nothing but explicit options, so any machine can run, verify and merge it.
+the study's own, on which all are compared. Of a study with several cells gains are tuned in the first and run in all.
+Observers without a design of their own, or without free parameters, have fewer versions. What is returned to be run has nothing
+but explicit options, so any machine can run, verify and merge it.
 """
 
 from collections.abc import Mapping
@@ -19,9 +20,9 @@ from pcbench import planning, running
 from pcbench.dataset import store
 from pcbench.dataset.folder import BESIDE, TEXT
 from pcbench.errors import UserError
-from pcbench.observers import base_of, entry_of
+from pcbench.observers import entry_of
 from pcbench.running import Tell, silent
-from pcbench.study import Study, dashes, observers_of, options_of, scenarios_of
+from pcbench.study import Study, given, observers_of, options_of, scenarios_of
 from pcbench.study_file import one_cell, study_of
 from pcbench.tuning import effort, free
 from pcbench.tuning.goal import Goal, goal
@@ -65,8 +66,9 @@ def prepare(study: Study, out: str | Path | None, fresh: bool, tell: Tell = sile
     aim = goal(study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune")
     _apart(study)
     _ours(study, out, fresh)
-    given = {o: _given(study, o) for o in observers_of(study, study.scenarios[0])}
-    versions, options = _untuned(given)
+    scenario = scenarios_of(study)[study.scenarios[0]]
+    paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
+    versions, options = _untuned(paper)
     if "tuned" in study.tunings:
         starts = _better(study, versions, options, aim, tell)
         for observer, start in starts.items():
@@ -77,7 +79,7 @@ def prepare(study: Study, out: str | Path | None, fresh: bool, tell: Tell = sile
     if len(study.tunings) == 1:  # no other version to be told from
         options = {v.observer: options[v.label] for v in versions}
         versions = [v._replace(label=v.observer) for v in versions]
-    order = list(given)
+    order = list(paper)
     versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
     every = {v.label: options[v.label] for v in versions}
     return Prepared(_with(study, every, list(every)), versions, aim)
@@ -86,6 +88,11 @@ def prepare(study: Study, out: str | Path | None, fresh: bool, tell: Tell = sile
 def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Study:
     changes: dict[str, Any] = {"options": study.options | options, "tuning": "paper"}
     return study_of(study, changes | {"observers": observers}, [])
+
+
+def _at_first(study: Study) -> Study:
+    """The study in its first cell: where gains are tuned."""
+    return study.model_copy(update={"axes": {name: values[:1] for name, values in study.axes.items()}})
 
 
 def _apart(study: Study) -> None:
@@ -118,20 +125,11 @@ def _ours(study: Study, out: str | Path | None, fresh: bool) -> None:
         store.remove(place, name)
 
 
-def _given(study: Study, observer: str) -> dict[str, Any]:
-    """An observer's options as the scenario and the study give them."""
-    scenario = scenarios_of(study)[study.scenarios[0]]
-    out: dict[str, Any] = {}
-    for label in dict.fromkeys([base_of(observer) or observer, observer]):
-        out |= dashes(dict(scenario.options.get(label, {}))) | dashes(study.options.get(label, {}))
-    return out
-
-
-def _untuned(given: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str, dict[str, Any]]]:
+def _untuned(papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str, dict[str, Any]]]:
     """The versions as printed and by design, and the options of each."""
     versions: list[Version] = []
     options: dict[str, dict[str, Any]] = {}
-    for observer, paper in given.items():
+    for observer, paper in papers.items():
         ways: dict[str, Mapping[str, Any] | None] = {"paper": {}, "design": entry_of(observer).designed}
         for tuning, more in ways.items():
             if more is not None:
@@ -149,8 +147,8 @@ def _better(
         return {}
     tell("comparing starts", 0.0)
     here = _with(study, {v.label: options[v.label] for v in free_ones}, [v.label for v in free_ones])
-    seeds = {"axes": {}, "first_seed": effort.TRAINING[0], "seeds": study.tune.training}
-    stats = running.execute(here.model_copy(update=seeds)).stats
+    seeds = {"first_seed": effort.TRAINING[0], "seeds": study.tune.training}
+    stats = running.execute(_at_first(here).model_copy(update=seeds)).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
     best: dict[str, tuple[tuple[float, float], str]] = {}
     for v in free_ones:
@@ -165,12 +163,12 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
     """Say whether a version has free parameters that its gains depend on."""
     if not free.tunable(version.observer):
         return False
-    here, cell = one_cell(_with(study, {version.observer: options}), [version.observer], ["axes={}"])
+    here, cell = one_cell(_at_first(_with(study, {version.observer: options})), [version.observer], [])
     known, chosen = planning.setting(cell), options_of(here, cell.scenario, version.observer)
     designed = entry_of(version.observer).design(known, chosen)
     try:
         return bool(effort.freed(version.observer, known, chosen, designed, None, study.name))
-    except UserError:
+    except free.NothingFree:
         return False
 
 
@@ -185,7 +183,7 @@ def _tuned(
         if event == "point":
             tell(f"tuning {observer}: least {aim.metric} {value:.4g}", value)
 
-    here = _with(study, {observer: start}, [observer]).model_copy(update={"axes": {}, "seeds": 1, "first_seed": 0})
+    here = _at_first(_with(study, {observer: start}, [observer])).model_copy(update={"seeds": 1, "first_seed": 0})
     try:
         found = effort.tune(
             here,

@@ -24,6 +24,10 @@ MOVED, SAME = 0.1, 1e-9  # gains that differ by less of themselves when a parame
 LEAST = 1e-12  # a positive number that is 0 by default starts here
 
 
+class NothingFree(UserError):
+    """There is nothing to tune."""
+
+
 class Free(NamedTuple):
     """One option; its `size` numbers have the place `first` .. `first + size - 1` among all."""
 
@@ -71,7 +75,9 @@ def start(
         found.append(one[0])
         values.append(one[1])
     if not found:
-        raise UserError(f"{where}: got an observer without free parameters, expected one that has some; tune another.")
+        raise NothingFree(
+            f"{where}: got an observer without free parameters, expected one that has some; tune another."
+        )
     return found, np.concatenate(values)
 
 
@@ -99,7 +105,11 @@ def used(found: list[Free], at: Vector, gains: Callable[[Vector], list[Any]]) ->
     """Return the names of those that the `gains` depend on at a place; not all do in every way of finding them."""
     here, out = gains(at), []
     for f in found:
-        there = gains(at + MOVED * np.isin(np.arange(len(at)), range(f.first, f.first + f.size)))
+        try:
+            there = gains(at + MOVED * np.isin(np.arange(len(at)), range(f.first, f.first + f.size)))
+        except (UserError, ValidationError):  # refused there: they depend on it
+            out.append(f.name)
+            continue
         if any(not np.allclose(a, b, rtol=SAME, atol=0) for a, b in zip(here, there, strict=True)):
             out.append(f.name)
     return out

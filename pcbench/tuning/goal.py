@@ -9,6 +9,7 @@ from pcbench import differentiable
 from pcbench.errors import unknown
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
+from pcbench.signals import jumps
 from pcbench.statistics import COMPARED, POOLED
 
 MEASURES = (*COMPARED, *POOLED)
@@ -50,8 +51,11 @@ def goal(objective: str, scenario: Scenario, signal: str | None, where: str) -> 
 
     Raises UserError for another word.
     """
-    if objective not in MEASURES:
-        raise unknown(f"{where}: --objective", "metric to tune for", objective, MEASURES)
+    ticks = round(scenario.horizon / scenario.dt)
+    loop, jumping = bool(scenario.controller), jumps(scenario.unknown_input, scenario.dt, ticks).size > 0
+    there = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
+    if objective not in there:
+        raise unknown(f"{where}: --objective", "metric to tune for here", objective, there)
     names = [name for name, _ in signals_of(scenario)]
     if signal is not None and signal not in names:
         raise unknown(f"{where}: --signal", "signal", signal, names)

@@ -12,15 +12,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from pydantic import ValidationError
 
 from pcbench import differentiable, ensemble, shapes
+from pcbench.errors import UserError
 from pcbench.shapes import Planned
 from pcbench.tuning.free import Vector
 from pcbench.tuning.goal import Goal
 
 LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
 STEP = 1e-5  # of a free parameter
-Slope = tuple[float, list[Any]]  # the mean of a goal's base over runs, and its derivative by each array of gains
+Slope = tuple[
+    float, list[Any], bool
+]  # the mean of a goal's base over runs, its derivative by each array of gains, a run is lost
 
 
 def numbers(gains: Any) -> list[Any]:
@@ -35,12 +39,14 @@ def backwards(p: Planned, goal: Goal, root_seed: int, seeds: Any) -> Callable[[A
     n, tail = shapes.ticks(p.cell), shapes.tail_tick(p.cell)
     tree = jax.tree.structure(p.problem.gains[label])
 
-    def mean(reals: list[Array], others: list[Any], problem: Any, seeds: Array, weights: Array) -> Array:
+    def mean(reals: list[Array], others: list[Any], problem: Any, seeds: Array, weights: Array) -> tuple[Array, Array]:
         left, right = iter(reals), iter(others)
         leaves = [next(left if real else right) for real in which]
         whole = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
         found = differentiable.metrics(layout, whole, n, tail, jnp.asarray(root_seed), seeds)
-        return jnp.sum(found[label][goal.base][goal.signal] * weights)
+        peaks = found[label]["peak"]
+        lost = jnp.any(~(peaks <= problem.bound[: len(peaks), None]))
+        return jnp.sum(found[label][goal.base][goal.signal] * weights), lost
 
     which = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
     bare = p.problem._replace(gains={})
@@ -52,11 +58,12 @@ def backwards(p: Planned, goal: Goal, root_seed: int, seeds: Any) -> Callable[[A
         reals = numbers(gains)
         others = [a for a, real in zip(jax.tree.leaves(gains), which, strict=True) if not real]
         if not compiled:
-            lowered = jax.jit(jax.value_and_grad(mean)).lower(reals, others, bare, *calls[0])
+            lowered = jax.jit(jax.value_and_grad(mean, has_aux=True)).lower(reals, others, bare, *calls[0])
             compiled.append(lowered.compile(options))
         with ThreadPoolExecutor(len(ensemble.places())) as pool:
             parts = list(pool.map(lambda c: ensemble.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
-        return sum(value for value, _ in parts), [sum(g) for g in zip(*(slope for _, slope in parts), strict=True)]
+        slopes = [sum(g) for g in zip(*(slope for _, slope, _ in parts), strict=True)]
+        return sum(value for value, _, _ in parts), slopes, any(lost for _, _, lost in parts)
 
     return at
 
@@ -65,9 +72,25 @@ def chain(slopes: list[Any], design: Callable[[Vector], Any], at: Vector) -> Vec
     """Return the derivative by free parameters from that by the gains that `design` makes of them."""
     out = np.zeros(len(at))
     for i, step in enumerate(STEP * np.eye(len(at))):
-        ahead, behind = numbers(design(at + step)), numbers(design(at - step))
-        out[i] = sum(float(np.sum(s * (a - b))) for s, a, b in zip(slopes, ahead, behind, strict=True)) / (2 * STEP)
+        sides = [(sign, found) for sign in (1, -1) if (found := _allowed(design, at + sign * step)) is not None]
+        if len(sides) < 2:  # one side is refused: from the middle
+            sides.append((0, numbers(design(at))))
+        (m, ahead), (n, behind) = sides[0], sides[-1]
+        gap = (m - n) * STEP
+        out[i] = (
+            sum(float(np.sum(s * (a - b))) for s, a, b in zip(slopes, ahead, behind, strict=True)) / gap
+            if gap
+            else np.nan
+        )
     return out
+
+
+def _allowed(design: Callable[[Vector], Any], at: Vector) -> list[Any] | None:
+    """The gains at a place as numbers; None where its design refuses."""
+    try:
+        return numbers(design(at))
+    except (UserError, ValidationError):
+        return None
 
 
 def _padded(seeds: Any, width: int, many: int) -> tuple[Any, Any]:
@@ -75,6 +98,6 @@ def _padded(seeds: Any, width: int, many: int) -> tuple[Any, Any]:
     return np.resize(seeds, width), weights
 
 
-def _read(call: Any, *arguments: Any) -> tuple[float, list[Any]]:
-    value, slopes = call(*arguments)
-    return float(value), [np.asarray(s) for s in slopes]
+def _read(call: Any, *arguments: Any) -> Slope:
+    (value, lost), slopes = call(*arguments)
+    return float(value), [np.asarray(s) for s in slopes], bool(lost)

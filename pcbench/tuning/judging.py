@@ -5,7 +5,7 @@ from typing import Any
 from pcbench import running, study_file
 from pcbench.observers import base_of
 from pcbench.statistics import POOLED
-from pcbench.study import Study
+from pcbench.study import Study, given, scenarios_of
 from pcbench.tuning.goal import Goal
 from pcbench.tuning.record import Judged
 
@@ -20,10 +20,11 @@ def judge(
     seeds: dict[str, tuple[int, int]],
 ) -> list[Judged]:
     """Run start and tuned on the same draws, for each range of seeds (first, how many)."""
-    base, given = base_of(observer) or observer, study.options.get(observer, {})
+    base = base_of(observer) or observer
+    mine = given(study, scenarios_of(study)[study.scenarios[0]], observer)
     labels = f"{base}-start", f"{base}-tuned"
     options = {k: v for k, v in study.options.items() if k != observer or k == base}
-    options |= {labels[0]: given, labels[1]: given | found}
+    options |= {labels[0]: mine, labels[1]: mine | found}
     metric, out = POOLED.get(aim.metric, aim.metric), []
     for what, (first, many) in seeds.items():
         changes = {"observers": list(labels), "options": options, "first_seed": first, "seeds": many}

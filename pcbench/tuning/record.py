@@ -63,7 +63,10 @@ class History:
             value, slope = evaluate(at)
             point = Point(key, value, tuple(map(float, slope)), monotonic() - start)
         self.points.append(point)
-        if number >= len(self.before) and monotonic() - self.written > PAUSE:
+        late = monotonic() - self.written > PAUSE and isfinite(
+            self.points[0].value
+        )  # a start that fails leaves nothing
+        if number >= len(self.before) and late:
             self.write()
         self.tell("point", self.best.value)
         return point.value, np.array(point.slope)
@@ -95,7 +98,7 @@ def _read(place: store.Target, about: str) -> list[Point]:
     """What an earlier run has seen; raise UserError where that was another tuning."""
     content = store.get(place, HISTORY)
     if content is None:
-        if others := store.names(place):
+        if others := [name for name in store.names(place) if name != FOUND]:
             raise UserError(
                 f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
             )
@@ -109,7 +112,7 @@ def _read(place: store.Target, about: str) -> list[Point]:
             Point(
                 tuple(row[c] for c in free),
                 float("inf") if row["objective"] is None else row["objective"],
-                tuple(row[c] for c in slopes) if all(row[c] is not None for c in slopes) else (),
+                tuple(float("nan") if row[c] is None else row[c] for c in slopes),
                 row["seconds"],
             )
             for row in rows
@@ -132,13 +135,16 @@ def finish(place: store.Target, about: str, tuned: Any) -> None:
     store.put(place, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
 
 
-def finished(place: store.Target, about: str) -> dict[str, Any] | None:
-    """Return the parts of what an earlier run of the same tuning has found; None where there is none."""
+def finished(place: store.Target, whole: str, about: str) -> dict[str, Any] | None:
+    """Return the parts of what an earlier run of the same tuning has found; None where there is none.
+
+    `whole` is what was done to the end, `about` what its history is of.
+    """
     content = store.text(place, FOUND)
     try:
         study = tomllib.loads((content or b"").decode())
         said = study.pop("resolved")["tuning"]
-        if said.pop("about") != about:
+        if said.pop("about") != whole:
             return None
         judged = [Judged(**j | {"diverged": tuple(j["diverged"])}) for j in said.pop("judged")]
         return said | {"study": study, "judged": judged, "points": _read(place, about)}
