@@ -17,18 +17,6 @@ from rich.text import Text
 from pcbench.scenarios import Scenario
 from pcbench.study import scenarios_of
 
-VERDICTS = {
-    "reproduced": "green",
-    "holds": "green",
-    "digits": "green",
-    "close": "green",
-    "band": "green",
-    "differs": "red",
-    "misprint": "yellow",
-    "does not reproduce": "yellow",
-    "does not hold": "red",
-    "not determinable": "dim",
-}
 ROUNDING = 1e-11
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
 
@@ -74,7 +62,7 @@ def counting(quiet: bool) -> Iterator[Any]:
         current: list[Any] = []
 
         def tell(event: str, value: float) -> None:
-            if event in ("checked", "compared", "merged"):
+            if event in ("checked", "compared", "merged", "reproduced"):
                 bar.advance(current[-1], value)
             else:
                 current.append(bar.add_task(event, total=value or None))
@@ -105,7 +93,7 @@ def tuned(found: Any, observer: str, folder: str | None, console: Console) -> No
     """Print what a tuning found: start against tuned on training and judging seeds, and the options."""
     aim = found.goal
     what = "mean square" if aim.metric != aim.base else aim.metric
-    table = _table(f"{observer}: {what} of {aim.name}, {len(found.points)} points by {found.method}")
+    table = titled(f"{observer}: {what} of {aim.name}, {len(found.points)} points by {found.method}")
     for head in ("seeds", "", "start", "tuned", "tuned - start", "diverged"):
         table.add_column(head, justify="left" if head in ("seeds", "") else "right")
     for j in found.judged:
@@ -126,7 +114,7 @@ def fair(table: pd.DataFrame, console: Console) -> None:
     rows: list[dict[str, Any]] = table.to_dict("records")  # type: ignore[assignment]
     title = "{scenario}: {metric} of {signal} [{unit}], on training runs and on others".format(**rows[0])
     cells = ["cell"] if table.cell.nunique() > 1 else []
-    shown = _table(title)
+    shown = titled(title)
     for head in (*cells, "observer", "gains", "training", "held out", "gap", "diverged", "tail rms: of the bound"):
         shown.add_column(head, justify="left" if head in ("observer", "gains") else "right")
     for row in rows:
@@ -154,7 +142,7 @@ def effort(result: Any, folder: str) -> str:
 
 def status(found: Any, folder: str, console: Console) -> None:
     """Print how far a study is."""
-    table = _table(f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB")
+    table = titled(f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB")
     for head in ("scenario", "observer", "cells", "blocks", "runs", "of", "done"):
         table.add_column(head, justify="left" if head in ("scenario", "observer") else "right")
     for s in found.shares:
@@ -225,7 +213,7 @@ def _scenario(
     aimed = (part.metric == "tracking_rmse").any()
     heads += ["tail tracking RMSE"] if aimed else []
     heads += ["diverged"] if lost else []
-    table = _table(f"{scenario.name}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals")
+    table = titled(f"{scenario.name}: error of {part.signal.iloc[0]} [{unit}], {n} seeds, 95 % intervals")
     for axis in axes:
         table.add_column(axis, justify="right")
     table.add_column("observer", no_wrap=True)
@@ -260,7 +248,8 @@ def _axis(value: Any) -> str:
     return ", ".join(f"{v:g}" for v in value) if isinstance(value, np.ndarray) else str(value)
 
 
-def _table(title: str) -> Table:
+def titled(title: str) -> Table:
+    """Return an empty table as all of pcbench's look."""
     return Table(title=escape(title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
 
 
@@ -305,7 +294,7 @@ def _count_wins(scenario: str, part: pd.DataFrame, metric: str, console: Console
     winners = part[fewest & part["mean"].notna()].sort_values("mean", kind="stable").groupby("cell").observer.first()
     rule = f"least {metric} among those with fewest diverged runs," if part.diverged.any() else f"least {metric}"
     title = f"{scenario}: {rule} of {part.signal.iloc[0]} over {len(wide)} cells"
-    table = _table(title)
+    table = titled(title)
     table.add_column("observer")
     table.add_column("cells won", justify="right")
     table.add_column(f"median {metric}", justify="right")
@@ -320,7 +309,7 @@ def _count_wins(scenario: str, part: pd.DataFrame, metric: str, console: Console
 
 def listing(title: str, rows: dict[str, tuple[str, ...]], heads: tuple[str, ...], console: Console) -> None:
     """Print named things with what is said of them."""
-    table = _table(title)
+    table = titled(title)
     for head in heads:
         table.add_column(head, overflow="fold")
     for name, cells in rows.items():
@@ -347,7 +336,7 @@ def trade_off(title: str, table: pd.DataFrame, console: Console) -> None:
     """Print a trade-off: the option, what is promised, and the other numbers that it changes."""
     fixed = [table.columns[0], "rate", "margin", "solver"]
     moving = [c for c in table.columns if c not in (*fixed, "fallback", "refused") and table[c].nunique() > 1]
-    shown = _table(title)
+    shown = titled(title)
     for head in (*fixed, *moving):
         shown.add_column(head + (" [1/s]" if head == "rate" else ""), justify="right")
     stands = table[table.refused == ""]
@@ -366,14 +355,3 @@ def trade_off(title: str, table: pd.DataFrame, console: Console) -> None:
 def arrow(table: pd.DataFrame) -> pa.Table:
     """Return a frame as it is put into a Parquet file."""
     return pa.Table.from_pandas(table, preserve_index=False)
-
-
-def claims(title: str, rows: list[Any], console: Console) -> None:
-    """Print printed against reproduced, line by line."""
-    table = _table(title)
-    for head in ("claim", "printed", "reproduced", "verdict"):
-        table.add_column(head, overflow="fold")
-    for row in rows:
-        cells = (row.claim, row.printed, row.reproduced)
-        table.add_row(*map(escape, cells), f"[{VERDICTS.get(row.verdict, 'white')}]{row.verdict}[/]")
-    console.print(table)

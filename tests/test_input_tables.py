@@ -110,16 +110,21 @@ def test_reproduce_arm_prints_forty_entries_of_which_two_differ():
     rows = unknown_input.claims()
     table = {row.claim.removeprefix("Table 2, "): row.verdict for row in rows if row.claim.startswith("Table 2")}
     assert len(table) == 40
-    assert [claim for claim, verdict in table.items() if verdict == "differs"] == ["d1 PIO max d", "d1 PIO mean d"]
-    assert all(verdict in ("digits", "close") for claim, verdict in table.items() if "SMO" in claim)
+    assert [claim for claim, verdict in table.items() if verdict == "does not hold"] == [
+        "d1 PIO max d",
+        "d1 PIO mean d",
+    ]
+    assert set(table.values()) == {"reproduced", "does not hold"}
+    said = [row.reproduced for row in rows if row.claim.startswith("Table 2") and "SMO" in row.claim]
+    assert all(text.endswith(("to the digit", "unit of the last digit")) for text in said)
     verdicts = {row.claim: row.verdict for row in rows}
-    assert verdicts["SMO gains prove alpha = 1"] == "holds"
+    assert verdicts["SMO gains prove alpha = 1"] == "reproduced"
     assert verdicts["rho = 1 leaves eta = 0.89 (22)"] == "does not hold"
     assert verdicts["zeta = 1.8 bounds f' under d2 (38)"] == "does not hold"
-    assert verdicts["zeta = 1.8 bounds f' under d1 (38)"] == "holds"
+    assert verdicts["zeta = 1.8 bounds f' under d1 (38)"] == "reproduced"
     assert verdicts["modes with both sensors on the link, which no L1 moves"] == "misprint"
     shown = {row.claim: row.reproduced for row in rows}
-    assert "2.6245619" in shown["SMO gains: least r of (23), (24)"]
-    assert "64.455306" in shown["PIO gains: least g of (38), (52) with the printed L1"]
+    assert "2.62456" in shown["SMO gains: least r of (23), (24)"]
+    assert "64.4553" in shown["PIO gains: least g of (38), (52) with the printed L1"]
     jump = "both at t = 6 s, the jump itself; back within 0.1 after 10.6 ms (SMO), 42.1 ms (PIO)"
     assert shown["under d2 SMO has the smaller largest error of d"] == jump

@@ -12,8 +12,9 @@ import pcbench
 ROOT = Path(pcbench.__file__).parent
 LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"cli"},
-    {"cli.observers", "cli.runs", "cli.datasets", "cli.tuning", "cli.reports"},
+    {"cli.observers", "cli.runs", "cli.datasets", "cli.tuning", "cli.reports", "cli.papers"},
     {"cli.shared", "cli.stopping"},
+    {"show_claims", "show_comparison"},
     {"report", "report.page"},
     {"report.lines", "report.maps", "report.headline", "report.figures"},
     {"report.chart"},
@@ -35,7 +36,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"tuning.gradient", "tuning.record"},
     {"tuning.goal", "tuning.ways", "tuning"},
     {"tuning.free"},
-    {"dataset.merging"},
+    {"dataset.merging", "dataset.comparing"},
     {"dataset.inspection", "dataset.until"},
     {"dataset.campaign"},
     {"dataset.blocks", "dataset.closing"},

@@ -91,7 +91,7 @@ def test_the_printed_design_its_misprints_and_what_cannot_be_derived():
     assert sum(row.verdict == "not determinable" for row in rows.values()) == 2
     assert sum(row.verdict == "reproduced" for row in rows.values()) == 55
     assert rows["chain 2: |L(1,2)|"].reproduced == "2.07e-07"
-    assert rows["Q_0, Q_d of (9) where D != 0"].reproduced.endswith("as printed by 0.24")
+    assert rows["Q_0, Q_d of (9) where D != 0"].reproduced.endswith("exact; as printed off by 0.24")
 
 
 def test_remark_2_certifies_what_grows():
@@ -105,14 +105,14 @@ def test_reproduce_chain_from_the_command_line():
     done = call("reproduce", "chain", "--json")
     verdicts = {row["claim"]: row["verdict"] for row in json.loads(done.stdout)["claims"]}
     for claim, verdict in {
-        "#1 converges: consistent plant, 10 s": "holds",
-        "#2 (one delay of 2) is biased and slow: consistent plant, 10 s": "holds",
+        "#1 converges: consistent plant, 10 s": "reproduced",
+        "#2 (one delay of 2) is biased and slow: consistent plant, 10 s": "reproduced",
         "#2 (one delay of 2) is biased and slow: plant as printed": "does not hold",
-        "#3 (samples aligned) diverges: consistent plant, 10 s": "holds",
+        "#3 (samples aligned) diverges: consistent plant, 10 s": "reproduced",
         "#3 (late data as they come) diverges: consistent plant, 10 s": "does not hold",
         "#3 (samples aligned) diverges: plant as printed": "does not hold",
         "The plant as printed shows what the observer is worth": "does not hold",
-        "under noise the chain with printed poles is near the best": "does not hold",
+        "under noise the chain with printed poles": "finding",
     }.items():
         assert verdicts[claim] == verdict, claim
 

@@ -1,4 +1,4 @@
-"""Commands that look after a study's folder: how far it is, several made one, computed again."""
+"""Commands that look after a study's folder: how far it is, several made one, computed again, two compared."""
 
 import json
 from typing import Annotated
@@ -77,4 +77,32 @@ def verify(
     else:
         show.verdict(found, folder, console())
     if found.wrong or found.differing:
+        raise typer.Exit(1)
+
+
+@app.command()
+def compare(
+    there: Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")],
+    here: Annotated[str, typer.Argument(help="another, of the same study: another release, another machine")],
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say what changed beyond its interval between two results of one study. Exit code 1 where something did.
+
+    Example: pcbench compare results/quick elsewhere/quick
+    """
+    from pcbench import machine
+    from pcbench.dataset import comparing
+
+    found = comparing.compare(there, here)
+    if as_json:
+        said = {"rows": len(found.rows), "changed": found.changed, "only": found.only, "made_by": found.made_by}
+        drawn = {"same_draws": int(found.rows.same_draws.sum()), "identical": found.identical, "largest": found.largest}
+        moved = found.rows[found.rows.changed].to_dict("records")
+        print(machine.as_json(said | drawn | {"moved": moved}))
+    elif not quiet:
+        from pcbench import show_comparison
+
+        show_comparison.comparison(found, there, here, console())
+    if found.changed:
         raise typer.Exit(1)

@@ -1,4 +1,4 @@
-"""Commands that look at observers: what there is, their gains, and the papers' numbers."""
+"""Commands that look at observers: what there is, and their gains."""
 
 import json
 import tomllib
@@ -112,27 +112,3 @@ def _values(text: str) -> tuple[str, list[Any]]:
     except tomllib.TOMLDecodeError:
         values = [each.strip() for each in given.split(",")]
     return option.strip(), values
-
-
-@app.command()
-def reproduce(
-    paper: Annotated[str | None, typer.Argument(help="a paper's short name; default all")] = None,
-    as_json: AsJson = False,
-) -> None:
-    """Compare a paper's printed numbers with what comes out.
-
-    Example: pcbench reproduce cart
-    """
-    setup()
-    from pcbench import show
-    from pcbench.reproduce import PAPERS
-
-    if paper is not None and paper not in PAPERS:
-        raise unknown("reproduce", "paper", paper, PAPERS)
-    for name in [paper] if paper else PAPERS:
-        title, claims = PAPERS[name]
-        rows = claims()
-        if as_json:
-            print(json.dumps({"paper": name, "source": title, "claims": [row._asdict() for row in rows]}, indent=2))
-        else:
-            show.claims(title, rows, console())

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.plants import csth
-from pcbench.reproduce.claim import Claim
+from pcbench.reproduce.claim import MISPRINT, OPEN, REPRODUCED, Claim, unit
 from pcbench.synthesis import chain
 from pcbench.synthesis.linear import Matrix
 
@@ -77,9 +77,7 @@ def designed(printed: Printed) -> dict[str, Matrix]:
 
 def close(word: str, value: float) -> bool:
     """Say whether a printed magnitude is a value's, within 6 % or half a unit of its last digit."""
-    digits, _, exponent = word.partition("e")
-    half = 0.5 * 10.0 ** (int(exponent or 0) - len(digits.partition(".")[2]))
-    return abs(abs(value) - float(word)) <= max(CLOSE * float(word), half)
+    return abs(abs(value) - float(word)) <= max(CLOSE * float(word), 0.5 * unit(word))
 
 
 def _entries() -> list[Claim]:
@@ -93,7 +91,7 @@ def _entries() -> list[Claim]:
             if float(word) == 0 and value < 1e-12:
                 continue
             shown = f"{GARBLED[number, name, i]}, read {word}" if (number, name, i) in GARBLED else word
-            verdict = "reproduced" if close(word, value) else "misprint"
+            verdict = REPRODUCED if close(word, value) else MISPRINT
             digits = max(3, len(word.partition("e")[0].replace(".", "").lstrip("0")))
             place = f"chain {number}: |{name}({i // wide + 1},{i % wide + 1})|"
             out.append(Claim(place, shown, f"{value:.{digits}g}", verdict))
@@ -106,9 +104,9 @@ def _misprints() -> list[Claim]:
     poles = f"1e-12: only that has three poles at 1e-4 (1e-2 has one of size {wrong:.3f})"
     heater = f"{csth.Numbers().mc:.9g}: Q1 = C B prints 30411.5"
     return [
-        Claim("B(3,2)", "3041.5241", heater, "misprint"),
-        Claim("g_1 of the poles", "10^-2", poles, "misprint"),
-        Claim("Q_0, Q_d of (9) where D != 0", "D - V D, C A^(d-1) B", _feedthrough(), "misprint"),
+        Claim("B(3,2)", "3041.5241", heater, MISPRINT),
+        Claim("g_1 of the poles", "10^-2", poles, MISPRINT),
+        Claim("Q_0, Q_d of (9) where D != 0", "D - V D, C A^(d-1) B", _feedthrough(), MISPRINT),
     ]
 
 
@@ -122,13 +120,14 @@ def _feedthrough() -> str:
     right = rest + D @ u[1] + (C @ B - V @ D) @ u[0]
     printed = rest + (D - V @ D) @ u[1] + C @ B @ u[0]
     wrong, exact = np.abs(y - printed).max(), np.abs(y - right).max()
-    return f"D, C A^(d-1) B - V D: off by {exact:.0e}; as printed by {wrong:.2f}"
+    close = "exact" if exact < 1e-12 else f"off by {exact:.0e}"
+    return f"D, C A^(d-1) B - V D: {close}; as printed off by {wrong:.2f}"
 
 
 def _undetermined() -> list[Claim]:
     free = "C is invertible, so any invertible T solves (8): nine free numbers, taken as printed"
     lost = "depends on the signs of T, which are lost"
     return [
-        Claim("chains 1, 2: T", "nine numbers each", free, "not determinable"),
-        Claim("chains 1, 2: W, the rest of V", "printed", lost, "not determinable"),
+        Claim("chains 1, 2: T", "nine numbers each", free, OPEN),
+        Claim("chains 1, 2: W, the rest of V", "printed", lost, OPEN),
     ]

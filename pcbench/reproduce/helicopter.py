@@ -12,8 +12,10 @@ import pandas as pd
 
 from pcbench import bench, machine
 from pcbench.plants import helicopter
-from pcbench.reproduce.claim import Claim, statement
+from pcbench.reproduce.claim import FINDING, MISPRINT, Claim, digits, found, statement
 from pcbench.reproduce.helicopter_runs import VISCOSITY, Run, misread, record
+from pcbench.scenarios import SCENARIOS
+from pcbench.synthesis import high_gain
 from pcbench.synthesis.high_gain import limit
 
 SEEDS = 256
@@ -28,28 +30,36 @@ def claims() -> list[Claim]:
         return [*_printed(runs), *_misread(), *_control(runs), *_starts(), *_noise(runs)]
 
 
-def found(what: str, text: str) -> Claim:
-    """Return something that the paper does not say."""
-    return Claim(what, "not in the paper", text, "finding")
-
-
 def _printed(runs: dict[str, Run]) -> list[Claim]:
     """What the paper's two simulations are said to show."""
     out = []
     for name, what in (("constant", "constant delay"), ("varying", "varying delay")):
         run = runs[name]
         B, times = run.z[-1, 4:], run.within
-        text = f"{B[0]:.8f}, {B[1]:.8f} at 20 s"
+        text = f"{B[0]:.6f}, {B[1]:.6f} at 20 s"
         out.append(statement(f"{what}: the viscosities are found", "0.8, 0.318", text, bool(times.max() < 20)))
         inside = f"from {times[0]:.2f} s and {times[1]:.2f} s on"
-        out.append(Claim(f"{what}: viscosities within 5 %", "in figures only", inside, "finding"))
+        out.append(found(f"{what}: viscosities within 5 %", inside))
         e = run.rms(run.x - run.z)[:4]
         text = ", ".join(f"{v:.1e}" for v in e) + " rms from 10 s on"
         out.append(statement(f"{what}: the state of now is estimated", "converges", text, bool(e.max() < 1e-3)))
         for i, angle in enumerate(("pitch", "yaw")):
             claim, text = f"{what}: {angle} follows its path", f"{run.off[i]:.4f} rad rms from 10 s on"
             out.append(statement(claim, "satisfactorily", text, bool(run.off[i] < 0.05)))
-    return out
+        late = [float(np.abs(run.x - run.z)[a:b, :4].max()) for a, b in ((1000, 2000), (5000, 6000), (10_000, 11_000))]
+        text = ", ".join(f"{v:.1e}" for v in late) + " at most, from 1, 5 and 10 s on for a second"
+        shrinks = late[2] < 0.1 * late[1] < 0.01 * late[0]
+        out.append(statement(f"Remark 2, {what}: the error converges exponentially", "to zero", text, shrinks))
+    apart = runs["varying"].off[1] - runs["constant"].off[1], max(runs["varying"].off) - max(runs["constant"].off)
+    text = f"off the path by {apart[0]:+.4f} rad (yaw), {apart[1]:+.4f} rad (pitch) against the constant delay"
+    out.append(statement("varying delay: the control is more challenging", "more challenging", text, max(apart) > 1e-3))
+    s, t = SCENARIOS["helicopter/varying"], np.arange(20_000) * 1e-3
+    longest = float((s.delay[0] + s.delay_swing[0] * np.sin(s.delay_swing[1] * t)).max())
+    out.append(digits("largest varying delay [s]", "0.045", longest))
+    radius, far = high_gain.radius(4.0 * 0.2), high_gain.radius(4.0 * 0.8)
+    text = f"linear part: radius {radius:.2f} a sample at 0.2 s, {far:.2f} at 0.8 s; limit {limit() / 4.0:.2f} s"
+    claim = "beyond a limit of the sampling period it does not converge"
+    return [*out, statement(claim, "a limitation", text, bool(radius < 1 < far))]
 
 
 def _misread() -> list[Claim]:
@@ -60,8 +70,8 @@ def _misread() -> list[Claim]:
         text = f"viscosities {B[0]:.3f}, {B[1]:.3f} at 20 s" if isnan(lost) else f"diverges at {lost:.2f} s"
         wrong = isfinite(lost) or not np.isfinite(run.within).all()
         if what:
-            out.append(Claim(what, "taken literally", text, "misprint" if wrong else "finding"))
-    out.append(Claim("unit of the viscosities, Table 1", "N/V", "N m s/rad, by the equations", "misprint"))
+            out.append(Claim(what, "taken literally", text, MISPRINT if wrong else FINDING))
+    out.append(Claim("unit of the viscosities, Table 1", "N/V", "N m s/rad, by the equations", MISPRINT))
     return out
 
 

@@ -1,0 +1,38 @@
+"""What a person reads of a reproduction: claims with their verdicts, paper by paper, and how many of each."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from pcbench.reproduce.claim import FINDING, VERDICTS, counts
+from pcbench.show import titled
+
+STYLES = dict(zip((*VERDICTS, FINDING), ("green", "yellow", "red", "dim", "white"), strict=True))
+
+
+def claims(title: str, rows: list[Any], console: Console) -> None:
+    """Print printed against reproduced, line by line."""
+    table = titled(title)
+    for head in ("claim", "printed", "reproduced", "verdict"):
+        table.add_column(head, overflow="fold")
+    for row in rows:
+        cells = (row.claim, row.printed, row.reproduced)
+        table.add_row(*map(escape, cells), f"[{STYLES[row.verdict]}]{row.verdict}[/]")
+    console.print(table)
+    console.print(summary(rows), highlight=False)
+
+
+def every(found: dict[str, list[Any]], titles: dict[str, str], console: Console) -> None:
+    """Print the claims of all papers, and how many of each verdict over all."""
+    for name, rows in found.items():
+        claims(titles[name], rows, console)
+    whole = [row for rows in found.values() for row in rows]
+    console.print(f"All {len(found)} papers: {summary(whole)}", style="bold", highlight=False)
+
+
+def summary(rows: list[Any]) -> str:
+    """Return how many of each verdict, in a sentence."""
+    many = counts(rows)
+    said = ", ".join(f"{many[name]} {name}" for name in VERDICTS)
+    return f"{sum(many[name] for name in VERDICTS)} claims: {said}; {many[FINDING]} findings that stand in no paper."
