@@ -368,6 +368,17 @@ def arrow(table: pd.DataFrame) -> pa.Table:
     return pa.Table.from_pandas(table, preserve_index=False)
 
 
+def checked(title: str, findings: list[Any], console: Console) -> None:
+    """Print every check of an observer with its verdict and why."""
+    table = _table(title)
+    for head in ("check", "verdict", "why"):
+        table.add_column(head, overflow="fold", no_wrap=head != "why")
+    for found in findings:
+        colour = {"passes": "green", "fails": "red"}.get(found.verdict, "yellow")
+        table.add_row(found.check, f"[{colour}]{found.verdict}[/]", escape(found.why))
+    console.print(table)
+
+
 def claims(title: str, rows: list[Any], console: Console) -> None:
     """Print printed against reproduced, line by line."""
     table = _table(title)

@@ -12,11 +12,11 @@ import pcbench
 ROOT = Path(pcbench.__file__).parent
 LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"cli"},
-    {"cli.observers", "cli.runs", "cli.datasets", "cli.tuning"},
+    {"cli.observers", "cli.runs", "cli.datasets", "cli.tuning", "cli.checking"},
     {"cli.shared", "cli.stopping"},
     {"show", "catalogue", "reproduce"},
     {"bench", "interop"},
-    {"designing"},
+    {"designing", "checking"},
     {"tuning.gap"},
     {"tuning.fairness"},
     {"tuning.effort"},
