@@ -60,6 +60,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"integrate", "signals", "actuator"},
     {"synthesis"},
     {"scenarios"},
+    {"quoting"},
     {"types", "errors"},
 ]
 NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov", "synthesis.sampled", "synthesis.late",

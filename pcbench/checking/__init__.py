@@ -11,11 +11,11 @@ from pcbench.checking.finding import FAILS, PASSES, SKIPPED, Finding, Skipped
 from pcbench.checking.lanes import lanes
 from pcbench.checking.loading import Found, load
 from pcbench.checking.programs import float64, gains, purity
-from pcbench.checking.quoting import raised
 from pcbench.checking.schedules import after_the_jump, delay_0, no_peeking, perfect_start
 from pcbench.checking.trial import Trial, trial
 from pcbench.conformance import check as shapes_of
 from pcbench.errors import UserError, unknown
+from pcbench.quoting import raised
 from pcbench.scenarios import SCENARIOS, Scenario
 
 Check = Callable[[Trial, Any], str]

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.checking.finding import require
-from pcbench.checking.quoting import raised
 from pcbench.checking.tracing import Asked, asked, given
 from pcbench.checking.trial import Trial
 from pcbench.entrywise import over
 from pcbench.errors import UserError
 from pcbench.lanes import is_lanes, join, split
+from pcbench.quoting import raised
 
 WIDTH, CLOSE = 3, 1e-11  # sums over lanes may be in another order
 

@@ -1,7 +1,7 @@
 """A user's observer, found by MODULE:OBSERVER.
 
-MODULE is a name that can be imported, from the working folder too, or the path of a .py file. OBSERVER is an attribute of it: an
-`Entry`, or an `Observer` whose module has its `design` and, where it takes any, its `Options`. What the user's module prints
+MODULE is a name that can be imported, from the working folder too, or the path of a .py file. OBSERVER is an attribute of it:
+an `Entry`, or an `Observer` whose module has its `design` and, where it takes any, its `Options`. What the user's module prints
 is the user's; what it raises comes back as one sentence.
 """
 
@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from pcbench.checking.quoting import raised
 from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS, Entry
+from pcbench.quoting import raised
 from pcbench.types import Observer
 
 WHERE = "check"
@@ -43,8 +43,8 @@ def load(target: str, given: dict[str, Any] | None = None) -> Found:
     place, colon, name = target.rpartition(":")
     if not colon or not place or not name:
         raise UserError(
-            f"{WHERE}: got '{short(target)}', expected MODULE:OBSERVER such as mine.py:nudge; name the module, or its file, and "
-            "the observer in it."
+            f"{WHERE}: got '{short(target)}', expected MODULE:OBSERVER such as mine.py:nudge; name the module, or its file, "
+            "and the observer in it."
         )
     module = _module(place)
     try:
@@ -106,12 +106,17 @@ def _module(place: str) -> ModuleType:
         hint = f"did you mean '{path.parent / near[0]}'? " if near else ""
         raise UserError(f"{WHERE}: '{short(place)}' is no file; {hint}Give the path of a .py file, or a module's name.")
     sys.path.insert(0, str(path.resolve().parent))
+    return _run(lambda: _executed(path), place)
+
+
+def _executed(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
-        raise UserError(f"{WHERE}: got '{short(place)}', expected a Python file; name one that ends in .py.")
+        raise UserError(f"{WHERE}: got '{short(str(path))}', expected a Python file; name one that ends in .py.")
     module = importlib.util.module_from_spec(spec)
     sys.modules.setdefault(path.stem, module)  # options find their types by it
-    return _run(lambda: spec.loader.exec_module(module) or module, place)  # type: ignore[union-attr]
+    spec.loader.exec_module(module)
+    return module
 
 
 def _imported(name: str) -> ModuleType:
@@ -125,6 +130,8 @@ def _run(make: Any, place: str) -> ModuleType:
     try:
         module: ModuleType = make()
         return module
+    except UserError:
+        raise
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt):
             raise

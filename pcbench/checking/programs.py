@@ -21,8 +21,8 @@ def gains(t: Trial, found: Any) -> str:
         require(
             isinstance(leaf, np.ndarray | jax.Array | np.generic | float | int | bool)
             and np.asarray(leaf).dtype.kind in "fiubc",
-            f"gains: got a leaf of type {type(leaf).__name__}, expected arrays of numbers only; keep words and functions out of "
-            "gains.",
+            f"gains: got a leaf of type {type(leaf).__name__}, expected arrays of numbers only; keep words and functions "
+            "out of gains.",
         )
     programs = _programs(t, case, first)
     for name, each in programs.items():
@@ -101,13 +101,13 @@ def _leakless(a: Asked, g: Given) -> Program:
 
 def _changed(a: Asked, g: Given) -> bool:
     """Whether a function changes its arguments while it is traced."""
-    found = []
+    found: list[bool] = []
 
     def traced(g: Given) -> Any:
         before, form = jax.tree.flatten(g)
         out = a.f(g)
         after, same = jax.tree.flatten(g)
-        found.append(form != same or any(x is not y for x, y in zip(before, after, strict=True)))
+        found.append(str(form) != str(same) or any(x is not y for x, y in zip(before, after, strict=True)))
         return out
 
     jax.eval_shape(traced, g)

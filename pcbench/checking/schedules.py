@@ -31,8 +31,8 @@ def perfect_start(t: Trial, found: Any) -> str:
         require(
             not bad.size,
             f"perfect start on {case.name}: got an error of {e[bad[0]] if bad.size else 0:.2g} of the largest state at tick "
-            f"{bad[0] if bad.size else 0}, expected none (true model, true start, no noise); look for a tick of slip, or declare "
-            "knows_schedule False.",
+            f"{bad[0] if bad.size else 0}, expected none (true model, true start, no noise); look for a tick of slip, or "
+            "declare knows_schedule False.",
         )
     return f"no error on {_many(t)}"
 
@@ -46,14 +46,14 @@ def delay_0(t: Trial, found: Any) -> str:
     bad = np.flatnonzero(~np.isfinite(got).all(1))
     require(
         not bad.size,
-        f"delay 0: got an estimate that is not finite at tick {bad[0] if bad.size else 0}, expected numbers when a sample of age 0 "
-        "arrives; divide by no age.",
+        f"delay 0: got an estimate that is not finite at tick {bad[0] if bad.size else 0}, expected numbers when a sample of "
+        "age 0 arrives; divide by no age.",
     )
     k = int(case.setting.period[0])
     require(
         _same_until(t, case, k, none(case.problem), inputs_from=k),
-        f"delay 0: got an estimate of tick {k} that depends on the input of that same tick, expected u up to tick {k - 1}; in note "
-        "and jump ask past_u for an age of at least 1.",
+        f"delay 0: got an estimate of tick {k} that depends on the input of that same tick, expected u up to tick {k - 1}; in "
+        "note and jump ask past_u for an age of at least 1.",
     )
     return "a sample of age 0 is used, the input of its tick is not"
 
@@ -72,8 +72,8 @@ def no_peeking(t: Trial, found: Any) -> str:
             )
             require(
                 _same_until(t, case, k, shift, inputs_from=max(k, 1), ages_from=k + 1),
-                f"no peeking on {case.name}: got estimates up to tick {k} that change with what arrives later, or with later inputs, "
-                "expected the same bits; use past_u with ages of 0 or more only, and of an arrival what is fresh.",
+                f"no peeking on {case.name}: got estimates up to tick {k} that change with what arrives later, or with later "
+                "inputs, expected the same bits; use past_u with ages of 0 or more only, and of an arrival what is fresh.",
             )
     return f"what has not arrived changes no bit of an estimate, on {_many(t)}"
 
@@ -95,8 +95,8 @@ def after_the_jump(t: Trial, found: Any) -> str:
     rate = first == k + 1 and moved[first + 1] > RATE * moved[first]
     require(
         first == k or rate,
-        f"after the jump: got an estimate that first shows an arrival of tick {k} at tick {first}, expected tick {k}; let estimate "
-        "read the memory that jump returns.",
+        f"after the jump: got an estimate that first shows an arrival of tick {k} at tick {first}, expected tick {k}; let "
+        "estimate read the memory that jump returns.",
     )
     return "an arrival shows at its own tick" if first == k else "an arrival shows as a rate, from its own tick on"
 
@@ -152,8 +152,8 @@ def _not_fresh(t: Trial, case: Case) -> None:
         results = [after(g.gains, g.memory, jnp.asarray(channel), jnp.asarray(value)) for value in (0.0, 77.0)]
         require(
             all(map(np.array_equal, *results)),
-            f"no peeking: got an estimate that changes with the value of channel {channel + 1} where fresh is False, expected it "
-            "to be ignored; take values by jnp.where(arrival.fresh, ...).",
+            f"no peeking: got an estimate that changes with the value of channel {channel + 1} where fresh is False, expected "
+            "it to be ignored; take values by jnp.where(arrival.fresh, ...).",
         )
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from pcbench import planning, sampling
 from pcbench.cells import Cell
 from pcbench.checking.loading import Found
-from pcbench.checking.quoting import raised
 from pcbench.errors import UserError
 from pcbench.problem import Problem, present, truth
+from pcbench.quoting import raised
 from pcbench.scenarios import Scenario
 from pcbench.study import Choices
 from pcbench.synthesis.certificate import Certificate, Design, Setting
@@ -132,8 +132,8 @@ def trial(found: Found, scenario: Scenario) -> Trial:
     if not kept:
         name, why = next(iter(refused.items()))
         raise UserError(
-            f"design: got a refusal of all {len(refused)} schedules, on {name} '{why.rstrip('.')}', expected one that is taken; "
-            "name a --scenario that the observer is made for."
+            f"design: got a refusal of all {len(refused)} schedules, on {name} '{why.rstrip('.')}', expected one that is "
+            "taken; name a --scenario that the observer is made for."
         )
     entry = found.entry
     return Trial(

@@ -7,7 +7,7 @@ import traceback
 from pcbench.errors import said
 
 LIBRARIES = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")})
-OURS = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+OURS = os.path.dirname(os.path.realpath(__file__))
 
 
 def raised(error: BaseException) -> str:
