@@ -40,7 +40,8 @@ CHECKS: dict[str, Check] = {
     "no peeking": no_peeking,
     "after the jump": after_the_jump,
 }
-NAMES = ("design", *CHECKS)
+BASIC = ("design", "shapes")  # what must pass before another check is asked
+NEEDS = {"shapes": ("design",), "gains": (*BASIC, "purity")}
 
 
 def check(
@@ -68,8 +69,10 @@ def findings(found: Found, scenario: Scenario) -> list[Finding]:
 
     out = [_verdict("design", design, None, found)]
     for name, check in CHECKS.items():
-        if not made or (name != "shapes" and out[1].verdict == FAILS):
-            out.append(Finding(name, SKIPPED, f"not asked before {'shapes' if made else 'design'} passes"))
+        failed = [f.check for f in out if f.verdict == FAILS]
+        first = next((need for need in NEEDS.get(name, BASIC) if need in failed), None)
+        if first:
+            out.append(Finding(name, SKIPPED, f"not asked before {first} passes"))
         else:
             out.append(_verdict(name, check, made[0], found))
     return out

@@ -67,9 +67,7 @@ def no_peeking(t: Trial, found: Any) -> str:
             arrived = plan.arrive[: k + 1].max(initial=-1), set(plan.arrive[: k + 1].ravel().tolist())
             many = len(plan.sense) + 1
             later = np.array([i not in arrived[1] for i in range(many)], float)
-            shift = Shift(
-                jnp.asarray(later[:, None] * np.ones((many, len(case.problem.noise_std)))), jnp.asarray(later)
-            )
+            shift = Shift(jnp.tile(jnp.asarray(later)[:, None], len(case.problem.noise_std)), jnp.asarray(later))
             require(
                 _same_until(t, case, k, shift, inputs_from=max(k, 1), ages_from=k + 1),
                 f"no peeking on {case.name}: got estimates up to tick {k} that change with what arrives later, or with later "
@@ -84,7 +82,7 @@ def after_the_jump(t: Trial, found: Any) -> str:
     k, number = _arrival(case)
     many, q = len(case.problem.schedule.sense) + 1, len(case.problem.noise_std)
     touched = jnp.asarray(np.arange(many) == number, float)
-    shift = Shift(touched[:, None] * jnp.ones(q), jnp.zeros(many))
+    shift = Shift(jnp.tile(touched[:, None], q), jnp.zeros(many))
     plain, other = (np.asarray(_run(t, case, WRONG, s).xhat) for s in (None, shift))
     moved = np.abs(other - plain).max(1)
     if not moved.any():

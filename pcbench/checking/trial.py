@@ -7,6 +7,7 @@ schedule in a sentence of its own; it must take one.
 
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from pcbench import planning, sampling
@@ -109,6 +110,12 @@ def designed(found: Found, case: Case) -> Design:
             f"{where}: got {type(made).__name__}, expected Design(gains, Certificate) of pcbench.synthesis.certificate; return "
             "that."
         )
+    for leaf in jax.tree.leaves(made.gains):
+        if not isinstance(leaf, np.ndarray | jax.Array | np.generic | float | int):
+            raise Broken(
+                f"{where}: got a {type(leaf).__name__} among the gains, expected arrays of numbers only; keep words and "
+                "functions out of gains."
+            )
     return made
 
 
