@@ -76,7 +76,7 @@ def asked(t: Trial, case: Case) -> list[Asked]:
 
 
 def _now(p: Any, inputs: Any, decided: bool) -> Any:
-    return present(p._replace(inputs=inputs), jnp.asarray(TICK), decided)
+    return present(p._replace(inputs=inputs, dt=jnp.asarray(p.dt)), jnp.asarray(TICK), decided)
 
 
 def program(a: Asked, g: Given) -> Program:

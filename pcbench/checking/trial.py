@@ -8,6 +8,7 @@ schedule in a sentence of its own; it must take one.
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from pcbench import planning, sampling
@@ -84,7 +85,10 @@ def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
         p = p._replace(schedule=sampling.schedule(late, n, q))
     u = np.random.default_rng(7).normal(size=p.inputs.shape) + 0.5
     p = p._replace(schedule=sampling.pad_slots(p.schedule, SLOTS), inputs=u)
-    own = np.asarray(truth(drafted.layout, p.params, present(p, np.asarray(0), True), p.x0))[len(p.x0) :]  # type: ignore[arg-type]
+    traced = jax.tree.map(jnp.asarray, p)
+    own = np.asarray(truth(drafted.layout, traced.params, present(traced, jnp.asarray(0), True), traced.x0))[
+        len(p.x0) :
+    ]
     true = own if known.field is not None else known.unknown0
     return Case(name, known._replace(unknown0=tuple(map(float, true))), p)
 
