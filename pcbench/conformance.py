@@ -7,6 +7,7 @@ import jax.numpy as jnp
 
 from pcbench.errors import UserError
 from pcbench.problem import Problem, present
+from pcbench.quoting import raised
 from pcbench.types import Arrival, Observer
 
 
@@ -28,9 +29,8 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
         try:
             return jax.eval_shape(f, p, *args)
         except Exception as error:
-            first = (str(error).strip().splitlines() or [""])[0].rstrip(".")
             raise UserError(
-                f"observer {label}: {name} cannot be traced ({type(error).__name__}: {first}); expected pure jax.numpy code "
+                f"observer {label}: {name} cannot be traced ({raised(error)}); expected pure jax.numpy code "
                 "for one run, with jnp.where in place of if."
             ) from error
 
@@ -44,7 +44,8 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
     if xhat.shape not in ((n,), (signals,)):
         more = f", or ({signals},) with its unknown inputs" if signals > n else ""
         raise UserError(
-            f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{more}."
+            f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{more}; "
+            "return all of it."
         )
     _same(label, "jump", ask("jump", jump, memory, value, note), memory)
     if continuous and observer.field is not None:

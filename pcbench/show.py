@@ -355,3 +355,14 @@ def trade_off(title: str, table: pd.DataFrame, console: Console) -> None:
 def arrow(table: pd.DataFrame) -> pa.Table:
     """Return a frame as it is put into a Parquet file."""
     return pa.Table.from_pandas(table, preserve_index=False)
+
+
+def checked(title: str, findings: list[Any], console: Console) -> None:
+    """Print every check of an observer with its verdict and why."""
+    table = titled(title)
+    for head in ("check", "verdict", "why"):
+        table.add_column(head, overflow="fold", no_wrap=head != "why")
+    for found in findings:
+        colour = {"passes": "green", "fails": "red"}.get(found.verdict, "yellow")
+        table.add_row(found.check, f"[{colour}]{found.verdict}[/]", escape(found.why))
+    console.print(table)

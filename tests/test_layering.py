@@ -12,7 +12,7 @@ import pcbench
 ROOT = Path(pcbench.__file__).parent
 LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"cli"},
-    {"cli.observers", "cli.runs", "cli.datasets", "cli.tuning", "cli.reports", "cli.papers"},
+    {"cli.observers", "cli.runs", "cli.datasets", "cli.tuning", "cli.reports", "cli.papers", "cli.checking"},
     {"cli.shared", "cli.stopping"},
     {"show_claims", "show_comparison"},
     {"report", "report.page"},
@@ -26,7 +26,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"plots.sheet"},
     {"plots.palette"},
     {"bench", "interop"},
-    {"designing"},
+    {"designing", "checking"},
     {"tuning.gap"},
     {"tuning.fairness"},
     {"tuning.effort"},
@@ -70,6 +70,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"integrate", "signals", "actuator"},
     {"synthesis"},
     {"scenarios"},
+    {"quoting"},
     {"types", "errors"},
 ]
 NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov", "synthesis.sampled", "synthesis.late",

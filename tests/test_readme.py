@@ -117,7 +117,7 @@ def test_every_observer_and_command_is_named():
 
 def test_the_top_level_is_as_promised():
     allowed = {"pyproject.toml", "pcbench", "benchmarks", "notebooks", "tests", "README.md", "LICENSE", "CHANGELOG.md",
-               "CITATION.cff", "REPRODUCTION.md"}  # fmt: skip
+               "CITATION.cff", "CONTRIBUTING.md", "REPRODUCTION.md"}  # fmt: skip
     tracked = subprocess.run(["git", "-C", str(ROOT), "ls-files"], capture_output=True, text=True, check=False).stdout
     top = {line.split("/")[0] for line in tracked.splitlines()}
     assert {name for name in top if not name.startswith(".")} <= allowed
@@ -126,6 +126,18 @@ def test_the_top_level_is_as_promised():
 def test_every_option_that_the_readme_names_exists():
     said = set(re.findall(r"(?<![\w-])(--[a-z][a-z-]+)", "\n".join(blocks("text"))))
     there = set()
-    for command in ("run", "status", "verify", "merge", "compare", "trace", "design", "tune", "reproduce"):
+    for command in (
+        "run",
+        "status",
+        "verify",
+        "merge",
+        "compare",
+        "trace",
+        "design",
+        "tune",
+        "reproduce",
+        "report",
+        "check",
+    ):
         there |= set(re.findall(r"--[a-z][a-z-]+", call(command, "--help").stdout))
     assert said <= there, said - there

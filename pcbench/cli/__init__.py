@@ -5,13 +5,13 @@ import sys
 
 import typer
 
-from pcbench.cli import datasets, observers, papers, reports, runs, tuning
+from pcbench.cli import checking, datasets, observers, papers, reports, runs, tuning
 from pcbench.cli.shared import app, say
 from pcbench.cli.stopping import STOPPED, interrupt
 from pcbench.errors import UserError
 
 __all__ = ["main"]
-COMMANDS = (observers, runs, reports, tuning, datasets, papers)  # each registers its own
+COMMANDS = (observers, checking, runs, reports, tuning, datasets, papers)  # each registers its own
 
 
 def main() -> None:

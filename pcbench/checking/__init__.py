@@ -1,0 +1,91 @@
+"""Does an observer keep to what pcbench asks of one? Named checks, each with a verdict and a reason.
+
+The order is that of what can be asked: without a design nothing, without the right shapes nothing more.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from pcbench import machine
+from pcbench.checking.finding import FAILS, PASSES, SKIPPED, Finding, Skipped
+from pcbench.checking.lanes import lanes
+from pcbench.checking.loading import Found, load
+from pcbench.checking.programs import float64, gains, purity
+from pcbench.checking.schedules import after_the_jump, delay_0, no_peeking, perfect_start
+from pcbench.checking.trial import Trial, trial
+from pcbench.conformance import check as shapes_of
+from pcbench.errors import UserError, unknown
+from pcbench.quoting import raised
+from pcbench.scenarios import SCENARIOS, Scenario
+
+Check = Callable[[Trial, Any], str]
+
+
+def shapes(t: Trial, found: Any) -> str:
+    """Every function of the protocol returns what it should."""
+    for case in t.cases:
+        p = case.problem
+        shapes_of(t.label, t.observer, p, continuous=t.observer.field is not None)
+    return "init, note, jump, flow and estimate return what they should"
+
+
+CHECKS: dict[str, Check] = {
+    "shapes": shapes,
+    "purity": purity,
+    "gains": gains,
+    "float64": float64,
+    "lanes": lanes,
+    "perfect start": perfect_start,
+    "delay 0": delay_0,
+    "no peeking": no_peeking,
+    "after the jump": after_the_jump,
+}
+BASIC = ("design", "shapes")  # what must pass before another check is asked
+NEEDS = {"shapes": ("design",), "gains": (*BASIC, "purity")}
+
+
+def check(
+    target: str, scenario: str = "cart/white", options: dict[str, Any] | None = None
+) -> tuple[str, list[Finding]]:
+    """Return the name of the observer that MODULE:OBSERVER names, and what every check says of it on a scenario's plant.
+
+    Raises UserError where there is no such module, observer, option or scenario.
+    """
+    if scenario not in SCENARIOS:
+        raise unknown("check --scenario", "scenario", scenario, SCENARIOS)
+    with machine.float64():
+        found = load(target, options)
+        return found.label, findings(found, SCENARIOS[scenario])
+
+
+def findings(found: Found, scenario: Scenario) -> list[Finding]:
+    """Return what every check says of an observer; nothing that its code raises comes out but in a sentence."""
+    made: list[Trial] = []
+
+    def design(_: Any, __: Any) -> str:
+        made.append(trial(found, scenario))
+        refused = f"; refused {len(made[0].refused)}: {made[0].refused[0]}" if made[0].refused else ""
+        return f"gains on {len(made[0].cases)} schedules of {scenario.name}{refused}"
+
+    out = [_verdict("design", design, None, found)]
+    for name, check in CHECKS.items():
+        failed = [f.check for f in out if f.verdict == FAILS]
+        first = next((need for need in NEEDS.get(name, BASIC) if need in failed), None)
+        if first:
+            out.append(Finding(name, SKIPPED, f"not asked before {first} passes"))
+        else:
+            out.append(_verdict(name, check, made[0], found))
+    return out
+
+
+def _verdict(name: str, check: Any, t: Any, found: Found) -> Finding:
+    try:
+        return Finding(name, PASSES, check(t, found))
+    except Skipped as reason:
+        return Finding(name, SKIPPED, str(reason))
+    except UserError as error:
+        return Finding(name, FAILS, str(error))
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        return Finding(name, FAILS, f"{name}: got {raised(error)}, expected code that can be run; mend that line.")

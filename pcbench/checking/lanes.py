@@ -1,0 +1,87 @@
+"""Check that a batch of runs is the runs one at a time, carried over lanes as pcbench does it and as vmap does."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pcbench.checking.finding import require
+from pcbench.checking.tracing import Asked, asked, given
+from pcbench.checking.trial import Trial
+from pcbench.entrywise import over
+from pcbench.errors import UserError
+from pcbench.lanes import is_lanes, join, split
+from pcbench.quoting import raised
+
+WIDTH, CLOSE = 3, 1e-11  # sums over lanes may be in another order
+
+
+def lanes(t: Trial, found: Any) -> str:
+    """Each lane of a batch is what the run gives alone; lanes stand last."""
+    case = t.cases[0]
+    first, every = given(t, case, case.problem.gains[t.label]), asked(t, case)
+    rows = [first._replace(memory=_moved(first.memory, i), value=first.value * (1 + i)) for i in range(WIDTH)]
+    stacked = jax.tree.map(lambda *a: jnp.stack(a, -1), *((g.memory, g.value) for g in rows))
+
+    def all_of(some: list[Asked]) -> Any:
+        return lambda own: {a.name: a.f(first._replace(memory=own[0], value=own[1])) for a in some}
+
+    def alone(some: list[Asked]) -> Any:
+        f = jax.jit(all_of(some))
+        return jax.tree.map(lambda *a: jnp.stack(a, -1), *(f((g.memory, g.value)) for g in rows))
+
+    ways = {
+        "vmap over the last axis": lambda some: jax.jit(jax.vmap(all_of(some), -1, -1))(stacked),
+        "pcbench's lanes": lambda some: jax.jit(lambda s: _whole(over(all_of(some))(jax.tree.map(_split, s))))(stacked),
+    }
+    expected = alone(every)
+    for way, run in ways.items():
+        try:
+            batch = run(every)
+        except Exception:
+            _name_the_one(way, run, every)
+            raise
+        for name, one in expected.items():
+            require(
+                _close(batch[name], one),
+                f"lanes: {name} under {way}: got other numbers than one run at a time gives, expected the same; let no run "
+                "depend on how many there are.",
+            )
+    return f"{WIDTH} runs at once are the same as one at a time"
+
+
+def _name_the_one(way: str, run: Any, every: list[Asked]) -> None:
+    """Raise UserError for the function that cannot be batched."""
+    for a in every:
+        try:
+            run([a])
+        except Exception as error:
+            raise UserError(
+                f"lanes: {a.name} under {way}: got {raised(error)}, expected a batch of runs; write it in jax.numpy, without "
+                "callbacks into Python."
+            ) from None
+
+
+def _moved(memory: Any, i: int) -> Any:
+    """A memory of another lane: its real numbers differ."""
+    return jax.tree.map(lambda a: a * (1 + i / 8) + i / 16 if jnp.issubdtype(a.dtype, jnp.floating) else a, memory)
+
+
+def _split(a: Any) -> Any:
+    """An array over lanes; what is empty differs in none."""
+    return split(a) if a.size else a[..., 0]
+
+
+def _whole(tree: Any) -> Any:
+    """Join what is split; what does not differ between lanes is the same in each."""
+
+    def one(x: Any) -> Any:
+        return join(x) if is_lanes(x) else jnp.broadcast_to(jnp.asarray(x)[..., None], (*jnp.shape(x), WIDTH))
+
+    return jax.tree.map(one, tree, is_leaf=is_lanes)
+
+
+def _close(a: Any, b: Any) -> bool:
+    pairs = zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True)
+    return all(x.shape == y.shape and np.allclose(x, y, rtol=CLOSE, atol=CLOSE, equal_nan=True) for x, y in pairs)

@@ -1,0 +1,157 @@
+"""What an observer is tried on: a scenario's plant, true model, no noise, in open loop under an input that never repeats.
+
+The schedules are those that the observer says it takes: the scenario's own, delay 0, a late one, samples on their way at the
+same time; where it takes them, intervals that vary and samples that overtake. All have one shape. An observer may refuse a
+schedule in a sentence of its own; it must take one.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pcbench import planning, sampling
+from pcbench.cells import Cell
+from pcbench.checking.loading import Found
+from pcbench.errors import UserError
+from pcbench.problem import Problem, present, truth
+from pcbench.quoting import raised
+from pcbench.scenarios import Scenario
+from pcbench.study import Choices
+from pcbench.synthesis.certificate import Certificate, Design, Setting
+from pcbench.types import Observer, Plant
+
+SLOTS, SPAN = 3, 8  # arrivals a tick that there is room for; the horizon in sampling periods
+VARYING = ("one clock", "any schedule")
+
+
+class Case(NamedTuple):
+    """One schedule: what a designer is told of it, and the run's numbers with the gains that were designed."""
+
+    name: str
+    setting: Setting
+    problem: Problem
+
+
+class Trial(NamedTuple):
+    """An observer with its gains on every schedule that it takes."""
+
+    label: str
+    observer: Observer
+    plant: Plant
+    knows_schedule: bool
+    cases: tuple[Case, ...]
+    refused: tuple[str, ...]  # its own sentences
+
+
+def cases(scenario: Scenario, takes: str) -> list[Case]:
+    """Return the schedules to try, without gains."""
+    every, at_once = round(scenario.sampling_period[0] / scenario.dt), len(scenario.delay)
+    ticks = SPAN * every
+    seconds = [every * scenario.dt * late for late in (0, 1, 2.5)]
+    plain = scenario._replace(
+        drift=0.0, parameters={}, process_std=(), horizon=ticks * scenario.dt, tail=scenario.dt, xhat0=scenario.x0,
+        input="zero", unknown_input="zero" if scenario.unknown_input else "", continuous=False, start_box=(),
+        controller="", early=False, delay_swing=(0.0, 0.0), profile="periodic", jitter=0.0, delay_jitter=0.0, loss=0.0,
+        assumed_delay_error=0.0, sampling_period=(every * scenario.dt,) * at_once,
+    )  # fmt: skip
+    if any(d is None or round(d / scenario.dt) > 3 * every for d in plain.delay):
+        plain = plain._replace(delay=(seconds[1],) * at_once)
+    named = {"the scenario's own": plain}
+    for name, late in zip(("delay 0", "one period late", "two and a half periods late"), seconds, strict=True):
+        whole = every * scenario.dt * 2 if late == seconds[2] and every % 2 else late
+        named[name] = plain._replace(delay=(whole,) * at_once)
+    if takes in VARYING:
+        turn = tuple(max(part, 1) * scenario.dt for part in (every, every // 2, every + every // 3))
+        named["varying intervals"] = named["one period late"]._replace(profile=turn)
+    found = [_case(name, each, None) for name, each in named.items()]
+    if takes in VARYING:
+        found.append(_case("samples that overtake", named["one period late"], every))
+    most = max(c.setting.overtaking for c in found), max(c.setting.reach for c in found)
+    return [c._replace(setting=c.setting._replace(overtaking=most[0], reach=most[1])) for c in found]
+
+
+def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
+    """Lay out one schedule; where samples are `overtaken`, every third is so many and a half ticks later."""
+    cell = Cell(scenario, 0, {}, {}, Choices())
+    known = planning.setting(cell)
+    drafted = planning.draft(cell, {}, known)
+    p, n, q = drafted.problem, known.ticks, len(scenario.delay)
+    if overtaken is not None:
+        taken = sampling.samples(planning.axes.clocks(scenario), n)
+        late = [s._replace(arrives=s.arrives + (3 * overtaken // 2 if s.number % 3 == 1 else 0)) for s in taken]
+        known = known._replace(overtaking=sampling.overtaking(late))
+        p = p._replace(schedule=sampling.schedule(late, n, q))
+    u = np.random.default_rng(7).normal(size=p.inputs.shape) + 0.5
+    p = p._replace(schedule=sampling.pad_slots(p.schedule, SLOTS), inputs=u)
+    traced = jax.tree.map(jnp.asarray, p)
+    own = np.asarray(truth(drafted.layout, traced.params, present(traced, jnp.asarray(0), True), traced.x0))[
+        len(p.x0) :
+    ]
+    true = own if known.field is not None else known.unknown0
+    return Case(name, known._replace(unknown0=tuple(map(float, true))), p)
+
+
+def plant_of(scenario: Scenario) -> Plant:
+    """Return the functions of a scenario's plant."""
+    return planning.PLANTS[scenario.plant].plant
+
+
+def designed(found: Found, case: Case) -> Design:
+    """Return what the observer's design makes of one schedule; raise UserError where it makes no Design."""
+    where = f"design on {case.name}"
+    try:
+        made = found.entry.design(case.setting, found.options)
+    except UserError:
+        raise
+    except BaseException as error:
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        raise Broken(f"{where}: got {raised(error)}, expected Design(gains, Certificate); mend that line.") from None
+    if not isinstance(made, Design) or not isinstance(made.certificate, Certificate):
+        raise Broken(
+            f"{where}: got {type(made).__name__}, expected Design(gains, Certificate) of pcbench.synthesis.certificate; return "
+            "that."
+        )
+    for leaf in jax.tree.leaves(made.gains):
+        if not isinstance(leaf, np.ndarray | jax.Array | np.generic | float | int):
+            raise Broken(
+                f"{where}: got a {type(leaf).__name__} among the gains, expected arrays of numbers only; keep words and "
+                "functions out of gains."
+            )
+    return made
+
+
+class Broken(UserError):
+    """A design that raises or returns something else: no answer of its own."""
+
+
+def trial(found: Found, scenario: Scenario) -> Trial:
+    """Design the observer on every schedule; raise UserError where it takes none or its design is broken."""
+    kept: list[Case] = []
+    refused: dict[str, str] = {}
+    for case in cases(scenario, found.entry.takes):
+        try:
+            made = designed(found, case)
+        except Broken:
+            raise
+        except UserError as error:
+            refused[case.name] = str(error)
+            continue
+        kept.append(case._replace(problem=case.problem._replace(gains={found.label: made.gains})))
+    if not kept:
+        name, why = next(iter(refused.items()))
+        raise UserError(
+            f"design: got a refusal of all {len(refused)} schedules, on {name} '{why.rstrip('.')}', expected one that is "
+            "taken; name a --scenario that the observer is made for."
+        )
+    entry = found.entry
+    return Trial(
+        found.label, entry.observer, plant_of(scenario), entry.knows_schedule, tuple(kept), tuple(refused.values())
+    )
+
+
+def called(name: str, t: Trial) -> Any:
+    """Return the case of a name, or None where the observer refused it."""
+    return next((case for case in t.cases if case.name == name), None)
