@@ -115,6 +115,24 @@ def test_every_observer_and_command_is_named():
     assert set(re.findall(r"(?:cart|arm|csth|helicopter)/[\w-]+", README)) <= set(SCENARIOS)
 
 
+ROW = re.compile(r"^\| .*? \| .*? \| (`.*?) \| `([a-z0-9/-]+)` (\w+) \[.*?\] \|$", re.M)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("errors", "scenario", "signal"), ROW.findall(README))
+def test_the_decision_table_is_what_comes_out(errors, scenario, signal):
+    said = {name: float(value) for name, value in re.findall(r"`([a-z-]+)` ([\d.]+)", errors)}
+    stats = pcbench.run(scenario, observers=list(said), seeds=256).stats
+    rms = stats[(stats.metric == "tail_rmse") & (stats.signal == signal)].set_index("observer")["mean"]
+    for name, value in said.items():
+        assert rms[name] == pytest.approx(value, rel=0.06, abs=1e-9), name
+    assert list(said.values()) == sorted(said.values())
+
+
+def test_the_decision_table_names_the_scenarios_it_is_drawn_from():
+    assert len(ROW.findall(README)) == 8
+
+
 def test_the_top_level_is_as_promised():
     allowed = {"pyproject.toml", "pcbench", "benchmarks", "notebooks", "tests", "README.md", "LICENSE", "CHANGELOG.md",
                "CITATION.cff", "CONTRIBUTING.md", "REPRODUCTION.md"}  # fmt: skip
