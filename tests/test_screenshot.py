@@ -19,7 +19,7 @@ PICTURE = Path(__file__).parent.parent / "notebooks" / "report.png"
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
 )
-SIZE = (900, 1400)
+SIZE = (900, 1460)
 
 
 @pytest.mark.slow

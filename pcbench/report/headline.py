@@ -57,7 +57,10 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
     heads = ["observer", f"{title_of(metric, signal, unit)}", f"less the best [{unit}]", f"rms error [{unit}]"]
     heads += [f"tail rms error [{unit}]", "efficiency", "diverged"]
     title = f"{signal.replace('_', ' ')}" + (f" at {at}" if at else "")
-    return Headline(title, heads, rows, f"{n:,} runs each; ± is half a 95 % interval.")
+    kept = [i for i in range(len(heads)) if any(row["cells"][i] not in ("none", "-") for row in rows)]
+    rows = [row | {"cells": [row["cells"][i] for i in kept]} for row in rows]
+    lost = "" if heads.index("diverged") in kept else " No run diverged."
+    return Headline(title, [heads[i] for i in kept], rows, f"{n:,} runs each; ± is half a 95 % interval.{lost}")
 
 
 def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame) -> Headline:
