@@ -43,7 +43,7 @@ def test_the_layers_stand_in_the_order_of_the_imports():
         [layer(p.removesuffix(".py").replace("/", ".")) for p in re.findall(r"`pcbench/([\w./]+)`", row)]
         for row in rows
     ]
-    assert len(depths) == 10
+    assert len(depths) == 14
     for above, below in itertools.pairwise(depths):
         assert min(above) <= min(below), (above, below)
 

@@ -20,7 +20,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"report.chart"},
     {"show", "catalogue", "reproduce"},
     {"plots"},
-    {"plots.curves", "plots.maps", "plots.tuning"},
+    {"plots.lines", "plots.maps", "plots.tuning"},
     {"examples"},
     {"plots.frames"},
     {"plots.sheet"},
