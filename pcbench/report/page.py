@@ -123,15 +123,11 @@ def _what(result: Result) -> str:
 
 def _command(result: Result) -> str:
     commit = (result.provenance.get("git") or {}).get("commit")
-    lines = [f"pip install pcbench=={result.provenance.get('versions', {}).get('pcbench', '')}"]
-    lines += [f"# or the commit {commit}"] if commit else []
-    return "\n".join(
-        [
-            *lines,
-            "pcbench run study.toml --out again        # study.toml is below, and in the folder",
-            "pcbench report again",
-        ]
+    made = f"# made with pcbench {result.provenance.get('versions', {}).get('pcbench', '')}" + (
+        f", commit {commit}" if commit else ""
     )
+    run = "pcbench run study.toml --out again        # study.toml is below, and in the folder"
+    return "\n".join([made, run, "pcbench report again"])
 
 
 def _said(result: Result) -> str:
