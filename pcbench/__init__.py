@@ -16,7 +16,7 @@ _LAZY = {
     "run": "bench",
     "trace": "bench",
     "design": "bench",
-    "trade_off": "bench",
+    "trade_off": "designing",
     "tune": "tuning.effort",
     "opened": "result",
     "Result": "result",

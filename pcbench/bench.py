@@ -1,4 +1,4 @@
-"""The Python face of pcbench: `run`, `trace`, `design` and `trade_off`, each a command as well."""
+"""The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
 
 from pathlib import Path
 from typing import Any
@@ -54,13 +54,10 @@ def run(
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
-    how: dict[str, Any] = {"devices": devices, "dask": dask, "workers": workers, "block": block, "memory": memory}
-    running.check(until_se, max_seeds, **how)
-    how |= {"tell": tell, "say": say, "fresh": fresh}
+    how = running.How(fresh, until_se, max_seeds, devices, dask, workers, block, memory, tell, say).checked()
     with machine.float64():
         made = fairness.prepare(chosen, out, fresh, tell)
-        result = running.execute(made.study, out=out, until_se=until_se, max_seeds=max_seeds, **how)
-        return gap.report(made, result, out, **how)
+        return gap.report(made, running.execute(made.study, out, how), out, how)
 
 
 def trace(
@@ -116,17 +113,3 @@ def design(
     """
     with machine.float64():
         return designing.design(scenario, observer, method=method, overrides=overrides)[2]
-
-
-def trade_off(
-    scenario: Described,
-    observer: str,
-    option: str,
-    values: list[Any],
-    *,
-    method: str | None = None,
-    overrides: list[str] | None = None,
-) -> pd.DataFrame:
-    """Return what a design promises for each value of one of its options: see `designing.trade_off`."""
-    with machine.float64():
-        return designing.trade_off(scenario, observer, option, values, method=method, overrides=overrides)

@@ -7,6 +7,7 @@ import pandas as pd
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
+from pcbench import machine
 from pcbench.cells import Cell
 from pcbench.errors import UserError, unknown
 from pcbench.observers import entry_of
@@ -91,7 +92,8 @@ def trade_off(
             "refused": "",
         }
         try:
-            c = design(_changed(study, observer, {name: value}), observer, method=method)[2].certificate
+            with machine.float64():
+                c = design(_changed(study, observer, {name: value}), observer, method=method)[2].certificate
             row |= {"rate": c.rate, "margin": c.margin, "solver": c.solver, "fallback": c.fallback} | _entries(
                 c.numbers
             )

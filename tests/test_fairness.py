@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from commands import call
+from interruptions import stop_tuning_at
 
 import pcbench
 from pcbench import machine, study_file
@@ -126,21 +127,7 @@ def test_a_fair_study_goes_on_where_it_was_stopped_and_is_a_dataset_like_any_oth
     whole = pcbench.run(FAIR, out=tmp_path / "whole")
     (tuned,) = whole.fair[whole.fair.tuning == "tuned"].to_dict("records")
     assert tuned["observer"] == "pccebo"
-    real, count = effort._evaluate, [0]
-
-    def interrupted(*given):
-        evaluate = real(*given)
-
-        def at(point):
-            count[0] += 1
-            if count[0] == 2:
-                raise KeyboardInterrupt
-            return evaluate(point)
-
-        return at
-
-    monkeypatch.setattr(effort, "_evaluate", interrupted)
-    monkeypatch.setattr("pcbench.tuning.record.PAUSE", 0.0)
+    count = stop_tuning_at(2, monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         pcbench.run(FAIR, out=tmp_path / "out")
     assert not (tmp_path / "out" / "study.toml").exists()

@@ -8,6 +8,7 @@ import pytest
 from commands import call
 from hypothesis import given
 from hypothesis import strategies as st
+from interruptions import stop_tuning_at
 
 import pcbench
 from pcbench.errors import UserError
@@ -74,21 +75,7 @@ def test_both_ways_go_down_past_what_is_refused_and_keep_to_their_budget(start):
 @pytest.mark.slow
 def test_a_tuning_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
     whole = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "whole", **SMALL)
-    real, count = effort._evaluate, [0]
-
-    def interrupted(*given):
-        evaluate = real(*given)
-
-        def at(point):
-            count[0] += 1
-            if count[0] == 4:
-                raise KeyboardInterrupt
-            return evaluate(point)
-
-        return at
-
-    monkeypatch.setattr(effort, "_evaluate", interrupted)
-    monkeypatch.setattr("pcbench.tuning.record.PAUSE", 0.0)
+    count = stop_tuning_at(4, monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
     again = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)

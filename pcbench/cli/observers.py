@@ -59,11 +59,11 @@ def design(
     Example: pcbench design cart/gaussian pccebo --method h2 --sweep decay=0.2,0.5,1,2
     """
     setup()
-    from pcbench import bench, designing, machine, show
+    from pcbench import designing, machine, show
     from pcbench.dataset import store
 
     if sweep is not None:
-        table = bench.trade_off(scenario, observer, *_values(sweep), method=method, overrides=changes)
+        table = designing.trade_off(scenario, observer, *_values(sweep), method=method, overrides=changes)
         if out is not None:
             place = store.target(out.parent)
             store.make(place)

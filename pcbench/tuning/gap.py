@@ -10,24 +10,25 @@ import pyarrow as pa
 from pcbench import running
 from pcbench.dataset import store
 from pcbench.result import FAIR, Result
+from pcbench.running import How
 from pcbench.tuning import effort
 from pcbench.tuning.fairness import Prepared, Version
 from pcbench.tuning.goal import Goal
 
 
-def report(made: Prepared, result: Result, out: str | Path | None, **how: Any) -> Result:
+def report(made: Prepared, result: Result, out: str | Path | None, how: How) -> Result:
     """Return the result with its table `fair`: every version on training seeds and on the study's own, and against the bound.
 
     One row per cell and version: `training` and `held_out` are means of the objective (of a pooled one the root of the mean
     square) with their standard errors, `gap` is held_out less training, `efficiency` the bound over tail_pooled_rmse on the
     study's seeds with its interval, NaN where there is no bound; `note` says where a start was kept, and why. With `out` the
-    table stands there as fair.parquet, and the training runs in out/training. `how` is what `running.execute` takes.
+    table stands there as fair.parquet, and the training runs in out/training. `how` is that of the study's own runs.
     """
     if made.aim is None:
         return result
     seeds = {"first_seed": effort.TRAINING[0], "seeds": made.study.tune.training}
     beside = None if out is None else f"{out}/training"
-    training = running.execute(made.study.model_copy(update=seeds), out=beside, **how)
+    training = running.execute(made.study.model_copy(update=seeds), beside, how._replace(until_se=None, max_seeds=None))
     result.fair = table(made.versions, made.aim, training.stats, result.stats)
     if out is not None:
         store.put_table(store.target(str(out)), FAIR, pa.Table.from_pandas(result.fair, preserve_index=False))

@@ -1,0 +1,23 @@
+"""A tuning that is stopped by Ctrl-C in the middle."""
+
+from pcbench.tuning import effort
+
+
+def stop_tuning_at(number, monkeypatch):
+    """Raise KeyboardInterrupt when a tuning evaluates its `number`-th point; return the list that counts evaluations."""
+    real, count = effort._evaluate, [0]
+
+    def interrupted(*given):
+        evaluate = real(*given)
+
+        def at(point):
+            count[0] += 1
+            if count[0] == number:
+                raise KeyboardInterrupt
+            return evaluate(point)
+
+        return at
+
+    monkeypatch.setattr(effort, "_evaluate", interrupted)
+    monkeypatch.setattr("pcbench.tuning.record.PAUSE", 0.0)
+    return count
