@@ -140,7 +140,7 @@ def test_a_fair_study_goes_on_where_it_was_stopped_and_is_a_dataset_like_any_oth
     pd.testing.assert_frame_equal(once_more.fair, whole.fair)
     done = call("verify", str(tmp_path / "out"), "--all")
     assert done.returncode == 0, done.stdout
-    with pytest.raises(UserError, match="another tuning"):
+    with pytest.raises(UserError, match="another study"):
         pcbench.run(FAIR | {"tune": FAIR["tune"] | {"budget": 4}}, out=tmp_path / "out")
     fresh = pcbench.run(FAIR | {"tune": FAIR["tune"] | {"budget": 4}}, out=tmp_path / "out", fresh=True)
     assert set(fresh.fair.tuning) == set(TUNINGS)
