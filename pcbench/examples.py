@@ -4,20 +4,23 @@ It is the study's first seed in the scenario's first cell, simulated anew by `be
 beside the tables, where it is found again.
 """
 
+import hashlib
+import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pcbench import bench
-from pcbench.cells import cells
+from pcbench import bench, machine
+from pcbench.cells import cells, identity
 from pcbench.dataset import store
 from pcbench.planning import setting
 from pcbench.plants import signals_of
-from pcbench.study import Study, observers_of, scenarios_of
+from pcbench.study import Study, observers_of, options_of, scenarios_of
 from pcbench.study_file import study_of
 
+KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
 POINTS = 300  # ticks that are kept
 UNIT = 1e-12  # a row of C shows a state as it is when it differs from a unit vector by less
 
@@ -30,18 +33,25 @@ def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
     """
     place = None if out is None else store.target(str(out))
     name = f"examples/{scenario.replace('/', '%2F')}.parquet"
+    key = _key(study, scenario)
     found = None if place is None else store.get(place, name)
     if found is not None:
-        return store.parsed(found).to_pandas()
+        kept = store.parsed(found)
+        if (kept.schema.metadata or {}).get(KEY) == key:
+            return kept.to_pandas()
     made = _made(study, scenario)
     if place is not None:
-        store.put_table(place, name, pa.Table.from_pandas(made, preserve_index=False))
+        table = pa.Table.from_pandas(made, preserve_index=False)
+        store.put_table(place, name, table.replace_schema_metadata({**(table.schema.metadata or {}), KEY: key}))
     return made
 
 
-def stand(out: str | Path, scenario: str) -> bool:
-    """Say whether a folder has a scenario's example."""
-    return store.get(store.target(str(out)), f"examples/{scenario.replace('/', '%2F')}.parquet") is not None
+def _key(study: Study, scenario: str) -> bytes:
+    """What an example was made of: the cell, the observers with their options, the run, and the release."""
+    cell, s = cells(study, scenario)[0], scenarios_of(study)[scenario]
+    options = {o: options_of(study, s, o).model_dump() for o in observers_of(study, scenario)}
+    said = [identity(cell, study.root_seed), options, study.first_seed, machine.versions(), POINTS]
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest().encode()
 
 
 def _made(study: Study, scenario: str) -> pd.DataFrame:

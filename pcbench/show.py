@@ -283,6 +283,8 @@ def difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
     half = (row.ci_high - row.ci_low) / 2
     if np.isnan(row.mean_diff):
         return "-"
+    if row.n < 2:  # one run says nothing of others
+        return f"{sign * row.mean_diff:+.3g} ± ?"
     alike = row.p_holm > 0.05 or row.prob_a_better == 0.5
     text = f"{sign * row.mean_diff:+.3g}" + (f" ± {half:.2g}" if half > 1e-9 * abs(row.mean_diff) else "")
     return "=" if alike else text

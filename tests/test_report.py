@@ -43,7 +43,7 @@ def text(folder):
 
 
 def specs(text):
-    return json.loads(re.search(r"^const SPECS = (.*);$", text, re.M).group(1).replace("<\\/", "</"))
+    return json.loads(re.search(r"^const SPECS = (.*);$", text, re.M).group(1))
 
 
 def test_it_is_one_file_that_needs_no_other(text):
@@ -146,3 +146,43 @@ def test_a_label_keeps_its_colour_whatever_stands_beside_it():
     three = palette.styles(["pccebo-paper", "pccebo-design", "pccebo-tuned"])
     assert len({s.colour for s in three.values()}) == 3
     assert len({s.dash for s in three.values()}) == 3
+
+
+GROWING = {"name": "grow", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 2}
+
+
+def series(out):
+    found = specs(page.page(pcbench.opened(out)))["chart-0-1"]
+    return json.dumps(found["datasets"])
+
+
+def test_a_run_in_time_is_of_the_study_as_it_stands(tmp_path):
+    """A study that has grown, or was started over with other draws, is not shown with the run of before."""
+    out = tmp_path / "grow"
+    pcbench.run(GROWING, out=out)
+    first = series(out)
+    assert series(out) == first
+    pcbench.run(GROWING | {"observers": ["pccebo", "kfbo"]}, out=out)
+    second = series(out)
+    assert "kfbo" in second
+    assert "kfbo" not in first
+    pcbench.run(GROWING | {"observers": ["pccebo", "kfbo"], "root_seed": 9}, out=out, fresh=True)
+    assert series(out) != second
+
+
+def test_one_run_is_sure_of_nothing_and_divergence_is_said(tmp_path):
+    unstable = {"sampled_innovation": True, "R": 1e-6}
+    study = {"name": "lost", "scenarios": ["cart/slow"], "observers": ["pccebo", "kfbo"], "options": {"kfbo": unstable}}
+    pcbench.run(study | {"seeds": 16}, out=tmp_path / "lost")
+    text = html.unescape(page.page(pcbench.opened(tmp_path / "lost")))
+    assert "diverges more often" in text
+    assert "kfbo (diverged in every run)" in text
+    assert "nan" not in text.partition("<script>")[0].replace("nan-", "")
+    pcbench.run(GROWING | {"observers": ["pccebo", "kfbo"], "seeds": 1}, out=tmp_path / "one")
+    text = page.page(pcbench.opened(tmp_path / "one"))
+    assert "One run each" in text
+    assert " ± ?" in text
+
+
+def test_what_a_user_names_cannot_end_the_script(text):
+    assert "<" not in re.search(r"^const SPECS = (.*);$", text, re.M).group(1)

@@ -10,11 +10,14 @@ import pandas as pd
 
 from pcbench.errors import UserError, unknown
 from pcbench.result import Result
+from pcbench.statistics.description import columns
+from pcbench.statistics.estimates import wilson
 from pcbench.study import scenarios_of
 from pcbench.tables import AXIS_UNITS, axes_of
 
 POINTS = 100  # of a distribution
 ALPHA = 0.05
+ROUNDING = 1e-11  # an error below it is drawn as 0: no picture ranks the rounding of zero
 
 
 def scenario_of(result: Result, scenario: str | None) -> str:
@@ -49,6 +52,8 @@ def rows(result: Result, scenario: str | None, signal: str | None, metric: str) 
     part = stats[(stats.scenario == scenario) & (stats.signal == signal) & (stats.metric == metric)].copy()
     for name in axes_of(dict.fromkeys(part.columns)):
         part[name] = [plain(value) for value in part[name]]
+    for name in ("mean", "ci_low", "ci_high", "p50"):
+        part[name] = np.where(np.abs(part[name]) < ROUNDING, 0.0, part[name])
     return part.reset_index(drop=True)
 
 
@@ -92,19 +97,21 @@ def fixed(part: pd.DataFrame, free: list[str], at: dict[str, Any] | None = None)
 def distribution(
     result: Result, scenario: str | None = None, signal: str | None = None, metric: str = "rmse", cell: int = 0
 ) -> pd.DataFrame:
-    """Return observer, value, share: the fraction of runs [0, 1] at or below a value of a metric, diverged runs left out.
+    """Return observer, value, share: the fraction of all runs [0, 1] at or below a value of a metric.
 
-    At most POINTS points for each observer, the least and the largest among them.
+    Runs that diverged have none, so the share of an observer that diverges ends below 1. At most POINTS points for each
+    observer, the least and the largest among them.
     """
     scenario = scenario_of(result, scenario)
     signal, runs = signal_of(result, scenario, signal), result.runs_of(scenario, [metric], cell)
-    part = runs[(runs.signal == signal) & ~runs.diverged]
-    out = []
+    part, out = runs[runs.signal == signal], []
+    part = part.assign(**{metric: part[metric].where(~part.diverged)})
     for observer, values in part.groupby("observer", sort=False)[metric]:
         ordered = np.sort(values.to_numpy()[np.isfinite(values.to_numpy())])
         if len(ordered):
             places = np.unique(np.linspace(0, len(ordered) - 1, min(POINTS, len(ordered))).round().astype(int))
-            share = (places + 1) / len(ordered)
+            share = (places + 1) / len(values)
+            ordered = np.where(ordered < ROUNDING, 0.0, ordered)
             out.append(pd.DataFrame({"observer": observer, "value": ordered[places], "share": share}))
     return pd.concat(out, ignore_index=True) if out else pd.DataFrame({"observer": [], "value": [], "share": []})
 
@@ -114,8 +121,9 @@ def winners(
 ) -> pd.DataFrame:
     """Return for each cell its axes, the `winner`, its `mean`, and `text`; winner is empty where the best is no surer than 5 %.
 
-    The best has the fewest diverged runs and then the least mean. It wins where every other observer has more diverged runs or
-    differs from it by Holm's adjusted p-value; where the runs do not vary there is no test, and a difference is one.
+    The best has the fewest diverged runs and then the least mean. It wins where every other observer surely diverges more often
+    (Wilson's intervals are apart) or differs from it by Holm's adjusted p-value; where several runs do not vary there is no
+    test, and a difference is one. No observer wins where all have diverged.
     """
     part = rows(result, scenario, signal, metric)
     scenario, signal = part.scenario.iloc[0], part.signal.iloc[0]
@@ -126,21 +134,34 @@ def winners(
         order = mine.sort_values(["diverged", "mean"], kind="stable")
         best, others = order.iloc[0], order.iloc[1:]
         met = pairs[pairs.cell == cell]
-        surely = all(_apart(met, best, other) for other in others.to_dict("records"))
+        works = bool(np.isfinite(best["mean"]))
+        surely = works and all(_apart(met, best, other) for other in others.to_dict("records"))
         known = {name: best[name] for name in varying(part)}
-        text = best.observer if surely else "tie"
+        text = best.observer if surely else "tie" if works else "all diverge"
         out.append(
             known | {"cell": cell, "winner": best.observer if surely else "", "mean": best["mean"], "text": text}
         )
     return pd.DataFrame(out)
 
 
+def diverges_more(best: Any, other: Any) -> bool:
+    """Say whether one row of stats surely has more diverged runs than another."""
+    high, low = (fraction_of(int(row["diverged"]), int(row["n"])) for row in (best, other))
+    return bool(low["ci_low"] > high["ci_high"])
+
+
+def fraction_of(diverged: int, kept: int) -> dict[str, float]:
+    """Return the share of runs that diverged, with Wilson's interval."""
+    return columns(wilson(np.array([diverged]), diverged + kept))[0]
+
+
 def _apart(pairs: pd.DataFrame, best: Any, other: Any) -> bool:
-    if other["diverged"] > best.diverged or not np.isfinite(other["mean"]):
+    if diverges_more(best, other):
         return True
     names = {best.observer, other["observer"]}
     row = pairs[pairs.observer_a.isin(names) & pairs.observer_b.isin(names)]
     if row.empty:
         return False
-    p, tied = float(row.p_holm.iloc[0]), float(row.prob_a_better.iloc[0]) == 0.5
-    return not tied if np.isnan(p) else p <= ALPHA
+    p, alike = float(row.p_holm.iloc[0]), float(row.prob_a_better.iloc[0]) == 0.5
+    several = int(row.n.iloc[0]) > 1
+    return several and not alike if np.isnan(p) else p <= ALPHA

@@ -91,7 +91,7 @@ def time(result: Result, *, scenario: str | None = None, signal: str | None = No
         if kind == "estimate":
             ax.plot(mine.t, mine.value, label=series, **_line(known))
         elif kind == "measured":
-            ax.step(mine.t, mine.value, where="post", label="measured, held", color="#BBBBBB", linewidth=1.0, zorder=1)
+            ax.step(mine.t, mine.value, where="post", label="measured, held", color="#9BB7D4", linewidth=1.0, zorder=1)
         elif kind == "target":
             ax.plot(mine.t, mine.value, label="target", color="#BBBBBB", linewidth=2.5, zorder=1)
         else:
@@ -99,8 +99,8 @@ def time(result: Result, *, scenario: str | None = None, signal: str | None = No
                 mine.t,
                 mine.value,
                 label=series,
-                color="#000000" if series == "plant" else known.colour,
-                linewidth=2,
+                color="#E3BE8B" if series == "plant" else known.colour,
+                linewidth=4,
                 alpha=0.45,
             )
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]

@@ -74,6 +74,19 @@ def plain(part: pd.DataFrame, axes: list[str], columns: list[str]) -> pd.DataFra
     return out.rename(columns={name: safe(name) for name in axes})
 
 
+def order(part: pd.DataFrame, axis: str) -> Any:
+    """Return the order of an axis' values: numbers as numbers, words as the study has them."""
+    values = [word(v) for v in dict.fromkeys(part[axis])]
+    return values if any(isinstance(v, str) for v in values) else "ascending"
+
+
+def where(whole: pd.DataFrame, free: list[str], how: str = "The words are of") -> str:
+    """Return at which values of the axes that vary a text holds, as a sentence; empty where it holds of all."""
+    first = frames.fixed(whole, free).iloc[0]
+    said = ", ".join(f"{frames.label(a)} {word(first[a])}" for a in frames.varying(whole) if a not in free)
+    return f" {how} {said}." if said else ""
+
+
 def word(value: Any) -> Any:
     """Return an axis' value as a chart says it; a scenario's own where it has none."""
     return "own" if value is None or value != value else value

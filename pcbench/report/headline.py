@@ -40,11 +40,14 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
         (pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == metric) & (pairs.cell == cell)
     ]
     wide = mine.set_index(["observer", "metric"])
-    order = list(part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last").observer)
+    ranked = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
+    order, ranked = list(ranked.observer), ranked.set_index("observer")
     rows = []
     for observer in order:
         row = wide.loc[observer]
         against = "best" if observer == order[0] else show.difference(met, observer, order[0])
+        if observer != order[0] and frames.diverges_more(ranked.loc[order[0]], ranked.loc[observer]):
+            against = "diverges more often"
         share = show.interval(row.loc["efficiency"]) if "efficiency" in row.index else "-"
         lost = row.loc["divergence"]
         cells = [observer, show.interval(row.loc[metric]), "not surely different" if against == "=" else against]
@@ -59,8 +62,11 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
     title = f"{signal.replace('_', ' ')}" + (f" at {at}" if at else "")
     kept = [i for i in range(len(heads)) if any(row["cells"][i] not in ("none", "-") for row in rows)]
     rows = [row | {"cells": [row["cells"][i] for i in kept]} for row in rows]
-    lost = "" if heads.index("diverged") in kept else " No run diverged."
-    return Headline(title, [heads[i] for i in kept], rows, f"{n:,} runs each; ± is half a 95 % interval.{lost}")
+    lost = " Means are over the runs that did not diverge." if heads.index("diverged") in kept else " No run diverged."
+    runs = (
+        f"{n:,} runs each; ± is half a 95 % interval." if n > 1 else "One run each: no interval, and nothing is sure."
+    )
+    return Headline(title, [heads[i] for i in kept], rows, runs + lost)
 
 
 def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame) -> Headline:
@@ -76,5 +82,7 @@ def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.D
     rows.sort(key=lambda row: (-row["wins"], row["median"]))
     heads = ["observer", "cells won", f"median over cells: {title_of(metric, signal, part.unit.iloc[0])}", "diverged"]
     ties = int((won.winner == "").sum())
-    note = f"{len(won)} cells, {ties} of them ties: the best is not surely better than every other (5 %, Holm)."
+    note = (
+        f"{len(won)} cells, ties among them: {ties}; there the best is not surely better than every other (5 %, Holm)."
+    )
     return Headline(f"{signal.replace('_', ' ')} over all cells", heads, rows, note)

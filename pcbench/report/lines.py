@@ -12,6 +12,8 @@ from pcbench.plots.sheet import title_of, unit_of
 from pcbench.report import chart
 from pcbench.report.chart import Chart
 
+OTHERS = {"plant": "#E3BE8B", "target": "#CFCFCF", "measured": "#9BB7D4"}  # colours that no observer has
+
 
 def distribution(whole: pd.DataFrame, part: pd.DataFrame, metric: str) -> Chart:
     """Return the distribution of a metric over runs: a line for each observer."""
@@ -24,11 +26,10 @@ def distribution(whole: pd.DataFrame, part: pd.DataFrame, metric: str) -> Chart:
         .mark_line(interpolate="step-after")
         .encode(x=x, y=y, tooltip=tips, **chart.look(whole))
     )
-    median = part[part.share >= 0.5].groupby("observer", sort=False).value.first()
-    text = "Medians: " + ", ".join(f"{o} {v:.3g} {unit}" for o, v in median.items()) + "."
-    first = whole[whole.cell == whole.cell.iloc[0]].iloc[0]
-    at = ", ".join(f"{frames.label(axis)} {first[axis]}" for axis in frames.varying(whole))
-    note = "Left is better, steep is even." + (f" Shown at {at}." if at else "")
+    here = whole[whole.cell == whole.cell.iloc[0]]
+    median = {row["observer"]: row["p50"] for row in here.to_dict("records")}
+    text = "Medians: " + ", ".join(f"{o} {_said(v, unit)}" for o, v in median.items()) + "."
+    note = "Left is better, steep is even." + chart.where(whole, [], "Shown at")
     return Chart(f"How {title_of(metric, signal, '')} is distributed", chart.spec(line), text, note)
 
 
@@ -41,6 +42,7 @@ def curve(whole: pd.DataFrame, axis: str, metric: str) -> Chart:
         f"{chart.safe(axis)}:{'N' if words else 'Q'}",
         title=frames.label(axis),
         scale=alt.Undefined if words else alt.Scale(zero=False),
+        sort=chart.order(whole, axis) if words else alt.Undefined,
     )
     y = alt.Y("mean:Q", title=title_of(metric, signal, unit), scale=chart.scale(whole["mean"]))
     data = chart.rounded(chart.plain(whole, [axis, *others], ["observer", "mean", "ci_low", "ci_high", "diverged"]))
@@ -56,21 +58,23 @@ def curve(whole: pd.DataFrame, axis: str, metric: str) -> Chart:
     )
     line = base.mark_line(point=True).encode(x=x, y=y, tooltip=tips, **chart.look(whole))
     first = frames.fixed(whole, [axis])
+    first = first if words else first.sort_values(axis, kind="stable")
     text = " ".join(_over(mine, str(o), axis, unit) for o, mine in first.groupby("observer", sort=False))
     return Chart(
         f"{title_of(metric, signal, '')} over {frames.label(axis)}",
         chart.spec(alt.layer(band, line), choices),
         text,
-        "Bands: 95 % intervals.",
+        "Bands: 95 % intervals." + chart.where(whole, [axis]),
     )
 
 
-def time(part: pd.DataFrame, names: list[str], signal: str, unit: str, seed: int) -> Chart:
+def time(part: pd.DataFrame, names: list[str], signal: str, unit: str, seed: int, at: str = "") -> Chart:
     """Return one run in time: the plant, the estimates, what has arrived and is held."""
     look = styles(names)
     series = list(dict.fromkeys(part.series))
     colours = [_of_series(s, look) for s in series]
     low, high = _room(part)
+    ends = part[part.kind != "measured"].groupby("series", sort=False).value.last()
     part = part.assign(value=part.value.where(part.value.between(low - (high - low), high + (high - low))))
     wide = part[part.kind != "measured"]
     scale = alt.Scale(domain=series, range=colours)
@@ -80,16 +84,21 @@ def time(part: pd.DataFrame, names: list[str], signal: str, unit: str, seed: int
         title=f"{signal.replace('_', ' ')} [{unit}]",
         scale=alt.Scale(domain=[low, high], nice=False),
     )
-    colour = alt.Color(
-        "series:N", title=None, scale=scale, legend=alt.Legend(orient="bottom", columns=3, symbolType="stroke")
+    legend = alt.Legend(
+        orient="bottom", columns=3, symbolType="stroke", symbolStrokeWidth=3, symbolSize=300, symbolOpacity=1
     )
-    thick = alt.condition("datum.kind == 'estimate'", alt.value(1.4), alt.value(3))
-    faint = alt.condition("datum.kind == 'estimate'", alt.value(1.0), alt.value(0.45))
+    colour = alt.Color("series:N", title=None, scale=scale, legend=legend)
+    dashes = [list(look[s].dash) or [1, 0] if s in look else [1, 0] for s in series]
+    dash = alt.StrokeDash("series:N", title=None, scale=alt.Scale(domain=series, range=dashes), legend=legend)
+    thick = alt.condition("datum.kind == 'estimate'", alt.value(1.4), alt.value(5))
+    faint = alt.condition("datum.kind == 'estimate'", alt.value(1.0), alt.value(0.6))
     data = chart.rounded(wide[["series", "kind", "t", "value"]])
     lines = (
         alt.Chart(data)
         .mark_line(clip=True)
-        .encode(x=x, y=y, color=colour, strokeWidth=thick, opacity=faint, tooltip=["series", "t", "value"])
+        .encode(
+            x=x, y=y, color=colour, strokeDash=dash, strokeWidth=thick, opacity=faint, tooltip=["series", "t", "value"]
+        )
     )
     held = part[part.kind == "measured"]
     layers = [lines]
@@ -98,24 +107,27 @@ def time(part: pd.DataFrame, names: list[str], signal: str, unit: str, seed: int
             interpolate="step-after", strokeWidth=1, clip=True
         )
         layers.insert(0, steps.encode(x=x, y=y, color=colour))
-    last = wide[wide.kind == "estimate"].groupby("series", sort=False).value.last()
-    text = "At the end: " + ", ".join(f"{o} {v:.4g}" for o, v in last.items()) + f" {unit}."
+    text = "At the end: " + ", ".join(f"{o} {v:.4g}" for o, v in ends.items()) + f" {unit}."
     return Chart(
         f"One run in time (seed {seed})",
         chart.spec(alt.layer(*layers)),
         text,
-        "What leaves the plant's range is cut off.",
+        "What leaves the plant's range is cut off." + at,
     )
 
 
 def _over(mine: pd.DataFrame, observer: str, axis: str, unit: str) -> str:
     a, b = mine.iloc[0], mine.iloc[-1]
-    return f"{observer}: {a['mean']:.3g} at {a[axis]} to {b['mean']:.3g} {unit} at {b[axis]}."
+    return f"{observer}: {_said(a['mean'], unit)} at {a[axis]} to {_said(b['mean'], unit)} at {b[axis]}."
+
+
+def _said(value: float, unit: str) -> str:
+    return f"{value:.3g} {unit}" if np.isfinite(value) else "(diverged in every run)"
 
 
 def _of_series(series: str, look: dict[str, Any]) -> str:
     name = series.removeprefix("plant under ")
-    return look[name].colour if name in look else {"plant": "#000000", "target": "#BBBBBB"}.get(series, "#999999")
+    return look[name].colour if name in look else OTHERS.get(series, "#9BB7D4")
 
 
 def _room(part: pd.DataFrame) -> tuple[float, float]:

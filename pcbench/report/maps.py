@@ -1,6 +1,9 @@
 """The report's maps over two axes, and what gains are worth."""
 
+from typing import Any
+
 import altair as alt
+import numpy as np
 import pandas as pd
 
 from pcbench.plots import frames
@@ -9,7 +12,7 @@ from pcbench.plots.sheet import title_of, unit_of
 from pcbench.report import chart
 from pcbench.report.chart import Chart
 
-STEP, WIDE = 46, 5  # pixels of a small map's cell, and how many maps stand side by side
+STEP, WIDE = 56, 3  # pixels of a small map's cell, and how many maps stand side by side
 PLAIN = alt.Axis(grid=False, labelAngle=0)
 WORDS = {"paper": "as printed", "design": "by design", "tuned": "tuned"}
 
@@ -29,8 +32,7 @@ def heatmap(whole: pd.DataFrame, x: str, y: str, metric: str) -> Chart:
     )
     base, choices = chart.choosing(alt.Chart(chart.rounded(data)), whole, chart.others(whole, x, y))
     cells = base.mark_rect().encode(
-        x=alt.X(f"{chart.safe(x)}:O", title=frames.label(x), axis=PLAIN),
-        y=alt.Y(f"{chart.safe(y)}:O", title=frames.label(y), sort="descending", axis=PLAIN),
+        **_places(whole, x, y),
         color=alt.Color(
             "mean:Q", title=title, scale=scale, legend=alt.Legend(orient="bottom", gradientLength=240, titleLimit=600)
         ),
@@ -47,13 +49,23 @@ def heatmap(whole: pd.DataFrame, x: str, y: str, metric: str) -> Chart:
     first = frames.fixed(whole, [x, y])
     means = first.groupby("observer", sort=False)["mean"]
     factor = 100 if share else 1
-    text = (
-        "Ranges: "
-        + ", ".join(f"{o} {factor * m.min():.3g} to {factor * m.max():.3g}" for o, m in means)
-        + f" {'%' if share else unit}."
-    )
+    ranges = [(o, factor * m.min(), factor * m.max()) for o, m in means]
+    said = [f"{o} {a:.3g} to {b:.3g}" if np.isfinite(a) else f"{o} diverged in every run" for o, a, b in ranges]
+    text = f"Ranges [{'%' if share else unit}]: " + ", ".join(said) + "."
+    note = f"Upwards: {frames.label(y)}." + chart.where(whole, [x, y])
     what = "Diverged runs" if share else title_of(metric, signal, "")
-    return Chart(f"{what} over {frames.label(x)} and {frames.label(y)}", chart.spec(small, choices), text)
+    return Chart(f"{what} over {frames.label(x)} and {frames.label(y)}", chart.spec(small, choices), text, note)
+
+
+def _places(whole: pd.DataFrame, x: str, y: str) -> dict[str, Any]:
+    """Both axes of a map; the upper one is named in its caption, for small maps have no room for it."""
+    up = chart.order(whole, y)
+    return {
+        "x": alt.X(f"{chart.safe(x)}:O", title=frames.label(x), sort=chart.order(whole, x), axis=PLAIN),
+        "y": alt.Y(
+            f"{chart.safe(y)}:O", title=None, sort=up[::-1] if isinstance(up, list) else "descending", axis=PLAIN
+        ),
+    }
 
 
 def winners(whole: pd.DataFrame, won: pd.DataFrame, x: str, y: str, metric: str) -> Chart:
@@ -70,10 +82,7 @@ def winners(whole: pd.DataFrame, won: pd.DataFrame, x: str, y: str, metric: str)
         scale=alt.Scale(domain=["", *names], range=["#FFFFFF", *(look[n].colour for n in names)]),
         legend=alt.Legend(values=names, orient="bottom") if names else None,
     )
-    places = {
-        "x": alt.X(f"{chart.safe(x)}:O", title=frames.label(x), axis=PLAIN),
-        "y": alt.Y(f"{chart.safe(y)}:O", title=frames.label(y), sort="descending", axis=PLAIN),
-    }
+    places = _places(whole, x, y)
     tips = ["text", chart.safe(x), chart.safe(y), alt.Tooltip("mean:Q", format=".4g", title="its mean")]
     cells = base.mark_rect(stroke="#CCCCCC").encode(color=colour, tooltip=tips, **places)
     said = base.mark_text(fontSize=10).encode(
@@ -82,7 +91,7 @@ def winners(whole: pd.DataFrame, won: pd.DataFrame, x: str, y: str, metric: str)
     counted = won.text.value_counts()
     text = f"Of {len(won)} cells: " + ", ".join(f"{name} {n}" for name, n in counted.items()) + "."
     both = alt.layer(cells, said).properties(width=alt.Step(96), height=alt.Step(34))
-    note = "Blank: the best is not surely better than every other (5 %, Holm)."
+    note = f"Blank: the best is not surely better than every other (5 %, Holm). Upwards: {frames.label(y)}."
     return Chart(f"Who wins: least {title_of(metric, signal, '')}", chart.spec(both, choices), text, note)
 
 

@@ -15,7 +15,7 @@ from pcbench import examples
 from pcbench.dataset import store
 from pcbench.plants import signals_of
 from pcbench.plots import frames
-from pcbench.report import headline, lines, maps
+from pcbench.report import chart, headline, lines, maps
 from pcbench.report.chart import Chart
 from pcbench.result import Result, opened
 from pcbench.study import scenarios_of
@@ -58,10 +58,10 @@ def page(result: Result, tell: Tell = lambda event, value: None) -> str:
     sections, specs = [], {}
     for number, name in enumerate(names):
         made = []
-        for i, chart in enumerate(_charts(result, name)):
+        for i, drawn in enumerate(_charts(result, name)):
             key = f"chart-{number}-{i}"
-            specs[key] = chart.spec
-            made.append({"id": key, "title": chart.title, "text": chart.text, "note": chart.note})
+            specs[key] = drawn.spec
+            made.append({"id": key, "title": drawn.title, "text": drawn.text, "note": drawn.note})
         s = scenarios_of(result.study)[name]
         tables = [
             h for signal in frames.signals(result, name) for h in headline.headlines(result, name, signal, METRIC)
@@ -80,7 +80,7 @@ def page(result: Result, tell: Tell = lambda event, value: None) -> str:
             provenance=_provenance(result),
             meaning=[(name.replace("_", " "), MEANING[name]) for name in EXPLAINED if name in MEANING],
             bundle=_bundle(),
-            specs=json.dumps(specs, separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
+            specs=json.dumps(specs, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         )
     )
 
@@ -107,16 +107,16 @@ def _charts(result: Result, scenario: str) -> Iterator[Chart]:
     signal = frames.signals(result, scenario)[0]
     units = dict(signals_of(scenarios_of(result.study)[scenario]))
     run = examples.of(result.study, scenario, result.out)
-    yield lines.time(
-        run[run.signal == signal], list(dict.fromkeys(lost.observer)), signal, units[signal], result.study.first_seed
-    )
+    shown = dict.fromkeys(lost.observer)
+    at = chart.where(lost, [], "Shown at")
+    yield lines.time(run[run.signal == signal], list(shown), signal, units[signal], result.study.first_seed, at)
 
 
 def _what(result: Result) -> str:
     mine = result.stats[result.stats.metric == METRIC]
     scenarios, cells = mine.scenario.nunique(), int(mine.groupby("scenario").cell.nunique().sum())
     observers, runs = ", ".join(dict.fromkeys(mine.observer)), int((mine.n + mine.diverged).max())
-    many = f"{cells} combinations of axis values" if cells > scenarios else "each as published"
+    many = f"{cells} combinations of axis values" if cells > scenarios else "one combination of axis values each"
     where = f"{scenarios} scenario" + ("s" if scenarios > 1 else "")
     return f"Compared: {observers}; in {where}, {many}, with up to {runs:,} noise seeds each."
 
