@@ -223,3 +223,20 @@ def test_ctrl_c_leaves_complete_files_only(tmp_path):
         assert len(pd.read_parquet(path)) == 2 * (last + 1 - first)
     assert not (out / "stats.parquet").exists()
     assert not [p for p in out.rglob("*") if "partial" in p.name]
+
+
+def test_ctrl_c_where_python_cannot_raise_it_still_stops(tmp_path):
+    """It lands in a finaliser, which Python ignores with a traceback: here it is one sentence, at the next occasion."""
+    code = (
+        "import os, signal, sys\n"
+        "from pcbench import cli, catalogue\n"
+        "class Last:\n    def __del__(self): os.kill(os.getpid(), signal.SIGINT); [None for _ in range(10**6)]\n"
+        "real = catalogue.CATALOGUE['plants']\n"
+        "def plants():\n    Last()\n    return real()\n"
+        "catalogue.CATALOGUE['plants'] = plants\n"
+        "sys.argv = ['pcbench', 'list', 'plants']\n"
+        "cli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 130
+    assert done.stderr == "pcbench: stopped; every file already written is complete.\n"

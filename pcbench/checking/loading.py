@@ -104,7 +104,7 @@ def _module(place: str) -> ModuleType:
     if not path.is_file():
         near = difflib.get_close_matches(path.name, _files(path.parent), n=1, cutoff=0.4)
         hint = f"did you mean '{path.parent / near[0]}'? " if near else ""
-        raise UserError(f"{WHERE}: '{short(place)}' is no file; {hint}Give the path of a .py file, or a module's name.")
+        raise UserError(f"{WHERE}: '{short(place)}' is no file; {hint}give the path of a .py file, or a module's name.")
     sys.path.insert(0, str(path.resolve().parent))
     return _run(lambda: _executed(path), place)
 

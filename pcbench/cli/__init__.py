@@ -7,7 +7,7 @@ import typer
 
 from pcbench.cli import checking, datasets, observers, papers, reports, runs, tuning
 from pcbench.cli.shared import app, say
-from pcbench.cli.stopping import STOPPED, interrupt
+from pcbench.cli.stopping import STOPPED, interrupt, stop_if_asked, unraisable
 from pcbench.errors import UserError
 
 __all__ = ["main"]
@@ -18,8 +18,10 @@ def main() -> None:
     """Run the command line and exit: 0 done, 2 a mistake that the user can mend, 130 stopped."""
     code = 0
     signal.signal(signal.SIGINT, interrupt)
+    sys.unraisablehook = unraisable
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False) or 0
+        stop_if_asked()
         if code == STOPPED:  # some releases of the command-line library turn Ctrl-C into an exit code themselves
             raise KeyboardInterrupt
     except UserError as error:

@@ -1,5 +1,6 @@
 """Ctrl-C: noted, raised, and raised again where a library swallows it."""
 
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,12 @@ def interrupt(number: int, frame: Any) -> None:
     """Stop: the handler of SIGINT."""
     _ASKED.append(number)
     raise KeyboardInterrupt
+
+
+def unraisable(found: Any) -> None:
+    """Say what Python could not raise, as it does, but for a Ctrl-C: that is noted and raised later."""
+    if not issubclass(found.exc_type, KeyboardInterrupt):
+        sys.__unraisablehook__(found)
 
 
 def stop_if_asked() -> None:
