@@ -14,28 +14,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Literal, jaxpr_as_fun
-from jax.lax import GatherScatterMode
 
+from pcbench import primitives
 from pcbench.lanes import Lanes, entries, is_lanes, join, lanes_of, like, settle, split, spread_table, table
+from pcbench.primitives import CALLS, ELEMENTWISE, STRUCTURAL, ClosedJaxpr, Literal, jaxpr_as_fun
 
-ELEMENTWISE = frozenset(
-    """abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div
-    eq erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg nextafter not
-    or pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor""".split()  # noqa: SIM905
+FOLDS = dict(
+    zip(
+        primitives.FOLDS,
+        (jnp.add, jnp.maximum, jnp.minimum, jnp.multiply, jnp.logical_and, jnp.logical_or),
+        strict=True,
+    )
 )
-STRUCTURAL = frozenset(
-    "broadcast_in_dim concatenate expand_dims reshape rev slice squeeze transpose".split()  # noqa: SIM905
-)
-FOLDS = {
-    "reduce_sum": jnp.add,
-    "reduce_max": jnp.maximum,
-    "reduce_min": jnp.minimum,
-    "reduce_prod": jnp.multiply,
-    "reduce_and": jnp.logical_and,
-    "reduce_or": jnp.logical_or,
-}
-CALLS = frozenset(["jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call"])
 WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
 
 
@@ -66,12 +56,11 @@ def _evaluate(jaxpr: Any, consts: Any, args: Any) -> list[Any]:
 def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
     name, differs = eqn.primitive.name, any(map(is_lanes, args))
     if differs and name in CALLS:
-        inner = eqn.params.get("jaxpr") or eqn.params["call_jaxpr"]
-        closed = inner if hasattr(inner, "consts") else ClosedJaxpr(inner, ())
+        closed = primitives.called(eqn.params)
         return _evaluate(closed.jaxpr, closed.consts, args)
     if name in ROWS and differs and _one_row(eqn, args):
         return [ROWS[name](eqn, args)]
-    if differs and name == "scan" and eqn.params["length"]:
+    if differs and name == "scan" and primitives.scan(eqn.params).length:
         return _scan(eqn, args)
     if differs and name == "while" and (found := _while(eqn, args)) is not None:
         return found
@@ -85,7 +74,7 @@ def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
 
 def _scan(eqn: Any, args: list[Any]) -> list[Any]:
     """Apply a scan by a scan over the same rows, its body evaluated entry by entry."""
-    body, consts, carry = eqn.params["jaxpr"], eqn.params["num_consts"], eqn.params["num_carry"]
+    body, consts, carry, length, how = primitives.scan(eqn.params)
     width = next(jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a))
     rows = [_without_rows(table(a)) for a in args[consts + carry :]]
 
@@ -96,17 +85,14 @@ def _scan(eqn: Any, args: list[Any]) -> list[Any]:
     first = jax.tree.map(lambda a: a[0], rows)
     start = [entries(a) if is_lanes(a) else jnp.asarray(a) for a in args[consts : consts + carry]]
     start = settle(lambda state: step(state, first)[0], start, width)
-    how = {name: eqn.params[name] for name in ("length", "reverse", "unroll")}
     end, out = jax.lax.scan(step, start, rows, **how)
-    length = eqn.params["length"]
     return [*end, *(Lanes(a.parts, length) if is_lanes(a) else a for a in out)]
 
 
 def _while(eqn: Any, args: list[Any]) -> list[Any] | None:
     """Apply a while loop that ends for all lanes at once by one loop, its body evaluated entry by entry; else None."""
-    cond, body = eqn.params["cond_jaxpr"], eqn.params["body_jaxpr"]
-    split_at = eqn.params["cond_nconsts"], eqn.params["cond_nconsts"] + eqn.params["body_nconsts"]
-    asked, given, state = args[: split_at[0]], args[slice(*split_at)], args[split_at[1] :]
+    cond, body, first, second = primitives.while_(eqn.params)
+    asked, given, state = args[:first], args[first : first + second], args[first + second :]
     width = next(jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a))
 
     def step(state: list[Any]) -> list[Any]:
@@ -131,7 +117,7 @@ def _one_row(eqn: Any, args: list[Any]) -> bool:
     """Whether a slice is one whole row at an index that all lanes share."""
     update = eqn.primitive.name == "dynamic_update_slice"
     shape = eqn.invars[0].aval.shape
-    size = eqn.invars[1].aval.shape if update else eqn.params["slice_sizes"]
+    size = eqn.invars[1].aval.shape if update else primitives.slice_sizes(eqn.params)
     return size == (1, *shape[1:]) and not any(map(is_lanes, args[1 + update :]))
 
 
@@ -207,7 +193,7 @@ def _structural(eqn: Any, args: list[Any]) -> Any:
 
 
 def _fold(eqn: Any, args: list[Any]) -> Lanes:
-    parts, axes = args[0].parts, tuple(eqn.params["axes"])
+    parts, axes = args[0].parts, primitives.fold_axes(eqn.params)
     rest = tuple(i for i in range(parts.ndim) if i not in axes)
     flat = parts.transpose(*rest, *axes).reshape(*(parts.shape[i] for i in rest), -1)
     shape = flat.shape[:-1]
@@ -215,12 +201,12 @@ def _fold(eqn: Any, args: list[Any]) -> Lanes:
 
 
 def _products(eqn: Any) -> int:
-    (contract, _), _ = eqn.params["dimension_numbers"]
+    (contract, _), _ = primitives.products_of(eqn.params)
     return int(np.prod(eqn.outvars[0].aval.shape) * np.prod([eqn.invars[0].aval.shape[i] for i in contract]))
 
 
 def _dot(eqn: Any, args: list[Any]) -> Lanes:
-    (ca, cb), (ba, bb) = eqn.params["dimension_numbers"]
+    (ca, cb), (ba, bb) = primitives.products_of(eqn.params)
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     out = eqn.outvars[0].aval.shape
     inner = int(np.prod([shapes[0][i] for i in ca]))
@@ -251,12 +237,9 @@ def _rows_of_table(eqn: Any, args: list[Any]) -> Lanes:
 
 
 def _takes_rows(eqn: Any, args: list[Any]) -> bool:
-    if is_lanes(args[0]) or not is_lanes(args[1]) or eqn.params["mode"] != GatherScatterMode.CLIP:
+    if is_lanes(args[0]) or not is_lanes(args[1]):
         return False
-    d, sizes, rank = eqn.params["dimension_numbers"], eqn.params["slice_sizes"], len(args[1].shape)
-    first_axis = d.start_index_map == d.collapsed_slice_dims == (0,) and not d.operand_batching_dims
-    whole = d.offset_dims == tuple(range(rank - 1, rank - 2 + len(sizes)))
-    return first_axis and whole and sizes == (1, *eqn.invars[0].aval.shape[1:])
+    return primitives.takes_rows(eqn.params, eqn.invars[0].aval.shape, len(args[1].shape))
 
 
 _RULES = (

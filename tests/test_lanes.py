@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from jax import lax
 
-from pcbench import lanes, packing
+from pcbench import entrywise, lanes, packing, primitives
 from pcbench.entrywise import over
+from pcbench.errors import UserError
 
 L, RNG = 5, np.random.default_rng(0)
 M = RNG.normal(size=(3, 3))
@@ -71,6 +72,42 @@ def test_over_equals_vmap(name, shared):
     got = jax.jit(lambda x, A: lanes.join(over(f)(lanes.split(x), A if shared else lanes.split(A))))(x, A)
     want = jax.vmap(f, (-1, None if shared else -1), -1)(x, A)
     np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
+
+
+class Tree:
+    """A scan's operands as jax has them from 0.11 on: parts that can be gone over, and no more is asked of them."""
+
+    def __init__(self, *parts):
+        self.parts = parts
+
+    def unpack(self):
+        return tuple(iter(part) for part in self.parts)
+
+
+def in_form(form, params):
+    """The parameters of a scan as another release of jax has them."""
+    consts, carry = primitives.scan(params)[1:3]
+    rest = {k: v for k, v in params.items() if k not in ("num_consts", "num_carry", "ft_in", "ft_out")}
+    rows = len(params["jaxpr"].in_avals) - consts - carry
+    said = {"ft_in": Tree(*([None] * n for n in (consts, carry, rows))), "ft_out": Tree([None] * carry, ())}
+    return rest | (said if form == "trees" else {"num_consts": consts, "num_carry": carry})
+
+
+@pytest.mark.parametrize("form", ["counts", "trees"])
+@pytest.mark.parametrize("name", ["scan with rows", "a ring", "loop"])
+def test_a_scan_is_read_in_the_form_of_any_release_of_jax(name, form):
+    """Up to 0.10 constants and carries are counted, from 0.11 on they are parts of a tree."""
+    f, x, A = FUNCTIONS[name], jnp.asarray(RNG.normal(size=(3, L))), jnp.asarray(RNG.normal(size=(3, 3, L)))
+    closed = jax.make_jaxpr(f)(x[..., 0], A[..., 0])
+    eqns = [e.replace(params=in_form(form, e.params)) if e.primitive.name == "scan" else e for e in closed.jaxpr.eqns]
+    assert any(e.primitive.name == "scan" for e in eqns)
+    (got,) = entrywise._evaluate(closed.jaxpr.replace(eqns=eqns), closed.consts, [lanes.split(x), lanes.split(A)])
+    np.testing.assert_allclose(lanes.join(got), jax.vmap(f, (-1, -1), -1)(x, A), rtol=1e-13, atol=1e-13)
+
+
+def test_a_scan_of_no_known_form_is_one_sentence():
+    with pytest.raises(UserError, match=r"got a scan with the parameters jaxpr, length, .*install that"):
+        primitives.scan({"jaxpr": None, "length": 3})
 
 
 def test_what_does_not_depend_on_a_lane_is_computed_once():

@@ -1,6 +1,7 @@
 """The shape of the house: imports go down only, and what must not import jax does not."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -70,7 +71,7 @@ LAYERS = [  # top to bottom; a module may import its own layer and those below
     {"integrate", "signals", "actuator"},
     {"synthesis"},
     {"scenarios"},
-    {"quoting"},
+    {"quoting", "primitives"},
     {"types", "errors"},
 ]
 NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov", "synthesis.sampled", "synthesis.late",
@@ -121,6 +122,15 @@ def test_help_imports_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_the_insides_of_jax_are_taken_in_one_file_only():
+    users = [
+        str(p.relative_to(ROOT))
+        for p in ROOT.rglob("*.py")
+        if re.search(r"jax\.(extend|_src|core|interpreters)\b|[.]params[.[]", p.read_text())
+    ]
+    assert users == ["primitives.py"]
 
 
 def test_cvxpy_is_imported_by_synthesis_only():

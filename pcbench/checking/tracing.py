@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 from pcbench.checking.trial import Case, Trial
+from pcbench.primitives import ClosedJaxpr, Literal, inner
 from pcbench.problem import present
 from pcbench.types import Arrival
 
@@ -96,17 +96,13 @@ def inside(jaxpr: Any) -> Iterator[Any]:
     """Yield a program and every program in it."""
     yield jaxpr
     for eqn in jaxpr.eqns:
-        for value in eqn.params.values():
-            for each in value if isinstance(value, tuple | list) else (value,):
-                if isinstance(each, ClosedJaxpr | Jaxpr):
-                    yield from inside(getattr(each, "jaxpr", each))
+        for each in inner(eqn.params):
+            yield from inside(getattr(each, "jaxpr", each))
 
 
 def _literals(jaxpr: Any) -> Iterator[Any]:
-    for inner in inside(jaxpr):
-        for eqn in inner.eqns:
+    for program in inside(jaxpr):
+        for eqn in program.eqns:
             yield from (v.val for v in eqn.invars if isinstance(v, Literal))
-            for value in eqn.params.values():
-                for each in value if isinstance(value, tuple | list) else (value,):
-                    if isinstance(each, ClosedJaxpr):
-                        yield from each.consts
+            for each in inner(eqn.params):
+                yield from each.consts if isinstance(each, ClosedJaxpr) else ()

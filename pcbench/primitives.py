@@ -1,0 +1,121 @@
+"""What pcbench takes from jax's insides: names of primitives, and where their equations keep what the interpreter needs.
+
+jax promises none of this to last; nothing else in pcbench looks at an equation's parameters. Read against jax 0.10.0 to
+0.12.0: up to 0.10 a scan counts its constants and carries (`num_consts`, `num_carry`), from 0.11 on it has one tree of its
+operands in three parts (`ft_in`: constants, carries, rows). A release in which the tests of this file pass is fine; one that
+moves things fails here, in one sentence, and not with other numbers.
+"""
+
+from typing import Any, NamedTuple
+
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
+from jax.lax import GatherScatterMode
+
+from pcbench.errors import UserError
+
+__all__ = [
+    "CALLS",
+    "ELEMENTWISE",
+    "FOLDS",
+    "STRUCTURAL",
+    "ClosedJaxpr",
+    "Jaxpr",
+    "Literal",
+    "called",
+    "fold_axes",
+    "inner",
+    "jaxpr_as_fun",
+    "products_of",
+    "scan",
+    "slice_sizes",
+    "takes_rows",
+    "while_",
+]
+
+ELEMENTWISE = frozenset(
+    """abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div
+    eq erf exp exp2 expm1 floor ge gt integer_pow is_finite le log log1p logistic lt max min mul ne neg nextafter not
+    or pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor""".split()  # noqa: SIM905
+)
+STRUCTURAL = frozenset(
+    "broadcast_in_dim concatenate expand_dims reshape rev slice squeeze transpose".split()  # noqa: SIM905
+)
+FOLDS = ("reduce_sum", "reduce_max", "reduce_min", "reduce_prod", "reduce_and", "reduce_or")
+CALLS = frozenset(["jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call"])
+
+
+class Scan(NamedTuple):
+    """A scan's equation: its operands are `consts` constants, `carry` carries, and rows."""
+
+    body: Any  # ClosedJaxpr
+    consts: int
+    carry: int
+    length: int
+    how: dict[str, Any]  # what jax.lax.scan takes besides
+
+
+class While(NamedTuple):
+    """A while loop's equation: operands are constants of the condition, of the body, and the state."""
+
+    cond: Any  # ClosedJaxpr
+    body: Any
+    cond_consts: int
+    body_consts: int
+
+
+def called(params: dict[str, Any]) -> Any:
+    """Return the program that one of CALLS applies, closed."""
+    found = params.get("jaxpr") or params["call_jaxpr"]
+    return found if hasattr(found, "consts") else ClosedJaxpr(found, ())
+
+
+def scan(params: dict[str, Any]) -> Scan:
+    """Return what a scan's parameters say, in either form; raise UserError where they are of neither."""
+    if "num_consts" in params:
+        consts, carry = params["num_consts"], params["num_carry"]
+    elif "ft_in" in params:
+        consts, carry = (len(list(part)) for part in params["ft_in"].unpack()[:2])
+    else:
+        raise UserError(
+            f"jax: got a scan with the parameters {', '.join(sorted(params))}, which pcbench does not know, expected a release "
+            "that it has been read against (see pyproject.toml); install that."
+        )
+    how = {name: params[name] for name in ("length", "reverse", "unroll")}
+    return Scan(params["jaxpr"], consts, carry, params["length"], how)
+
+
+def while_(params: dict[str, Any]) -> While:
+    """Return what a while loop's parameters say."""
+    return While(params["cond_jaxpr"], params["body_jaxpr"], params["cond_nconsts"], params["body_nconsts"])
+
+
+def slice_sizes(params: dict[str, Any]) -> tuple[int, ...]:
+    """Return the shape of what a dynamic_slice takes."""
+    return tuple(params["slice_sizes"])
+
+
+def fold_axes(params: dict[str, Any]) -> tuple[int, ...]:
+    """Return the axes that one of FOLDS reduces."""
+    return tuple(params["axes"])
+
+
+def products_of(params: dict[str, Any]) -> tuple[Any, Any]:
+    """Return a dot_general's axes: ((contracted of a, of b), (batch of a, of b))."""
+    contract, batch = params["dimension_numbers"]
+    return contract, batch
+
+
+def takes_rows(params: dict[str, Any], operand: tuple[int, ...], rank: int) -> bool:
+    """Say whether a gather takes whole rows of an `operand` of that shape, clipped, by indices of that `rank`."""
+    if params["mode"] != GatherScatterMode.CLIP:
+        return False
+    d, sizes = params["dimension_numbers"], params["slice_sizes"]
+    first_axis = d.start_index_map == d.collapsed_slice_dims == (0,) and not d.operand_batching_dims
+    whole = d.offset_dims == tuple(range(rank - 1, rank - 2 + len(sizes)))
+    return first_axis and whole and sizes == (1, *operand[1:])
+
+
+def inner(params: dict[str, Any]) -> list[Any]:
+    """Return every program among an equation's parameters, closed or not."""
+    each = (v for value in params.values() for v in (value if isinstance(value, tuple | list) else (value,)))
+    return [v for v in each if isinstance(v, ClosedJaxpr | Jaxpr)]
