@@ -123,10 +123,14 @@ def radius(M: Matrix) -> float:
     return float(np.abs(np.linalg.eigvals(M)).max())
 
 
-def rounding(F: Matrix) -> float:
-    """How well the radius of F is known in float64 where its n poles are one: ten times eps^(1/n) of its balanced norm."""
-    balanced, _ = matrix_balance(F)
-    return float(10 * np.finfo(float).eps ** (1 / len(F)) * np.linalg.norm(balanced, 2))
+def rounding(F: Matrix, d: int) -> float:
+    """How well the radius of F, over d samples, is known in float64.
+
+    Of itself, where its n poles are one: ten times eps^(1/n) of its balanced norm. From the map of one sample, whose n d shifts
+    are ones: an eps of each, which the power d of that map's radius holds.
+    """
+    eps, (balanced, _) = np.finfo(float).eps, matrix_balance(F)
+    return float(10 * eps ** (1 / len(F)) * np.linalg.norm(balanced, 2) + eps * len(F) * d)
 
 
 def certify(chain: list[Link], C: Matrix, how: str) -> Certificate:
@@ -136,7 +140,8 @@ def certify(chain: list[Link], C: Matrix, how: str) -> Certificate:
     rate = max(radius(link.F) ** (1 / link.d) for link in real)
     exact = radius(one_sample(chain, C)) if len(C[0]) * sum(link.d for link in real) <= LARGEST else rate
     low, high = (
-        max(max(radius(link.F) + side * rounding(link.F), 0) ** (1 / link.d) for link in real) for side in (-1, 1)
+        max(max(radius(link.F) + side * rounding(link.F, link.d), 0) ** (1 / link.d) for link in real)
+        for side in (-1, 1)
     )
     same = low * (1 - 1e-6) <= exact <= high * (1 + 1e-6)
     numbers = {"radius_of_one_sample": exact, "largest_rho_F_to_1_over_d": rate}

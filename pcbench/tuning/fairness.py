@@ -57,7 +57,7 @@ def prepare(study: Study, out: str | Path | None, fresh: bool, tell: Tell = sile
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
         designed = {o: study.options.get(o, {}) | dict(entry_of(o).designed or {}) for o in labels}
-        return Prepared(_with(study, {o: given for o, given in designed.items() if given}), [])
+        return Prepared(_with(study, {o: how for o, how in designed.items() if how}), [])
     if len(study.scenarios) > 1:
         raise UserError(
             f"{study.name}: tuning: got {study.tunings} for {len(study.scenarios)} scenarios, expected one: gains are tuned "
