@@ -1,7 +1,8 @@
 """Random numbers addressed by run: (root seed, seed index, stream, channel, sample index), and by nothing else.
 
 A draw never depends on the observer, the order of cells, the size of a block, the device or the worker: all observers
-see the same noise, and a run has the same numbers alone or among thousands. Threefry, float64.
+see the same noise, and a run has the same numbers alone or among thousands. Threefry-2x32 in counter form (`primitives.key`),
+float64; no setting of jax or of the environment changes a draw.
 """
 
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
+
+from pcbench import primitives
 
 STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "process": 5}
 
@@ -19,7 +22,7 @@ def run_keys(root_seed: Array, seeds: Array, stream: str, channels: int) -> list
 
 
 def _key(root_seed: Array, seed: Array, stream: str, channel: Array | int) -> Array:
-    base = jax.random.fold_in(jax.random.key(root_seed), seed)
+    base = jax.random.fold_in(primitives.key(root_seed), seed)
     return jax.random.fold_in(jax.random.fold_in(base, STREAMS[stream]), channel)
 
 
