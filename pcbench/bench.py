@@ -54,8 +54,8 @@ def run(
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
-    how = running.How(fresh, until_se, max_seeds, devices, dask, workers, block, memory, tell, say).checked()
     with machine.float64():
+        how = running.How(fresh, until_se, max_seeds, devices, dask, workers, block, memory, tell, say).checked()
         made = fairness.prepare(chosen, out, fresh, tell)
         return gap.report(made, running.execute(made.study, out, how), out, how)
 

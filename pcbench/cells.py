@@ -7,6 +7,7 @@ import math
 from typing import Any, NamedTuple
 
 import tomli_w
+from pydantic import BaseModel
 
 from pcbench import axes as axis
 from pcbench import limits
@@ -87,6 +88,12 @@ def identity(cell: Cell, root_seed: int) -> str:
     said = cell._asdict() | {"scenario": cell.scenario._asdict(), "choices": cell.choices.model_dump()}
     del said["number"], said["values"]
     text = json.dumps(said | {"root_seed": root_seed}, sort_keys=True, default=_plain)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def told(options: BaseModel) -> str:
+    """Return the digest of an observer's options: what decides its numbers in a cell besides the cell."""
+    text = json.dumps(options.model_dump(), sort_keys=True, default=_plain)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

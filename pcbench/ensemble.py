@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from pcbench import simulation
+from pcbench import machine, simulation
 from pcbench.errors import UserError
 from pcbench.problem import Layout, Outcome, Problem
 
@@ -139,7 +139,7 @@ def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[t
 
 def in_float64(function: Any, *arguments: Any) -> Any:
     """Call a function with float64 on: jax keeps that switch for each thread."""
-    with jax.enable_x64(True):
+    with machine.float64():
         return function(*arguments)
 
 

@@ -35,14 +35,14 @@ def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
     name = f"examples/{scenario.replace('/', '%2F')}.parquet"
     key = _key(study, scenario)
     found = None if place is None else store.get(place, name)
-    if found is not None:
-        kept = store.parsed(found)
-        if (kept.schema.metadata or {}).get(KEY) == key:
-            return kept.to_pandas()
+    kept = None if found is None else store.whole(found)
+    if kept is not None and kept.schema.metadata.get(KEY) == key:
+        return kept.to_pandas()
     made = _made(study, scenario)
     if place is not None:
         table = pa.Table.from_pandas(made, preserve_index=False)
-        store.put_table(place, name, table.replace_schema_metadata({**(table.schema.metadata or {}), KEY: key}))
+        about = {**(table.schema.metadata or {}), KEY: key}
+        store.put_table(place, name, store.sealed(table.replace_schema_metadata(about)))
     return made
 
 

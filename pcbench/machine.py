@@ -5,8 +5,8 @@ import os
 import platform
 import socket
 import subprocess
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -14,9 +14,17 @@ from typing import Any
 
 import jax
 
-from pcbench.errors import UserError
+from pcbench.errors import UserError, said, shown
 from pcbench.synthesis.cache import folder
 
+COMPILING = (
+    "jax_disable_most_optimizations",
+    "jax_optimization_level",
+    "jax_exec_time_optimization_effort",
+    "jax_memory_fitting_effort",
+    "jax_default_matmul_precision",
+)
+ELSEWHERE = ("--xla_dump", "--xla_force_host_platform_device_count")  # flags that change no program
 LIBRARIES = ("pcbench", "jax", "jaxlib", "numpy", "scipy", "cvxpy", "clarabel", "pyarrow", "pandas")
 
 
@@ -39,8 +47,16 @@ def process() -> str:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions of what decides the last bits of a number."""
-    return {name: version(name) for name in ("pcbench", "jax", "jaxlib")}
+    """Return what decides the last bits of a number: releases, and what the compiler was told."""
+    return {name: version(name) for name in ("pcbench", "jax", "jaxlib")} | {"compiler": compiler()}
+
+
+def compiler() -> str:
+    """Return what the compiler of programs was told beside its defaults, by XLA_FLAGS and jax's settings; or 'defaults'."""
+    flags = [word for word in os.environ.get("XLA_FLAGS", "").split() if not word.startswith(ELSEWHERE)]
+    settings = {name: getattr(jax.config, name, None) for name in COMPILING}
+    told = [f"{name}={value}" for name, value in settings.items() if value and str(value) != "UNKNOWN"]
+    return " ".join([*sorted(flags), *told]) or "defaults"
 
 
 def memory() -> int:
@@ -93,9 +109,22 @@ def allowed(given: str | int | None) -> float:
     return size
 
 
-def float64() -> Any:
-    """Return a context in which jax computes in float64, whatever the host program chose."""
-    return jax.enable_x64(True)
+@contextmanager
+def float64() -> Iterator[None]:
+    """Return a context in which jax computes in float64 and compiles, whatever the host program chose.
+
+    Raises UserError where jax knows no such platform as it was told.
+    """
+    try:
+        with jax.enable_x64(True), jax.disable_jit(False):
+            yield
+    except RuntimeError as error:
+        if not str(error).startswith("Unable to initialize backend"):
+            raise
+        raise UserError(
+            f"JAX_PLATFORMS: got {shown(os.environ.get('JAX_PLATFORMS', ''))}, which jax cannot use here "
+            f"({said(str(error).partition(': ')[2])}), expected a platform that it has; write cpu, or leave it out."
+        ) from None
 
 
 def describe() -> dict[str, Any]:
@@ -103,6 +132,7 @@ def describe() -> dict[str, Any]:
     device = jax.devices()[0]
     return {
         "versions": {name: version(name) for name in LIBRARIES} | {"python": platform.python_version()},
+        "compiler": compiler(),
         "device": {"platform": device.platform, "kind": device.device_kind, "count": len(jax.devices())},
         "system": f"{platform.system()} {platform.machine()}",
         "precision": "float64",

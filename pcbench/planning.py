@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pcbench import axes, closed_loop, ensemble, irregular, sampling, shapes
-from pcbench.cells import Cell, cells_of, identity
+from pcbench.cells import Cell, cells_of, identity, told
 from pcbench.errors import UserError, unknown
 from pcbench.observers import base_of, entry_of
 from pcbench.plants import PLANTS, nonlinear, numbers_of, parameters_of
@@ -163,7 +163,8 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     proofs, carries = {o: d.certificate for o, d in designs.items()}, {o: d.carries_input for o, d in designs.items()}
     reach = closed_loop.reach(cell, known.overtaking, n) if s.controller else None
     bound = _bound(cell, known) if options else None
-    return Planned(cell, layout, problem, proofs, bound, carries, tuple(options), reach)
+    digests = {o: told(given) for o, given in options.items()}
+    return Planned(cell, layout, problem, proofs, bound, carries, tuple(options), reach, digests)
 
 
 def _strides(plan: Any, options: dict[str, BaseModel], heavy: bool) -> bool:

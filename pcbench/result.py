@@ -1,19 +1,18 @@
 """What a study gave: its tables as pandas frames, read from where they stand."""
 
-import json
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
 import pyarrow.dataset as ds
 
 from pcbench import tables
 from pcbench.dataset import campaign, closing, folder, ledger, store
-from pcbench.errors import UserError
+from pcbench.dataset.inspection import FAIR
+from pcbench.errors import UserError, said
 from pcbench.study import Study, observers_of
-
-FAIR = "fair.parquet"
 
 
 def opened(out: str | Path) -> "Result":
@@ -27,8 +26,12 @@ def opened(out: str | Path) -> "Result":
             f"{place.name}/study.toml --out {place.name}."
         )
     result = Result(claimed.study, place, out, campaign.Effort())
-    found = store.get(place, FAIR)
-    result.fair = None if found is None else store.parsed(found).to_pandas()
+    if (found := store.get(place, FAIR)) is not None:
+        if (table := store.whole(found)) is None:
+            raise UserError(
+                f"{place.name}/{FAIR}: is damaged, expected it as it was written; run the study again to have it made anew."
+            )
+        result.fair = table.to_pandas()
     return result
 
 
@@ -43,7 +46,7 @@ class Result:
     ):
         self.study, self.out, self.effort, self._place, self._keep = study, out, effort, place, keep
         self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `tuning.fairness`
-        self.provenance: dict[str, Any] = json.loads(store.text(place, "provenance.json") or b"{}")
+        self.provenance: dict[str, Any] = closing.provenance(place) or {}
 
     @cached_property
     def stats(self) -> pd.DataFrame:
@@ -58,7 +61,7 @@ class Result:
     @cached_property
     def runs(self) -> pd.DataFrame:
         """One row per cell, observer, seed and signal."""
-        whole = self._dataset().to_table().to_pandas()
+        whole = self._read()
         first = ["study", "scenario", "observer", "cell"]
         ordered = whole[first + [c for c in whole.columns if c not in first]]
         return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
@@ -66,17 +69,29 @@ class Result:
     def runs_of(self, scenario: str, metrics: list[str], cell: int) -> pd.DataFrame:
         """Return some metrics of the runs of one cell: observer (in the study's order), seed, signal, diverged, metrics."""
         here = (ds.field("scenario") == scenario) & (ds.field("cell") == cell)
-        found = self._dataset().to_table(["observer", "seed", "signal", "diverged", *metrics], filter=here).to_pandas()
+        found = self._read(["observer", "seed", "signal", "diverged", *metrics], filter=here)
         order = {name: i for i, name in enumerate(observers_of(self.study, scenario))}
         found["place"] = found.observer.astype(str).map(order)
         return found.sort_values(["place", "seed"], kind="stable", ignore_index=True).drop(columns="place")
 
+    def _read(self, columns: list[str] | None = None, filter: ds.Expression | None = None) -> pd.DataFrame:
+        """Rows of the blocks, every page checked; raise UserError, naming the file, where one is damaged."""
+        try:
+            return self._dataset().to_table(columns, filter=filter).to_pandas()
+        except (pa.ArrowException, OSError) as error:
+            for block in ledger.present(self._place):
+                ledger.read(self._place, block)
+            raise UserError(
+                f"{self._place.name}/runs: cannot be read ({said(error)}), expected whole blocks; see pcbench verify "
+                f"{self._place.name}."
+            ) from None
+
     def _dataset(self) -> ds.Dataset:
+        checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+        kind = ds.ParquetFileFormat(default_fragment_scan_options=checked)
         files = [f"{self._place.root}/{name}" for name in store.names(self._place, "runs")]
         base = f"{self._place.root}/runs"
-        return ds.dataset(
-            files, filesystem=self._place.fs, format="parquet", partitioning="hive", partition_base_dir=base
-        )
+        return ds.dataset(files, filesystem=self._place.fs, format=kind, partitioning="hive", partition_base_dir=base)
 
     def _closing(self, name: str) -> pd.DataFrame:
         found = closing.table(self._place, name)

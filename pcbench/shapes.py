@@ -29,6 +29,7 @@ class Planned(NamedTuple):
     carries_input: dict[str, bool | None]  # by observer, of its prediction to now
     labels: tuple[str, ...]  # of the layout's observers; they go by their base in a closed loop, to share a program
     reach: closed_loop.Reach | None  # of a closed loop
+    told: dict[str, str]  # by label, the digest of its observer's options
     digest: str = ""  # of its cell, in a study
 
 

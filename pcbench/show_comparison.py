@@ -33,6 +33,7 @@ def _drawn(rows: pd.DataFrame, found: Any) -> str:
     if not same:
         return f"All {len(rows):,} rows stand on other draws: compared by Welch's t, Holm over all of them, 5 %."
     equal = "bit for bit equal" if found.identical else f"apart by at most {found.largest:.1e} of themselves"
+    equal += f", {int(rows.narrowed.sum()):,} of them over the seeds that both hold" if rows.narrowed.any() else ""
     rest = f"; {len(rows) - same:,} on other draws, compared by Welch's t" if same < len(rows) else ""
     return f"{same:,} rows stand on the same draws: {equal}{rest}."
 

@@ -124,7 +124,9 @@ def _observers(study: Study, names: list[str], where: str) -> None:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        text = path.read_text(encoding="utf-8")
+        if path.exists() and not path.is_file():  # a folder; or a pipe, for which one would wait
+            raise OSError(0, "it is no file")
+        text = path.read_text(encoding="utf-8-sig")  # with a mark of the byte order or without
     except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a name that cannot be one
         reason = getattr(error, "strerror", None) or error
         raise UserError(

@@ -131,7 +131,10 @@ def test_vanishing_poles_over_long_delays_are_certified():
         gains = [T @ np.diag([1.0, 1.0], 1) @ np.linalg.inv(T), *(rng.standard_normal((3, 3)) for _ in range(3))]
         links = [synthesis.Link(10, np.array([float(j <= i) for j in range(3)]), *gains) for i in range(3)]
         assert 0.5 < synthesis.certify(links, np.eye(3), "test").margin < 1
-    for left in (7e-18, 1e-22):  # what rounding leaves of a pole at 0, over 60 samples: the map of one rounds on its own
+    for left in (
+        7e-18,
+        1e-22,
+    ):  # what rounding leaves of a pole at 0, over 60 samples: the map of one rounds on its own
         F, none = np.diag([0.0, -left, 0.0]), np.zeros((3, 3))
         links = [synthesis.Link(60, np.array([float(j <= i) for j in range(3)]), F, none, none, none) for i in range(3)]
         assert 0.2 < synthesis.certify(links, np.eye(3), "test").margin <= 1

@@ -8,10 +8,10 @@ import pyarrow as pa
 import pytest
 from commands import call
 from scipy.stats import ttest_ind_from_stats
-from small_study import STUDY
+from small_study import STUDY, sealed_again
 
 import pcbench
-from pcbench.dataset import comparing, store
+from pcbench.dataset import comparing, merging, store
 from pcbench.errors import UserError
 
 
@@ -42,6 +42,7 @@ def change(out, column, factor, rows):
     values = frame[column].where(~chosen, frame[column] * factor)
     i = table.schema.get_field_index(column)
     store.put_table(place, "stats.parquet", table.set_column(i, table.schema.field(i), pa.array(values, pa.float64())))
+    sealed_again(out)
 
 
 def test_a_result_equals_itself_bit_for_bit(whole, copy):
@@ -105,7 +106,7 @@ def test_what_changed_is_named_first_and_counted(whole, elsewhere, tmp_path):
 def frame(**columns):
     """Matched rows as `judged` takes them."""
     one = {"scenario": "s", "where_a": "", "observer": "o", "signal": "x", "metric": "mae", "unit_a": "m"}
-    one |= {"draws_a": "0", "draws_b": "0", "n_a": 9, "n_b": 9, "bits_a": b"", "bits_b": b""}
+    one |= {"draws_a": "0", "draws_b": "0", "narrowed_a": False, "n_a": 9, "n_b": 9, "bits_a": b"", "bits_b": b""}
     return pd.DataFrame([one | {k: v[i] for k, v in columns.items()} for i in range(len(columns["mean_a"]))])
 
 
@@ -144,6 +145,29 @@ def test_one_run_each_on_other_draws_decides_nothing():
     assert not rows.changed.any()
 
 
+def test_where_only_some_draws_are_common_those_are_compared(whole, copy, elsewhere, tmp_path):
+    """Welch's t supposes that no draws are common: over those that are, the same runs come out."""
+    merging.merge([whole, elsewhere], tmp_path / "both")
+    found = comparing.compare(whole, tmp_path / "both")
+    assert len(found.rows) == len(pd.read_parquet(whole / "stats.parquet"))
+    assert found.rows.same_draws.all()
+    assert found.rows.narrowed.all()
+    assert (found.changed, found.identical, set(found.rows.n_b)) == (0, True, {40})
+    said = call("compare", whole, tmp_path / "both").stdout
+    assert "bit for bit equal" in said
+    assert f"{len(found.rows)} of them over the seeds that both hold" in said
+    one = comparing.compare(elsewhere, tmp_path / "both").rows
+    assert one.identical.all(), "the later seeds too"
+
+
+def test_a_damaged_block_is_no_equal_result(whole, copy):
+    block = sorted((copy / "runs").rglob("*.parquet"))[0]
+    block.write_bytes(block.read_bytes()[:-50])
+    done = call("compare", whole, copy)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert f"{block.relative_to(copy)}: is damaged, expected a whole block" in done.stderr
+
+
 def test_cells_are_matched_by_what_they_are_and_not_by_number(whole, tmp_path):
     turned = tmp_path / "turned"
     pcbench.run(STUDY | {"axes": {"noise_std": [0.5, 0.1]}}, out=turned)
@@ -172,11 +196,8 @@ def test_other_studies_and_unfinished_ones_are_refused_in_a_sentence(whole, copy
 
 
 def test_releases_and_devices_that_differ_are_said(whole, copy):
-    path = copy / "provenance.json"
-    said = json.loads(path.read_text())
-    said["versions"]["jax"] = "0.0.1"
-    said["wall_seconds"] = -1.0
-    path.write_text(json.dumps(said))
+    versions = json.loads((copy / "provenance.json").read_text())["versions"]
+    sealed_again(copy, versions=versions | {"jax": "0.0.1"}, wall_seconds=-1.0)
     (phrase,) = comparing.compare(whole, copy).made_by
     assert phrase.startswith("versions.jax: ")
     assert phrase.endswith("there, 0.0.1 here")

@@ -105,9 +105,18 @@ NOT_OURS = ["", "seeds = 3", "[resolved]", "resolved = 3", "x = [", 'seeds = "a"
 @pytest.mark.parametrize("text", NOT_OURS)
 def test_a_study_text_that_is_not_ours_is_one_sentence(copy, text):
     (copy / "study.toml").write_text(text)
-    for act in (lambda: pcbench.run(STUDY, out=copy), lambda: inspection.status(copy)):
-        with pytest.raises(UserError, match="is not as pcbench run has written it"):
-            act()
+    with pytest.raises(
+        UserError, match=r"is not as pcbench run has written it.*run its study again.*blocks .* are kept"
+    ):
+        inspection.status(copy)
+
+
+@pytest.mark.parametrize("text", NOT_OURS)
+def test_nor_is_a_folder_taken_that_holds_nothing_but_such_a_text(tmp_path, text):
+    (tmp_path / "study.toml").write_text(text)
+    with pytest.raises(UserError, match=r"is not as pcbench run has written it.*move it away"):
+        pcbench.run(STUDY, out=tmp_path)
+    assert (tmp_path / "study.toml").read_text() == text
 
 
 def test_columns_keep_their_kind_when_a_study_grows(tmp_path):

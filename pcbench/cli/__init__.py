@@ -6,8 +6,8 @@ import sys
 import typer
 
 from pcbench.cli import checking, datasets, observers, papers, reports, runs, tuning
-from pcbench.cli.shared import app, say
-from pcbench.cli.stopping import STOPPED, interrupt, stop_if_asked, unraisable
+from pcbench.cli.shared import app, say, speak
+from pcbench.cli.stopping import STOPPED, asked, interrupt, stop_if_asked, unraisable
 from pcbench.errors import UserError
 
 __all__ = ["main"]
@@ -18,6 +18,7 @@ def main() -> None:
     """Run the command line and exit: 0 done, 2 a mistake that the user can mend, 130 stopped."""
     code = 0
     signal.signal(signal.SIGINT, interrupt)
+    speak()
     sys.unraisablehook = unraisable
     try:
         code = app(sys.argv[1:] or ["--help"], standalone_mode=False) or 0
@@ -27,14 +28,20 @@ def main() -> None:
     except UserError as error:
         code = _complain(str(error))
     except (KeyboardInterrupt, typer.Abort):
-        code = _complain("stopped; every file already written is complete.", STOPPED)
+        code = _stopped()
     except BrokenPipeError:
         code = 141
     except Exception as error:
+        if asked():  # what a library makes of it
+            sys.exit(_stopped())
         if not hasattr(error, "format_message"):  # the command line's own usage errors have one
             raise
         code = _complain(error.format_message().rstrip(".") + "; see pcbench --help.")
     sys.exit(code)
+
+
+def _stopped() -> int:
+    return _complain("stopped; every file already written is complete.", STOPPED)
 
 
 def _complain(sentence: str, code: int = 2) -> int:

@@ -13,7 +13,7 @@ def status(
     folder: Folder,
     as_json: AsJson = False,
 ) -> None:
-    """Show how far a study is, and whether its files are whole.
+    """Show how far a study is, and whether its files are whole. Exit code 1 where one is damaged.
 
     Example: pcbench status results/quick
     """
@@ -25,6 +25,8 @@ def status(
         print(json.dumps(found._asdict() | {"shares": [s._asdict() for s in found.shares]}, indent=2))
     else:
         show.status(found, folder, console())
+    if found.damaged or found.doubled:
+        raise typer.Exit(1)
 
 
 @app.command()

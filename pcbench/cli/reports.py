@@ -37,7 +37,7 @@ def report(
         else:
             from pcbench.report import page
 
-            where = out or str(Path(folder) / "report.html") if "://" not in folder else out or f"{folder}/report.html"
+            where = f"{folder.rstrip('/')}/report.html" if out is None else out
             size = page.write(folder, where, tell)
             said = f"{where}: one page of {size / 1e6:.1f} MB, which opens in any browser"
     if not quiet:

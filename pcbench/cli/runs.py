@@ -50,7 +50,7 @@ def run(
 
     statistics.compared(metric, "--metric")
     chosen = study_file.load(study, changes)
-    folder = out or str(Path("results") / chosen.name.replace("/", "-"))
+    folder = str(Path("results") / chosen.name.replace("/", "-")) if out is None else out
     with show.progress(quiet or as_json) as draw:
         result = bench.run(
             chosen,

@@ -1,5 +1,7 @@
 """What commands share: the application, options that several take, and where they speak."""
 
+import codecs
+import io
 import sys
 from typing import Annotated, Any
 
@@ -14,6 +16,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
+PLAIN = {"±": "+-", "…": "...", "–": "-", "·": ".", "µ": "u", "²": "^2", "→": "->", "≤": "<=", "≥": ">="}  # in ASCII
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON for a program instead of a table")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="no progress and no table")]
 Set = Annotated[
@@ -21,6 +24,20 @@ Set = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="change the study, e.g. axes.noise_std=0.1 (repeatable)"),
 ]
 Folder = Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")]
+
+
+def speak() -> None:
+    """Let output never fail for a letter that the terminal's encoding does not have: it stands for itself in ASCII."""
+    codecs.register_error("pcbench", _in_ascii)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="pcbench")
+
+
+def _in_ascii(error: UnicodeError) -> tuple[str, int]:
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    return "".join(PLAIN.get(c, "?") for c in error.object[error.start : error.end]), error.end
 
 
 def say(sentence: str) -> None:

@@ -1,17 +1,36 @@
 """Ctrl-C: noted, raised, and raised again where a library swallows it."""
 
+import signal
 import sys
 from collections.abc import Callable
+from importlib.machinery import ExtensionFileLoader
 from typing import Any
 
 STOPPED = 130  # the exit code of a program that Ctrl-C has ended
+SOON = 0.05  # [s] until it is tried again
 _ASKED: list[int] = []
 
 
 def interrupt(number: int, frame: Any) -> None:
-    """Stop: the handler of SIGINT."""
+    """Stop: the handler of SIGINT.
+
+    While an extension module is being loaded it waits: some crash, or raise an error of their own, where Python is interrupted.
+    """
     _ASKED.append(number)
+    if hasattr(signal, "setitimer") and _loads_an_extension(frame):
+        signal.signal(signal.SIGALRM, interrupt)
+        signal.setitimer(signal.ITIMER_REAL, SOON)
+        return
     raise KeyboardInterrupt
+
+
+def _loads_an_extension(frame: Any) -> bool:
+    while frame is not None:
+        if frame.f_code.co_name in ("create_module", "exec_module"):
+            if isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
+                return True
+        frame = frame.f_back
+    return False
 
 
 def unraisable(found: Any) -> None:
@@ -20,9 +39,14 @@ def unraisable(found: Any) -> None:
         sys.__unraisablehook__(found)
 
 
+def asked() -> bool:
+    """Say whether Ctrl-C was pressed."""
+    return bool(_ASKED)
+
+
 def stop_if_asked() -> None:
     """Raise KeyboardInterrupt where Ctrl-C was pressed and a library has swallowed it."""
-    if _ASKED:
+    if asked():
         raise KeyboardInterrupt
 
 

@@ -98,6 +98,7 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: in
         "root_seed": work.root_seed,
         "cell": p.digest,
         "observer": label,
+        "options": p.told[label],
         "first": first,
         "last": last,
         "metrics": {m: len(results[m]) for m in RUN_METRICS if m in results},

@@ -4,6 +4,7 @@ What they hold is a function of the rows alone: not of how these are cut into fi
 """
 
 import hashlib
+import json
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -15,11 +16,12 @@ from pcbench.cells import Cell, digest
 from pcbench.dataset import ledger, store
 from pcbench.dataset.folder import Claim
 from pcbench.dataset.growing import Gathered, adjusted
-from pcbench.dataset.ledger import Block
+from pcbench.dataset.ledger import Block, Range
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.study import observers_of
 
+PROVENANCE = "provenance.json"
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
 
 
@@ -35,6 +37,7 @@ def close(place: store.Target, claimed: Claim, there: list[Block], about: dict[s
     stats, pairs, weakest = closing_tables(place, claimed, there)
     store.put(place, "stats.parquet", stats)
     store.put(place, "pairs.parquet", pairs)
+    digests = {"stats.parquet": digest_of(stats), "pairs.parquet": digest_of(pairs)}
     study = {
         "schema": tables.SCHEMA,
         "study": claimed.study.name,
@@ -42,7 +45,24 @@ def close(place: store.Target, claimed: Claim, there: list[Block], about: dict[s
         "root_seed": claimed.study.root_seed,
         "blocks": len(there),
     }
-    store.put_json(place, "provenance.json", machine.describe() | study | about | {"certificates": weakest})
+    said = machine.describe() | study | about | {"certificates": weakest, "digests": digests}
+    store.put_json(place, PROVENANCE, said | {"digest": _digest(said)})
+
+
+def provenance(place: store.Target) -> dict[str, Any] | None:
+    """Return what provenance.json says; None where it is not there, or not as it was written."""
+    said = store.document(place, PROVENANCE)
+    return said if said and said.get("digest") == _digest(said) else None
+
+
+def _digest(said: dict[str, Any]) -> str:
+    text = json.dumps({k: v for k, v in said.items() if k != "digest"}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def digest_of(content: Any) -> str:
+    """Return the digest of a file's bytes."""
+    return hashlib.sha256(content).hexdigest()[:32]
 
 
 def closing_tables(
@@ -84,6 +104,14 @@ def fingerprint(there: list[Block]) -> bytes:
     return hashlib.sha256(repr([tuple(b) for b in joined]).encode()).hexdigest().encode()
 
 
+def damaged(place: store.Target) -> list[str]:
+    """Return the closing files that stand and are not as they were written."""
+    said = provenance(place)
+    if said is None:
+        return [PROVENANCE] if store.get(place, PROVENANCE) is not None else []
+    return [name for name in said["digests"] if store.get(place, name) is not None and table(place, name) is None]
+
+
 def is_closed(place: store.Target, there: list[Block]) -> bool:
     """Return whether the closing tables stand, and are of these blocks."""
     for name in ("stats.parquet", "pairs.parquet"):
@@ -91,14 +119,16 @@ def is_closed(place: store.Target, there: list[Block]) -> bool:
         said = {} if found is None else found.schema.metadata or {}
         if said.get(FROM) != fingerprint(there) or said.get(b"pcbench.schema") != tables.SCHEMA.encode():
             return False
-    return store.get(place, "provenance.json") is not None
+    return True
 
 
 def table(place: store.Target, name: str) -> pa.Table | None:
-    """Return a closing table, every page checked; None where it is not there or damaged."""
-    content = store.get(place, name)
+    """Return a closing table; None where it is not there, or not as it was written: every byte counts."""
+    content, said = store.get(place, name), provenance(place)
+    if content is None or said is None or said["digests"].get(name) != digest_of(content):
+        return None
     try:
-        return None if content is None else store.parsed(content)
+        return store.parsed(content)
     except (pa.ArrowException, OSError, ValueError):
         return None
 
@@ -115,16 +145,16 @@ def observed(
 
 
 def summary(
-    place: store.Target, study: str, cell: Cell, found: dict[str, Observed], last: int | None = None
+    place: store.Target, study: str, cell: Cell, found: dict[str, Observed], within: Range | None = None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the rows of stats and of pairs of one cell, over the seeds below `last` where it is given."""
+    """Return the rows of stats and of pairs of one cell, over the seeds `within` a range where it is given."""
     s, signals = cell.scenario, signals_of(cell.scenario)
     names, units = [name for name, _ in signals], dict(signals)
     head = tables.keys(study, cell) | {"plant": s.plant}
     carries = {name: each.about["carries_input"] for name, each in found.items()}
     bounds = {name: _seen(each.about["bound"], s.prior_std) for name, each in found.items()}
     described, compared = statistics.summarise(
-        lambda: chunks(place, found, last), bounds, names, s.prior_std + s.unknown_std
+        lambda: chunks(place, found, within), bounds, names, s.prior_std + s.unknown_std
     )
     stats, pairs = [], []
     for name, rows in described.items():
@@ -147,10 +177,10 @@ def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> Any:
 
 
 def chunks(
-    place: store.Target, found: dict[str, Observed], last: int | None = None
+    place: store.Target, found: dict[str, Observed], within: Range | None = None
 ) -> Iterator[dict[str, statistics.Results]]:
     """Yield the runs of a cell by observer, the seeds of one chunk after the other."""
-    readers = {name: _by_chunk(place, each.blocks, last) for name, each in found.items()}
+    readers = {name: _by_chunk(place, each.blocks, within) for name, each in found.items()}
     while True:
         each = {name: next(reader, None) for name, reader in readers.items()}
         if all(results is None for results in each.values()):
@@ -163,14 +193,16 @@ def chunks(
         yield {name: results for name, results in each.items() if results is not None}
 
 
-def _by_chunk(place: store.Target, blocks: list[Block], last: int | None) -> Iterator[statistics.Results]:
+def _by_chunk(place: store.Target, blocks: list[Block], within: Range | None) -> Iterator[statistics.Results]:
     """Yield one observer's runs, cut at multiples of a chunk."""
     held: list[statistics.Results] = []
     at = None
     for block in blocks:
-        stop, start = block.last if last is None else min(block.last, last), block.first
+        start, stop = block.first, block.last
+        if within is not None:
+            start, stop = max(start, within[0]), min(stop, within[1])
         if start >= stop:
-            break
+            continue
         results = results_of(ledger.read(place, block))
         while start < stop:
             chunk = start // statistics.CHUNK

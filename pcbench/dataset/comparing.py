@@ -6,29 +6,37 @@ draws are others, means are compared by Welch's t (Biometrika 34 (1947), 28-35) 
 
     t = (b - a) / sqrt(va + vb),   df = (va + vb)^2 / (va^2 / (na - 1) + vb^2 / (nb - 1)),   v = se^2,
 
-with Holm's correction over all rows so tested. On the same draws the test is conservative: it takes them for independent.
+with Holm's correction over all rows so tested. On the same draws the test is conservative: it takes them for independent. Where
+some seeds are common and others are not, rows are made anew over the common ones: Welch's t supposes that there are none.
 A number without spread (no noise) has changed where it differs by more than rounding; one that exists on one side only, too.
 """
 
-import json
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 from scipy.special import stdtr
 
 from pcbench import tables
 from pcbench.cells import identity, to_toml
 from pcbench.dataset import closing, folder, ledger, store
 from pcbench.dataset.folder import Claim
-from pcbench.dataset.inspection import ROUNDING
+from pcbench.dataset.inspection import ROUNDING, ZERO
+from pcbench.dataset.ledger import Block, Range
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
 
 LEVEL = 0.05
-ZERO = 1e-11  # numbers this small are rounding of zero
 KEY = ["scenario", "digest", "observer", "signal", "metric"]
-MADE_BY = ("versions", "device", "system", "precision", "git")  # of a provenance: what may decide the last bits
+MADE_BY = (
+    "versions",
+    "compiler",
+    "device",
+    "system",
+    "precision",
+    "git",
+)  # of a provenance: what may decide the last bits
 
 
 class Comparison(NamedTuple):
@@ -55,7 +63,10 @@ class Comparison(NamedTuple):
 
 
 def compare(a: Any, b: Any) -> Comparison:
-    """Compare two folders; raise UserError where they are of different studies, or one has no closing tables."""
+    """Compare two folders; raise UserError where they are of different studies, damaged, or one has no closing tables.
+
+    Blocks are looked at by their footers: `verify` reads them whole.
+    """
     places = store.target(a), store.target(b)
     claims = folder.opened(places[0]), folder.opened(places[1])
     if found := folder.differences(claims[0], _rooted(claims[1], claims[0].study.root_seed)):
@@ -63,7 +74,9 @@ def compare(a: Any, b: Any) -> Comparison:
             f"{places[1].name}: is of another study than {places[0].name} ({'; '.join(found[:3])}), expected the same study; "
             "compare results of one study."
         )
-    left, right = (_stats(place, claimed) for place, claimed in zip(places, claims, strict=True))
+    sides = [_side(place, claimed) for place, claimed in zip(places, claims, strict=True)]
+    common = _common(*sides)
+    left, right = (_stats(side, common) for side in sides)
     both = left.merge(right, on=KEY, how="outer", suffixes=("_a", "_b"), indicator=True)
     only = int((both._merge == "left_only").sum()), int((both._merge == "right_only").sum())
     rows = judged(both[both._merge == "both"].drop(columns="_merge"))
@@ -76,34 +89,86 @@ def _rooted(claimed: Claim, root_seed: int) -> Claim:
     return Claim(study, claimed.cells, to_toml(study, claimed.cells))
 
 
-def _stats(place: store.Target, claimed: Claim) -> pd.DataFrame:
-    """The closing table with what tells a cell from others, and the draws that its rows stand on."""
+class Side(NamedTuple):
+    """One of two results."""
+
+    place: store.Target
+    claimed: Claim
+    stats: pa.Table
+    digests: dict[tuple[str, int], str]  # what tells its cells from all others, whatever their root seed and number
+    blocks: dict[tuple[str, int, str], list[Block]]  # by scenario, cell and observer
+
+
+def _side(place: store.Target, claimed: Claim) -> Side:
+    """Return a result; raise UserError where it is not finished or not whole."""
     found = closing.table(place, "stats.parquet")
     if found is None:
         raise UserError(
             f"{place.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to go on."
         )
-    frame, draws = tables.frame(found), _draws(place, claimed)
-    cells = {c.key: c for c in claimed.cells}
+    blocks: dict[tuple[str, int, str], list[Block]] = {}
+    for b in sorted(ledger.settled(ledger.present(place))):
+        if store.footer(place, b.name) is None:
+            raise UserError(
+                f"{place.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
+            )
+        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    return Side(place, claimed, found, {c.key: identity(c, 0) for c in claimed.cells}, blocks)
+
+
+Drawn = dict[tuple[str, str, str], list[Range]]  # by scenario, cell's digest and observer: ranges of seeds, joined
+
+
+def _drawn(side: Side) -> Drawn:
+    out: Drawn = {}
+    for (scenario, cell, observer), mine in side.blocks.items():
+        joined = out.setdefault((scenario, side.digests[scenario, cell], observer), [])
+        for b in mine:
+            if joined and joined[-1][1] == b.first:
+                joined[-1] = (joined[-1][0], b.last)
+            else:
+                joined.append((b.first, b.last))
+    return out
+
+
+def _common(a: Side, b: Side) -> dict[tuple[str, str, str], Range]:
+    """Return the seeds that two sides share where they do not hold the same: the longest range, by cell and observer."""
+    if a.claimed.study.root_seed != b.claimed.study.root_seed:
+        return {}
+    out, here = {}, _drawn(b)
+    for key, mine in _drawn(a).items():
+        both = [(max(i, k), min(j, m)) for i, j in mine for k, m in here.get(key, [])]
+        if here.get(key) not in (None, mine) and (shared := [r for r in both if r[0] < r[1]]):
+            out[key] = max(shared, key=lambda r: r[1] - r[0])
+    return out
+
+
+def _stats(side: Side, common: dict[tuple[str, str, str], Range]) -> pd.DataFrame:
+    """The rows of stats with what tells a cell from others, and the draws they stand on; over the `common` seeds, if any."""
+    frame, drawn, root = tables.frame(_over(side, common)), _drawn(side), side.claimed.study.root_seed
+    cells = {c.key: c for c in side.claimed.cells}
     keys = list(zip(frame.scenario, frame.cell, strict=True))
-    frame["digest"] = [identity(cells[key], 0) for key in keys]
-    frame["where"] = [_where(cells[key].values, list(claimed.study.axes)) for key in keys]
-    frame["draws"] = [draws[(*key, o)] for key, o in zip(keys, frame.observer, strict=True)]
+    frame["digest"] = [side.digests[key] for key in keys]
+    frame["where"] = [_where(cells[key].values, list(side.claimed.study.axes)) for key in keys]
+    named = list(zip(frame.scenario, frame.digest, frame.observer, strict=True))
+    frame["draws"] = [f"{root}: {[common[name]] if name in common else drawn[name]}" for name in named]
+    frame["narrowed"] = [name in common for name in named]
     numbers = ["n", "diverged", *(c for c in frame.columns[frame.columns.get_loc("mean") :] if frame[c].dtype == float)]
     frame["bits"] = [row.tobytes() for row in frame[numbers].to_numpy(float)]
-    return frame[[*KEY, "where", "unit", "draws", "n", "mean", "se", "bits"]]
+    return frame[[*KEY, "where", "unit", "draws", "narrowed", "n", "mean", "se", "bits"]]
 
 
-def _draws(place: store.Target, claimed: Claim) -> dict[tuple[str, int, str], str]:
-    """Return by scenario, cell and observer the draws that stand there: the root seed and the ranges of seeds, joined."""
-    out: dict[tuple[str, int, str], list[list[int]]] = {}
-    for b in sorted(ledger.settled(ledger.present(place))):
-        mine = out.setdefault((b.scenario, b.cell, b.observer), [])
-        if mine and mine[-1][1] == b.first:
-            mine[-1][1] = b.last
-        else:
-            mine.append([b.first, b.last])
-    return {key: f"{claimed.study.root_seed}: {ranges}" for key, ranges in out.items()}
+def _over(side: Side, common: dict[tuple[str, str, str], Range]) -> pa.Table:
+    """The table stats, made anew of the runs where only some of the seeds are common."""
+    axes = tables.axes_of(dict.fromkeys(side.stats.column_names))
+    parts = []
+    for cell in side.claimed.cells if common else ():
+        found = closing.observed(side.place, side.claimed, cell, side.blocks)
+        for observer, each in found.items():
+            within = common.get((cell.scenario.name, side.digests[cell.key], observer))
+            rows, _ = closing.summary(side.place, side.claimed.study.name, cell, {observer: each}, within)
+            parts.append(tables.rows_table(rows, tables.stats_order(axes)))
+    return pa.concat_tables(parts) if parts else side.stats
 
 
 def _where(values: dict[str, Any], axes: list[str]) -> str:
@@ -130,7 +195,7 @@ def judged(both: pd.DataFrame) -> pd.DataFrame:
     names = ["n_a", "mean_a", "se_a", "n_b", "mean_b", "se_b"]
     out = out.assign(**{name: both[name] for name in names}, difference=difference, relative=np.nan_to_num(relative))
     out = out.assign(p_value=p, p_holm=adjusted, same_draws=same_draws, changed=changed)
-    out = out.assign(identical=(both.bits_a == both.bits_b).to_numpy())
+    out = out.assign(identical=(both.bits_a == both.bits_b).to_numpy(), narrowed=both.narrowed_a.to_numpy())
     order = out.assign(sure=np.where(changed & np.isnan(p), 0.0, np.nan_to_num(p, nan=1.0)))
     return order.sort_values(["changed", "sure", "relative"], ascending=[False, True, False], kind="stable").drop(
         columns="sure"
@@ -148,7 +213,7 @@ def welch(ma: Any, sa: Any, na: Any, mb: Any, sb: Any, nb: Any) -> Any:
 
 def made_by(a: store.Target, b: store.Target) -> list[str]:
     """Return what differs in what the provenances say of libraries and machines, a phrase each."""
-    there, here = (json.loads(store.text(place, "provenance.json") or b"{}") for place in (a, b))
+    there, here = (closing.provenance(place) or {} for place in (a, b))
     old, new = (_flat({k: each.get(k) for k in MADE_BY}) for each in (there, here))
     keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]
     return [f"{k}: {old.get(k, 'nothing')} there, {new.get(k, 'nothing')} here" for k in keys]

@@ -1,14 +1,14 @@
 """Whose folder it is: a dataset belongs to one study, may grow with it, and refuses another.
 
 A study may grow: more seeds, more values of its axes, more scenarios, more observers. What decides a number may not change.
-Cells keep their numbers; new ones follow.
+Cells keep their numbers; new ones follow. Where the study's text is lost or damaged, the blocks say whose they are (`mending`).
 """
 
 import tomllib
 from typing import Any, NamedTuple
 
 from pcbench.cells import Cell, cells_of, channels_apart, identity, to_toml
-from pcbench.dataset import ledger, store
+from pcbench.dataset import ledger, mending, store
 from pcbench.dataset.changes import changes
 from pcbench.errors import UserError
 from pcbench.study import Study
@@ -37,10 +37,15 @@ def claim(place: store.Target, study: Study, fresh: bool = False) -> Claim:
     With `fresh` a study of pcbench's own that stands there is to go.
     """
     said = store.text(place, TEXT)
-    if said is not None and fresh:
-        _read(place, said)
+    blocks = ledger.present(place)
+    if fresh and (blocks or said is not None):
+        if said is not None and not blocks:
+            _read(place, said)
         every = cells_of(study)
         return Claim(study, every, to_toml(study, every), True)
+    if blocks and (said is None or not _readable(said)):
+        every = mending.cells_of_blocks(place, study, blocks)
+        return Claim(study, every, to_toml(study, every))
     if said is None:
         others = [name for name in store.names(place) if not name.startswith(BESIDE)]
         if others:
@@ -49,7 +54,7 @@ def claim(place: store.Target, study: Study, fresh: bool = False) -> Claim:
             )
         every = cells_of(study)
         return Claim(study, every, to_toml(study, every))
-    there, blocks = _read(place, said), ledger.present(place)
+    there = _read(place, said)
     every = cells_of(study, there["resolved"]["cells"])
     _only_what_stands(there, blocks)
     changed = [*changes(there, tomllib.loads(to_toml(study, every))), *_reshaped(place, there, study)]
@@ -132,18 +137,38 @@ def _reshaped(place: store.Target, there: dict[str, Any], study: Study) -> Any:
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
 
 
-def _read(place: store.Target, said: bytes) -> dict[str, Any]:
+def _readable(said: bytes) -> bool:
+    """Whether a study's text is as it was written."""
     try:
-        there = tomllib.loads(said.decode())
-        resolved = there["resolved"]
-        numbers = isinstance(there["seeds"], int) and isinstance(there["first_seed"], int)
-        parts = all(isinstance(v, dict) for k in KEPT[:2] for v in resolved[k].values())
-        lists = all(isinstance(v, list) for k in KEPT[2:] for v in resolved[k].values())
-        if not (numbers and lists and parts and isinstance(there.get("axes", {}), dict)):
-            raise ValueError("not of the kinds that are written")
-        return there
+        _parts(said)
     except NOT_TOML_EITHER:
+        return False
+    return True
+
+
+def _read(place: store.Target, said: bytes) -> dict[str, Any]:
+    """Return what a study's text says; raise UserError where it is damaged."""
+    try:
+        return _parts(said)
+    except NOT_TOML_EITHER:
+        if many := len(ledger.present(place)):
+            raise UserError(
+                f"{place.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; run its study again "
+                f"with --out {place.name} to have it written anew: the {many} blocks that stand are kept."
+            ) from None
         raise UserError(
             f"{place.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; move it away, or give "
             "a new folder with --out."
         ) from None
+
+
+def _parts(said: bytes) -> dict[str, Any]:
+    """What a study's text says; raise one of NOT_TOML_EITHER where that is not what is written."""
+    there = tomllib.loads(said.decode())
+    resolved = there["resolved"]
+    numbers = isinstance(there["seeds"], int) and isinstance(there["first_seed"], int)
+    parts = all(isinstance(v, dict) for k in KEPT[:2] for v in resolved[k].values())
+    lists = all(isinstance(v, list) for k in KEPT[2:] for v in resolved[k].values())
+    if not (numbers and lists and parts and isinstance(there.get("axes", {}), dict)):
+        raise ValueError("not of the kinds that are written")
+    return there

@@ -8,12 +8,15 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench import planning, shapes
+from pcbench.cells import digest
 from pcbench.dataset import blocks, campaign, closing, executors, folder, ledger, store
 from pcbench.dataset.folder import Claim
 from pcbench.dataset.ledger import Block
 from pcbench.study import observers_of
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
+FAIR = "fair.parquet"  # of a study with several tunings
+ZERO = 1e-11  # errors this small, as they are or as a part of the signal's largest, are rounding of zero
 
 
 class Share(NamedTuple):
@@ -40,7 +43,7 @@ class Status(NamedTuple):
 
 
 def status(out: Any) -> Status:
-    """Return what stands in a place, from the files' names and footers; raise UserError where there is no study."""
+    """Return what stands in a place, from the blocks' names and footers; raise UserError where there is no study."""
     place = store.target(out)
     claimed = folder.opened(place)
     there = ledger.present(place)
@@ -61,7 +64,7 @@ def status(out: Any) -> Status:
             blocks_there = len(by.get((scenario, observer), []))
             rows.append(Share(scenario, observer, len(mine), blocks_there, asked - lacking, asked))
     sizes = store.sizes(place)
-    damaged = [b.name for b in there if store.footer(place, b.name) is None]
+    damaged = [b.name for b in there if store.footer(place, b.name) is None] + closing.damaged(place)
     left = [p.name for p in store.unfinished(place)]
     return Status(study.name, rows, damaged, doubled, left, sum(sizes.values()), closing.is_closed(place, there))
 
@@ -92,6 +95,7 @@ def verify(out: Any, sample: int | None, seed: int, tell: Callable[[str, float],
         tell("checked", 1.0)
     kept = ledger.settled(good)
     wrong += [f"{b.name}: holds seeds that another block holds." for b in sorted(set(good) - set(kept))]
+    wrong += _others(place, claimed)
     wrong += [] if wrong else _closing_differs(place, claimed, kept)
     chosen = kept
     if sample is not None and sample < len(kept):
@@ -140,21 +144,29 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
         if [k for k in old.keys() | new.keys() if k not in ("versions", "digest") and old.get(k) != new.get(k)]:
             yield f"{b.name}: its rows come out again, what it says of itself does not."
         return
-    worst = largest_difference(there, here)
-    if worst is None:
+    apart = difference(there, here)
+    if apart is None:
         yield f"{b.name}: has other rows than come out now."
         return
-    changed = [f"{k} {v}" for k, v in old["versions"].items() if new["versions"].get(k) != v]
-    made = f"made with {', '.join(changed)}; " if changed else ""
-    kind = "rounding" if worst < ROUNDING else "more than rounding"
-    yield f"{b.name}: {made}numbers differ by {worst:.1e} of themselves ({kind})."
+    now = new["versions"]
+    changed = [f"{k} {v}, now {now.get(k)}" for k, v in old["versions"].items() if now.get(k) != v]
+    made = f"made with {'; '.join(changed)}; " if changed else ""
+    kind = "rounding" if apart.relative < ROUNDING or apart.of_largest < ZERO else "more than rounding"
+    yield f"{b.name}: {made}numbers differ by {apart.relative:.1e} of themselves ({kind})."
 
 
-def largest_difference(a: pa.Table, b: pa.Table) -> float | None:
-    """Return the largest relative difference of two tables' numbers; None where they differ in anything else."""
+class Difference(NamedTuple):
+    """How far two tables' numbers are apart at most."""
+
+    relative: float
+    of_largest: float  # as a part of their signal's largest error: what is left of zero is rounding of that
+
+
+def difference(a: pa.Table, b: pa.Table) -> Difference | None:
+    """Return how far two tables' numbers are apart; None where they differ in anything else."""
     if a.schema.names != b.schema.names or len(a) != len(b):
         return None
-    worst = 0.0
+    worst, size = Difference(0.0, 0.0), _sizes(a)
     for name in a.schema.names:
         x, y = a[name], b[name]
         if x.equals(y):
@@ -162,9 +174,31 @@ def largest_difference(a: pa.Table, b: pa.Table) -> float | None:
         if not pa.types.is_floating(x.type) or x.null_count != y.null_count:
             return None
         u, v = (np.nan_to_num(column.to_numpy()) for column in (x, y))
-        size = np.maximum(np.abs(u), np.abs(v))
-        worst = max(worst, float((np.abs(u - v) / np.where(size > 0, size, 1)).max()))
+        apart, larger = np.abs(u - v), np.maximum(np.abs(u), np.abs(v))
+        whole = size**2 if name in ("mse", "tail_mse") else size
+        found = Difference(float((apart / np.where(larger > 0, larger, 1)).max()), float((apart / whole).max()))
+        worst = Difference(*map(max, worst, found))
     return worst
+
+
+def _sizes(table: pa.Table) -> np.ndarray:
+    """The largest error of its signal, for every row: at least 1e-11, below which an error is zero."""
+    peaks = np.fmax(np.nan_to_num(table["peak"].to_numpy()), ZERO)
+    _, signal = np.unique(table["signal"].to_numpy().astype(str), return_inverse=True)
+    return np.array([peaks[signal == i].max() for i in range(signal.max() + 1)])[signal]
+
+
+def _others(place: store.Target, claimed: Claim) -> Iterator[str]:
+    """Yield a sentence for every file beside the blocks that is not as it was written."""
+    for name in closing.damaged(place):
+        yield f"{name}: is not as it was written; run the study again to have it made anew."
+    said = closing.provenance(place)
+    if said and said["study_sha256"] != digest(claimed.study):
+        yield f"{folder.TEXT}: is not of the study that was run; run that again to have it written anew."
+    for name in [n for n in store.names(place) if n.startswith("examples/") or n == FAIR]:
+        content = store.get(place, name)
+        if content is None or store.whole(content) is None:
+            yield f"{name}: is not as it was written; remove it to have it made anew."
 
 
 def _closing_differs(place: store.Target, claimed: Claim, kept: list[Block]) -> Any:

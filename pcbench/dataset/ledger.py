@@ -20,6 +20,7 @@ from pcbench.tables import SCHEMA
 
 ABOUT = b"pcbench.block"  # the key in a file's metadata
 NAME = re.compile(r"runs/scenario=([^/]+)/observer=([^/]+)/cell-(\d+)-seeds-(\d+)-(\d+)\.parquet")
+DIGITS = 12  # of a seed or a cell's number; all that a study may ask for has fewer
 OTHER_SCHEMA = "it is of another version of the tables"
 Range = tuple[int, int]  # first seed, one past the last
 
@@ -41,11 +42,13 @@ class Block(NamedTuple):
 
 
 def block_of(name: str) -> Block | None:
-    """Return the block that a file's name says; None where it is the name of no block."""
+    """Return the block that a file's name says; None where it is the name of no block that can be."""
     found = NAME.fullmatch(name)
     if not found:
         return None
     scenario, observer, cell, first, last = found.groups()
+    if max(len(cell), len(first), len(last)) > DIGITS or int(last) < int(first):
+        return None
     return Block(unquote(scenario), unquote(observer), int(cell), int(first), int(last) + 1)
 
 

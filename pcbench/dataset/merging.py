@@ -8,7 +8,7 @@ import pyarrow as pa
 from pcbench.cells import cells_of, to_toml
 from pcbench.dataset import campaign, closing, folder, ledger, store
 from pcbench.dataset.folder import Claim
-from pcbench.dataset.inspection import largest_difference
+from pcbench.dataset.inspection import difference
 from pcbench.dataset.ledger import Block
 from pcbench.errors import UserError
 
@@ -125,8 +125,8 @@ def _equal(part: Part, kept: list[Part]) -> None:
             same = part.block._replace(first=first, last=last)
             a, b = (cut(ledger.read(p.place, p.there), same) for p in (other, part))
             if not a.equals(b):
-                worst = largest_difference(a, b)
-                how = "in more than numbers" if worst is None else f"by {worst:.1e} of themselves"
+                apart = difference(a, b)
+                how = "in more than numbers" if apart is None else f"by {apart.relative:.1e} of themselves"
                 raise UserError(
                     f"{part.place.name}/{part.there.name}: its seeds {first} .. {last - 1} differ {how} from those in "
                     f"{other.place.name}, expected equal rows; find out with pcbench verify which of them comes out again."

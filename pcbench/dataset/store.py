@@ -7,11 +7,13 @@ one piece, so it appears whole or not at all as far as the store keeps that prom
 name write the same bytes. Nothing is locked anywhere: what is done is what is there.
 """
 
+import hashlib
 import itertools
 import json
 import os
 import re
 import socket
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
@@ -19,6 +21,7 @@ from pathlib import Path
 from time import time
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.fs as pafs
 import pyarrow.parquet as pq
@@ -26,6 +29,7 @@ import pyarrow.parquet as pq
 from pcbench.errors import UserError
 
 PARTIAL = ".partial"
+SEAL = b"pcbench.digest"  # the key in a table's metadata
 UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
 FORGOTTEN = 86400.0  # [s] an unfinished file of another machine is cleared away after so long
 _COUNT = itertools.count()
@@ -47,10 +51,25 @@ class Target(NamedTuple):
 
 def target(out: str | Path) -> Target:
     """Return the place that a path or a URI names; raise UserError where pyarrow knows no such place."""
+    if not str(out).strip():
+        raise UserError("--out: got an empty name, expected a folder or a URI; give one, or leave --out out.")
     if "://" not in str(out):
         root = str(Path(out).expanduser().absolute())
+        _printable(root)
         return Target(pafs.LocalFileSystem(), root, str(out), root)
     return _reached(str(out))
+
+
+def _printable(root: str) -> None:
+    """Raise UserError for a path whose name this process cannot write: its encoding is not that of the file's name."""
+    try:
+        root.encode()
+        os.fsencode(root)
+    except UnicodeEncodeError:
+        raise UserError(
+            f"{root}: got a name that this process cannot write, whose encoding is {sys.getfilesystemencoding()}, expected "
+            "UTF-8; set LC_ALL=C.UTF-8 or PYTHONUTF8=1, or give a name of ASCII letters."
+        ) from None
 
 
 @lru_cache(maxsize=16)
@@ -111,6 +130,15 @@ def put_json(place: Target, name: str, content: dict[str, Any]) -> None:
     put(place, name, (json.dumps(content, indent=2) + "\n").encode())
 
 
+def document(place: Target, name: str) -> dict[str, Any] | None:
+    """Return what a JSON file holds; None where there is none, or it holds no JSON object."""
+    try:
+        found = json.loads(text(place, name) or b"null")
+    except ValueError:
+        return None
+    return found if isinstance(found, dict) else None
+
+
 def get(place: Target, name: str) -> pa.Buffer | None:
     """Return what stands under a name; None where nothing does."""
     with said(f"{place.name}/{name}", "read"):
@@ -139,6 +167,29 @@ def parsed(content: pa.Buffer) -> pa.Table:
     """Return the rows of a Parquet file in memory; raise what pyarrow raises where it is damaged."""
     with opened(content) as file:
         return file.read(use_threads=False)
+
+
+def sealed(table: pa.Table) -> pa.Table:
+    """Return a table with the digest of its columns among its metadata, for `whole` to look at."""
+    return table.replace_schema_metadata({**(table.schema.metadata or {}), SEAL: _digest(table)})
+
+
+def whole(content: pa.Buffer) -> pa.Table | None:
+    """Return the rows of a file that was `sealed`; None where they are not those that were written."""
+    try:
+        table = parsed(content)
+    except (pa.ArrowException, OSError, ValueError):
+        return None
+    return table if (table.schema.metadata or {}).get(SEAL) == _digest(table) else None
+
+
+def _digest(table: pa.Table) -> bytes:
+    out = hashlib.sha256()
+    for field, column in zip(table.schema, table.columns, strict=True):
+        out.update(f"{field.name}:{field.type}:{column.null_count}".encode())
+        number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type)
+        out.update(np.ascontiguousarray(column.to_numpy()).tobytes() if number else repr(column.to_pylist()).encode())
+    return out.hexdigest()[:32].encode()
 
 
 def names(place: Target, under: str = "") -> list[str]:

@@ -105,7 +105,8 @@ def _error(goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: l
     blocks: dict[tuple[str, int, str], list[ledger.Block]] = {}
     for b in there:
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    rows, _ = closing.summary(place, claimed.study.name, cell, closing.observed(place, claimed, cell, blocks), last)
+    found = closing.observed(place, claimed, cell, blocks)
+    rows, _ = closing.summary(place, claimed.study.name, cell, found, (0, last))
     shown = scenarios_of(claimed.study)[cell.scenario.name].headline or (signals_of(cell.scenario)[0][0],)
     signals = [goal.signal] if goal.signal else shown
     mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]

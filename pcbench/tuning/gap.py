@@ -9,7 +9,8 @@ import pyarrow as pa
 
 from pcbench import running
 from pcbench.dataset import store
-from pcbench.result import FAIR, Result
+from pcbench.dataset.inspection import FAIR
+from pcbench.result import Result
 from pcbench.running import How
 from pcbench.tuning import effort
 from pcbench.tuning.fairness import Prepared, Version
@@ -31,7 +32,8 @@ def report(made: Prepared, result: Result, out: str | Path | None, how: How) -> 
     training = running.execute(made.study.model_copy(update=seeds), beside, how._replace(until_se=None, max_seeds=None))
     result.fair = table(made.versions, made.aim, training.stats, result.stats)
     if out is not None:
-        store.put_table(store.target(str(out)), FAIR, pa.Table.from_pandas(result.fair, preserve_index=False))
+        found = pa.Table.from_pandas(result.fair, preserve_index=False)
+        store.put_table(store.target(str(out)), FAIR, store.sealed(found))
     return result
 
 

@@ -1,7 +1,7 @@
 """Threefry-2x32, twenty rounds, in Python's whole numbers; and the draws of a run as pcbench promises them.
 
-Source: Salmon, Moraes, Dror, Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011, and its constants. A key folds a number
-in by hashing (0, number); uniform numbers are the 52 upper bits of 64, normal ones come by the inverse error function.
+Source: Salmon, Moraes, Dror, Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011, and its constants. A key folds a
+number in by hashing (0, number); uniform numbers are the 52 upper bits of 64, normal ones come by the inverse error function.
 """
 
 import numpy as np

@@ -1,0 +1,169 @@
+"""Damage anywhere in a dataset is seen, named in one sentence, and mended by running the study again."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+from commands import call
+from small_study import STUDY, same, tables
+
+import pcbench
+from pcbench import examples
+from pcbench.dataset import inspection, ledger, store
+from pcbench.errors import UserError
+
+
+def told(done, code=2):
+    """One sentence and no traceback."""
+    assert done.returncode == code, done.stderr
+    assert "Traceback" not in done.stderr + done.stdout
+    assert done.stderr.count("\n") <= 1, done.stderr
+    return done.stderr
+
+
+@pytest.mark.parametrize("text", ["[1, 2]", "3", "", "{", '{"schema": "5"}', "null"])
+def test_a_provenance_that_is_none_is_seen_and_made_anew(whole, copy, text):
+    (copy / "provenance.json").write_text(text)
+    assert "compare" not in told(call("report", copy))
+    told(call("compare", whole, copy))
+    found = inspection.status(copy)
+    assert not found.closed
+    assert found.damaged == ["provenance.json"]
+    assert call("status", copy).returncode == 1
+    pcbench.run(STUDY, out=copy)
+    assert inspection.status(copy).damaged == []
+    same(whole, copy)
+
+
+@pytest.mark.parametrize("name", ["stats.parquet", "pairs.parquet", "provenance.json"])
+def test_a_flipped_bit_anywhere_in_a_closing_file_is_seen(copy, name):
+    """In a page, a footer or a word: drawn over the file, its first and last bytes among them."""
+    content, rng = (copy / name).read_bytes(), np.random.default_rng(5)
+    for at in (0, len(content) - 2, *rng.integers(0, len(content) - 1, 12)):
+        spoilt = bytearray(content)
+        spoilt[at] ^= 1 << int(rng.integers(8))
+        if name.endswith(".json") and _alike(spoilt, content):
+            continue  # blanks
+        (copy / name).write_bytes(bytes(spoilt))
+        assert inspection.status(copy).damaged == [name], at
+        with pytest.raises(UserError):
+            pcbench.opened(copy)
+    (wrong,) = inspection.verify(copy, 0, 0, lambda *a: None).wrong
+    assert name in wrong
+    pcbench.run(STUDY, out=copy)
+    assert inspection.verify(copy, 0, 0, lambda *a: None).wrong == []
+
+
+def _alike(spoilt, content):
+    try:
+        return json.loads(spoilt) == json.loads(content)
+    except ValueError:
+        return False
+
+
+def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
+    study = pcbench.opened(copy).study
+    made = examples.of(study, "cart/slow", copy)
+    (path,) = (copy / "examples").iterdir()
+    content, table = path.read_bytes(), store.parsed(store.get(store.target(copy), f"examples/{path.name}"))
+    values = table["value"].to_numpy().copy()
+    values[3] += 1.0
+    changed = table.set_column(table.schema.get_field_index("value"), "value", [values])
+    store.put_table(store.target(copy), f"examples/{path.name}", changed)  # the pages' checksums are right
+    (wrong,) = inspection.verify(copy, 0, 0, lambda *a: None).wrong
+    assert wrong.startswith("examples/")
+    assert examples.of(study, "cart/slow", copy).equals(made)
+    assert path.read_bytes() == content
+
+
+@pytest.mark.parametrize("cut", [50, 1])
+def test_a_block_cut_short_is_one_sentence_wherever_it_is_read(whole, copy, cut):
+    block = sorted((copy / "runs").rglob("*.parquet"))[2]
+    block.write_bytes(block.read_bytes()[:-cut])
+    name = str(block.relative_to(copy))
+    for words in (["report", copy], ["compare", whole, copy], ["merge", copy, whole, "--out", copy / "m"]):
+        assert name in told(call(*words)), words
+    done = call("status", copy)
+    assert done.returncode == 1
+    assert name in done.stdout
+    assert told(call("verify", copy, "--sample", "0"), 1) == ""
+    pcbench.run(STUDY, out=copy)
+    same(whole, copy)
+
+
+def test_a_flipped_bit_in_a_page_is_not_drawn(copy):
+    block = sorted((copy / "runs").rglob("*.parquet"))[0]
+    content = bytearray(block.read_bytes())
+    content[200] ^= 4
+    block.write_bytes(bytes(content))
+    with pytest.raises(UserError, match="is damaged"):
+        pcbench.opened(copy).runs  # noqa: B018
+
+
+@pytest.mark.parametrize("last", [10**20, 10**13])
+def test_a_block_of_more_seeds_than_there_can_be_is_none(copy, last):
+    folder = copy / "runs" / "scenario=cart%2Fslow" / "observer=kfbo"
+    (folder / f"cell-00000-seeds-0000000000-{last}.parquet").write_bytes(b"PAR1")
+    assert "is no block of a study" in told(call("status", copy))
+    assert ledger.block_of(f"runs/scenario=s/observer=o/cell-00000-seeds-0000000009-{3:010d}.parquet") is None
+
+
+@pytest.mark.parametrize("damage", ["gone", "one byte", "empty"])
+def test_a_lost_study_text_is_written_anew_by_the_study_itself(whole, copy, damage):
+    """Every block says whose it is: the same study goes on, another one is refused, and nothing is done again."""
+    path = copy / "study.toml"
+    text, before = path.read_text(), tables(copy)
+    path.unlink() if damage == "gone" else path.write_text("=" + text[1:] if damage == "one byte" else "")
+    for other in (
+        {"options": {"kfbo": {"R": 0.7}}},
+        {"root_seed": 1},
+        {"name": "other"},
+        {"axes": {"noise_std": [0.1]}},
+    ):
+        with pytest.raises(UserError, match=r"is gone or damaged, and .* is not of the study given \(.+\)"):
+            pcbench.run(STUDY | other, out=copy)
+    with pytest.raises(UserError, match=r"study.toml"):
+        inspection.status(copy)
+    done = pcbench.run(STUDY, out=copy)
+    assert done.effort.runs == 0
+    assert path.read_text() == text
+    assert tables(copy) == before
+
+
+def test_a_lost_study_text_keeps_the_numbers_of_its_cells(tmp_path):
+    """A study that has grown: its cells stand in another order than a new one's would."""
+    out = tmp_path / "out"
+    pcbench.run(STUDY | {"axes": {"noise_std": [0.5]}}, out=out, seeds=4)
+    grown = STUDY | {"axes": {"noise_std": [0.1, 0.5, 0.9]}}
+    pcbench.run(grown, out=out, seeds=4)
+    text, before = (out / "study.toml").read_text(), tables(out)
+    (out / "study.toml").unlink()
+    assert pcbench.run(grown, out=out, seeds=4).effort.runs == 0
+    assert (out / "study.toml").read_text() == text
+    assert tables(out) == before
+
+
+def test_verify_says_where_the_study_is_not_the_one_that_was_run(copy):
+    path = copy / "study.toml"
+    path.write_text(path.read_text().replace("seeds = 40", "seeds = 41"))
+    assert any("is not of the study that was run" in w for w in inspection.verify(copy, 0, 0, lambda *a: None).wrong)
+
+
+def test_a_pipe_is_no_study(tmp_path):
+    os.mkfifo(tmp_path / "pipe.toml")
+    assert "cannot be read (it is no file)" in told(call("run", tmp_path / "pipe.toml"))
+
+
+def test_a_mark_of_the_byte_order_is_no_mistake(tmp_path):
+    (tmp_path / "marked.toml").write_bytes(b'\xef\xbb\xbfscenarios = ["cart/slow"]\nseeds = 2\n')
+    done = call("run", tmp_path / "marked.toml", "--observers", "open-loop", "--quiet", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("command", ["run quick", "merge {} {}", "report {}", "report {} --figures"])
+def test_an_empty_name_is_no_folder(command, whole, tmp_path):
+    words = command.format(whole, whole).split()
+    words += ["", "--quiet"] if "--figures" in words else ["--out", ""]
+    assert "got an empty name" in told(call(*words, cwd=tmp_path))
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,124 @@
+"""What a shell may set: the answer is one sentence, or the same numbers."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+from small_study import sealed_again, tables
+
+import pcbench
+from pcbench.dataset import inspection, ledger, store
+
+PCBENCH = [sys.executable, "-m", "pcbench.cli"]
+RUN = ["run", "cart/slow", "--observers", "open-loop,kfbo", "--seeds", "3"]
+
+
+def command(*words, cwd, **environment):
+    """A command in a process of its own."""
+    plain = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "PYTHON", "LC_", "LANG"))}
+    given = plain | {"PYTHONPATH": os.environ.get("PYTHONPATH", "")} | environment
+    done = subprocess.run([*PCBENCH, *words], cwd=cwd, env=given, capture_output=True, timeout=300, check=False)
+    assert b"Traceback" not in done.stderr, done.stderr
+    return done
+
+
+ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
+
+
+def test_a_terminal_without_our_letters_has_the_table_in_its_own(tmp_path):
+    done = command(*RUN, "--out", "out", cwd=tmp_path, **ASCII)
+    assert done.returncode == 0, done.stderr
+    assert " +- " in done.stdout.decode("ascii")
+    assert "?" not in done.stdout.decode("ascii")
+
+
+def test_a_name_that_a_process_cannot_write_is_one_sentence(tmp_path):
+    done = command(*RUN, "--out", "résultats", cwd=tmp_path, **ASCII)
+    assert done.returncode == 2
+    assert b"whose encoding is ascii, expected UTF-8; set LC_ALL=C.UTF-8" in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_platform_that_jax_does_not_have_is_one_sentence(tmp_path):
+    done = command(*RUN, cwd=tmp_path, JAX_PLATFORMS="abacus")
+    assert done.returncode == 2
+    assert b"JAX_PLATFORMS: got 'abacus'" in done.stderr
+    assert done.stderr.count(b"\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_jax_told_not_to_compile_computes_the_same(tmp_path):
+    for name, more in (("as it is", {}), ("disabled", {"JAX_DISABLE_JIT": "1"})):
+        assert command(*RUN, "--out", name, cwd=tmp_path, **more).returncode == 0
+    one, two = (tables(tmp_path / name) for name in ("as it is", "disabled"))
+    assert one == two
+
+
+def test_what_the_compiler_was_told_is_said(tmp_path):
+    """With other flags bits differ: a dataset knows its own, and verify says whose numbers they are."""
+    for name, flags in (("plain", "--xla_dump_hlo_as_text=false"), ("fast", "--xla_cpu_enable_fast_math=true")):
+        assert command(*RUN, "--out", name, cwd=tmp_path, XLA_FLAGS=flags).returncode == 0
+    said = {name: pcbench.opened(tmp_path / name).provenance["compiler"] for name in ("plain", "fast")}
+    assert said == {"plain": "defaults", "fast": "--xla_cpu_enable_fast_math=true"}
+    place = store.target(tmp_path / "plain")
+    for b in ledger.present(place):
+        table = ledger.read(place, b)
+        assert ledger.about(table)["versions"]["compiler"] == "defaults"
+        i = table.schema.get_field_index("mae")
+        changed = table.set_column(i, table.schema.field(i), [table["mae"].to_numpy() * (1 + 3e-15)])
+        about = ledger.about(table)
+        about["versions"]["compiler"] = "--xla_cpu_max_isa=SSE4_2"
+        store.put_table(place, b.name, ledger.sealed(changed, about))
+    for sentence in inspection.verify(tmp_path / "plain", None, 0, lambda *a: None).differing:
+        assert "made with compiler --xla_cpu_max_isa=SSE4_2, now defaults; numbers differ by 3" in sentence
+        assert sentence.endswith("(rounding).")
+
+
+def test_other_flags_are_among_what_compare_says(whole, copy):
+    sealed_again(copy, compiler="--xla_cpu_max_isa=SSE4_2")
+    from pcbench.dataset import comparing
+
+    assert comparing.compare(whole, copy).made_by == ["compiler: defaults there, --xla_cpu_max_isa=SSE4_2 here"]
+
+
+LOADS = """
+import signal, sys
+from importlib.machinery import ExtensionFileLoader
+from pcbench.cli import stopping
+
+def slow(self, spec, real=ExtensionFileLoader.create_module):
+    if spec.name == {module!r} and not asked:  # Ctrl-C in the middle of it
+        asked.append(1)
+        signal.raise_signal(signal.SIGINT)
+        print("loaded", flush=True)
+    return real(self, spec)
+
+asked, ExtensionFileLoader.create_module = [], slow
+from pcbench import cli
+sys.argv = ["pcbench", "run", "cart/slow", "--out", {out!r}]
+cli.main()
+"""
+
+
+@pytest.mark.parametrize("module", ["numpy._core._multiarray_umath", "jaxlib._jax", "pyarrow.lib"])
+def test_ctrl_c_while_a_library_is_being_loaded_stops_in_one_sentence(module, tmp_path):
+    """Some crash, or make another error of it, where Python is interrupted there."""
+    code = LOADS.format(module=module, out=str(tmp_path / "out"))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
+    assert done.stdout == "loaded\n"
+    assert done.returncode == 130, done.stderr
+    assert done.stderr == "pcbench: stopped; every file already written is complete.\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_ctrl_c_at_any_time_of_a_start_stops_in_one_sentence(tmp_path):
+    for wait in (0.4, 0.7, 1.1):
+        process = subprocess.Popen([*PCBENCH, *RUN, "--out", tmp_path / "out"], stderr=subprocess.PIPE, text=True)
+        time.sleep(wait)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=300)
+        assert "Traceback" not in said
+        assert process.returncode in (130, 0), said
