@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationInfo
 
 from pcbench import axes, limits
 from pcbench.errors import UserError, short, shown, unknown
@@ -29,7 +29,17 @@ Bounded = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST)]  
 Number = Annotated[Bounded, AfterValidator(_told_from_zero)]
 Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
 Size = Annotated[Number, Field(ge=0)]
-Rows = list[list[Number]]
+
+
+def _rows(given: Any, info: ValidationInfo) -> Any:
+    """Say how a list of numbers stands as a matrix: a column for each input, a row for each output."""
+    if isinstance(given, list) and given and not any(isinstance(each, list) for each in given):
+        rows = [[each] for each in given] if info.field_name in ("B", "E") else [given]
+        raise ValueError(f"a list of rows; write {rows}")
+    return given
+
+
+Rows = Annotated[list[list[Number]], BeforeValidator(_rows)]
 PerChannel = Number | list[Number]
 
 

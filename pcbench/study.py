@@ -201,9 +201,7 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
     for key in dashes(given):
         if key not in model.model_fields:
             raise unknown(where, "key here", key, [field.replace("_", "-") for field in model.model_fields])
-    if len(dashes(given)) < len(given):
-        twice = next(key for key in given if "-" in key and key.replace("-", "_") in given)
-        raise UserError(f"{where}: got {twice} twice, with - and with _, expected it once; remove one.")
+    underscored(given, where)
     for key, value in given.items():
         _of_sensible_size(value, f"{where}.{key}")
     try:
@@ -226,6 +224,15 @@ def dashes(given: dict[str, Any]) -> dict[str, Any]:
     return {key.replace("-", "_"): value for key, value in given.items()}
 
 
+def underscored(given: dict[str, Any], where: str, but: str = "\n") -> dict[str, Any]:
+    """Return a table with keys as Python names them, but for those that begin so; raise UserError for one given twice."""
+    out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in given.items()}
+    if len(out) < len(given):
+        twice = next(key for key in given if "-" in key and key.replace("-", "_") in given)
+        raise UserError(f"{where}: got {twice} twice, with - and with _, expected it once; remove one.")
+    return out
+
+
 def _of_sensible_size(value: Any, where: str) -> None:
     """Raise UserError where a number, or one in a list, is so large or so small that its square is of no use."""
     inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else []
@@ -242,7 +249,9 @@ def _of_sensible_size(value: Any, where: str) -> None:
 
 def sentence(where: str, error: ValidationError, model: type[BaseModel]) -> UserError:
     """The first of pydantic's findings as a sentence; of a value that may be of several kinds, the one that comes nearest."""
-    findings = error.errors()
+    findings = sorted(
+        error.errors(), key=lambda each: each["type"] != "extra_forbidden"
+    )  # a name that is none explains others
     loc, kind = findings[0]["loc"], findings[0]["type"]
     place = _place(loc)
     if kind == "extra_forbidden":

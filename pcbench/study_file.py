@@ -14,10 +14,12 @@ from pcbench import axes as axis
 from pcbench.cells import Cell, cells
 from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
+from pcbench.plants import PLANTS, parameters_of, signals_of
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study import (
     OWN,
     STUDIES,
+    Choices,
     Study,
     checked_options,
     labels_of,
@@ -25,6 +27,7 @@ from pcbench.study import (
     options_of,
     scenarios_of,
     sentence,
+    underscored,
 )
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
@@ -56,6 +59,7 @@ def parse(raw: dict[str, Any], where: str) -> Study:
             if key in axes:
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
+    raw = _named(raw, where)
     if raw.get("lti") is not None and not raw.get("scenarios"):
         raw = raw | {"scenarios": [OWN]}
     try:
@@ -80,6 +84,20 @@ def parse(raw: dict[str, Any], where: str) -> Study:
             for cell in every:
                 axis.works_on(observer, cell.scenario, where)
     return study
+
+
+def _named(raw: dict[str, Any], where: str) -> dict[str, Any]:
+    """A raw study with keys as Python names them, written with - or _, and with a single value of an axis as a list."""
+    raw = underscored(raw, where)
+    for table in ("lti", "tune"):
+        if isinstance(raw.get(table), dict):
+            raw[table] = underscored(raw[table], f"{where}: {table}")
+    if isinstance(raw.get("axes"), dict):
+        raw["axes"] = {
+            k: v if isinstance(v, list) else [v]
+            for k, v in underscored(raw["axes"], f"{where}: axes", "plant.").items()
+        }
+    return raw
 
 
 def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Study:
@@ -152,6 +170,7 @@ def _is_file(what: str) -> bool:
 def override(raw: dict[str, Any], change: str) -> None:
     """Put one `KEY=VALUE` into a raw study; VALUE is TOML, or a plain word."""
     key, equals, text = change.partition("=")
+    _meant(key.strip(), change)
     path = [part.strip() for part in key.split(".", 1 if key.strip().startswith("axes.") else -1)]
     if not equals or not all(path):
         raise UserError(f"--set {short(change)}: expected KEY=VALUE, such as axes.noise_std=0.1 or options.kfbo.R=0.3.")
@@ -169,6 +188,35 @@ def override(raw: dict[str, Any], change: str) -> None:
                 f"--set {short(change)}: {short(part)} holds a value, not a table; expected KEY=VALUE below a table."
             )
     raw[path[-1]] = value
+
+
+def _meant(key: str, change: str) -> None:
+    """Raise UserError for the name of an axis, or of an option, that stands without its table."""
+    if "." in key or key.replace("-", "_") in Study.model_fields:
+        return
+    name, found = key.replace("-", "_"), []
+    if name in axis.AXES:
+        found = [f"axes.{name}"]
+    elif name in Choices.model_fields:
+        found = [f"options.scenario.{name}"]
+    else:
+        found = [f"options.{o}.{name}" for o, entry in OBSERVERS.items() if name in entry.options.model_fields]
+        found += [f"axes.plant.{name}" for plant in PLANTS if name in parameters_of(plant)][:1]
+    if found:
+        raise UserError(f"--set {short(change)}: '{short(key)}' is no key of a study; write {' or '.join(found)}.")
+    if change.partition("=")[1]:
+        raise unknown(
+            f"--set {short(change)}", "key of a study", key, [*Study.model_fields, "axes.AXIS", "options.OBSERVER.KEY"]
+        )
+
+
+def require_signals(study: Study, names: list[str] | None, where: str) -> None:
+    """Raise UserError for a signal that no scenario of a study has."""
+    known = scenarios_of(study)
+    there = [signal for name in study.scenarios for signal, _ in signals_of(known[name])]
+    for name in names or []:
+        if name not in there:
+            raise unknown(where, f"signal of {study.name}", name, set(there))
 
 
 def _unique(names: list[str], where: str) -> None:

@@ -12,7 +12,8 @@ import pyarrow as pa
 from pcbench.statistics import QUANTILES, RUN_METRICS
 
 SCHEMA = (
-    "4"  # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...
+    "5"  # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...
+    # 5: intervals of what cannot be negative are not; blocks know their observer's options, provenance.json its files' digests
 )
 AXIS_UNITS = {
     "sampling_period": "s",
@@ -79,8 +80,8 @@ MEANING = {
     "n": "runs that enter the number",
     "mean": "estimate over runs",
     "se": "its standard error",
-    "ci_low": "lower end of its 95 % interval",
-    "ci_high": "upper end of its 95 % interval",
+    "ci_low": "lower end of its 95 % interval over seeds",
+    "ci_high": "upper end of its 95 % interval over seeds",
     "mean_diff": "mean of metric(a) - metric(b) over common draws: negative where a is better",
     "prob_a_better": "fraction of runs in which a is better; a tie (equal to 1e-9) counts half, a diverged run loses",
     "p_value": "two-sided paired t-test of mean_diff = 0; null where the runs do not vary",
@@ -88,6 +89,11 @@ MEANING = {
 } | {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
 MEANING |= {f"{q}_low": f"lower end of the 95 % interval of {q}; null: open" for q in QUANTILES}
 MEANING |= {f"{q}_high": f"upper end of the 95 % interval of {q}; null: open" for q in QUANTILES}
+INTERVALS = (
+    "95 %, over seeds. Means and root mean squares of what cannot be negative: Student's of the logarithm, that is "
+    "mean exp(-+ t se / mean); final and mean_diff, which have a sign: Student's; fractions: Wilson's; quantiles: Nyblom's of "
+    "order statistics"
+)
 TEXT = {"profile", "study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
 TEXT |= {"status"}
 WHOLE = {"cell", "seed", "n"}
@@ -152,8 +158,9 @@ def _column(values: Any, many: int, seeds: int) -> Any:
 
 
 def rows_table(rows: list[dict[str, Any]], order: list[str]) -> pa.Table:
-    """Return rows as a table with its columns in the given order."""
-    return table({name: [row[name] for row in rows] for name in order})
+    """Return rows of stats or pairs as a table with its columns in the given order; its metadata say what intervals are."""
+    out = table({name: [row[name] for row in rows] for name in order})
+    return out.replace_schema_metadata({**out.schema.metadata, "pcbench.intervals": INTERVALS})
 
 
 def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:

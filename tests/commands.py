@@ -14,7 +14,9 @@ from pathlib import Path
 
 SERVER = """
 import json, os, sys, traceback
-from pcbench import bench, catalogue, cli, machine, show, study_file, tables
+from pcbench import bench, cli, machine, study_file, tables
+from pcbench.cli import catalogue, commands
+from pcbench.cli.screen import results
 from pcbench.dataset import store
 
 for line in sys.stdin:

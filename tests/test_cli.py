@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.metadata import version
 
 import pandas as pd
 import pytest
@@ -43,7 +44,7 @@ BAD = {
     "a tiny number": (["run", "quick", "--set", "axes.noise_std=1e-200"], "got 1e-200", "expected 0 or"),
     "below one tick": (["run", "quick", "--set", "axes.sampling_period=0.0001"], "got 0.0001 s", "write 0.001."),
     "a huge seed": (
-        ["trace", "cart/nominal", "--observer", "kfbo", "--seed", "99999999999", "--out", "x"],
+        ["trace", "cart/nominal", "--observer", "kfbo", "--seed", "99999999999", "--out", "x.csv"],
         "got 99999999999",
         "below 2^32",
     ),
@@ -53,9 +54,13 @@ BAD = {
     "no equals sign": (["run", "quick", "--set", "axes.delay"], "--set axes.delay", "KEY=VALUE"),
     "command": (["rum", "quick"], "rum", "--help"),
     "flag": (["run", "quick", "--sedes", "3"], "--sedes", "--help"),
-    "trace scenario": (["trace", "cart/nominl", "--observer", "kfbo", "--out", "x"], "'cart/nominl'", "'cart/nominal'"),
+    "trace scenario": (
+        ["trace", "cart/nominl", "--observer", "kfbo", "--out", "x.csv"],
+        "'cart/nominl'",
+        "'cart/nominal'",
+    ),
     "trace seed": (
-        ["trace", "cart/nominal", "--observer", "kfbo", "--seed", "-1", "--out", "x"],
+        ["trace", "cart/nominal", "--observer", "kfbo", "--seed", "-1", "--out", "x.csv"],
         "got -1",
         "0 or more",
     ),
@@ -81,6 +86,7 @@ def test_a_mistake_is_one_sentence_and_writes_nothing(name, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+PLANT = "[lti]\nA = [[0.0, 1.0], [0.0, -1.0]]\nC = [[1.0, 0.0]]\nsampling_period = 0.1\nnoise_std = 0.1\n"
 TOML = {
     "not toml": ("name = 'x", "not valid TOML"),
     "unknown key": ("name = 'x'\nscenarios = ['cart/nominal']\nseed = 3", "did you mean 'seeds'"),
@@ -94,9 +100,22 @@ TOML = {
         "name = 'x'\nscenarios = ['cart/slow']\n[options.scenario]\ninput = 'saw'",
         "did you mean 'sawtooth'",
     ),
-    "a scalar axis": (
-        "name = 'x'\nscenarios = ['cart/slow']\n[axes]\ndelay = 0.1",
-        "axes.delay: got 0.1, expected a valid list",
+    "a key that explains what is missing": ("[lit]\nA = [[0.0]]", "'lit' is no key here; did you mean 'lti'"),
+    "such a key in a table": (
+        f"{PLANT}B = [[0.0], [2.0]]\ndellay = 0.1",
+        "lti: 'dellay' is no key here; did you mean 'delay'",
+    ),
+    "a matrix as a list": (
+        f"{PLANT}B = [0.0, 2.0]\ndelay = 0.1",
+        "lti.B: got [0.0, 2.0], expected a list of rows; write [[0.0], [2.0]]",
+    ),
+    "a row as a list": (
+        f"{PLANT}B = [[0.0], [2.0]]\ndelay = 0.1".replace("[[1.0, 0.0]]", "[1.0, 0.0]"),
+        "lti.C: got [1.0, 0.0], expected a list of rows; write [[1.0, 0.0]]",
+    ),
+    "a name in two spellings": (
+        "scenarios = ['cart/slow']\n[axes]\nnoise-std = 0.1\nnoise_std = 0.2",
+        "axes: got noise-std twice, with - and with _",
     ),
 }
 
@@ -143,9 +162,90 @@ def test_run_shows_a_table_and_says_where_the_files_are(tmp_path):
     ]  # fmt: skip
 
 
-def test_quiet_says_nothing(tmp_path):
+def test_quiet_says_only_where_the_result_is(tmp_path):
     done = call("run", "cart/nominal", "--seeds", "2", "--observers", "pccebo", "--quiet", "--out", tmp_path / "q")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{tmp_path / 'q'}\n", "")
+
+
+HINTS = {
+    "noise_std=0.1": "'noise_std' is no key of a study; write axes.noise_std.",
+    "noise-std=0.1": "write axes.noise_std.",
+    "lag_aware=true": "write options.kfbo.lag_aware.",
+    "random_start=true": "write options.scenario.random_start.",
+    "lam=100": "write axes.plant.lam.",
+    "sedes=3": "did you mean 'seeds'?",
+}
+
+
+@pytest.mark.parametrize("change", HINTS)
+def test_a_name_without_its_table_is_answered_with_the_table(change, tmp_path):
+    assert HINTS[change] in refused(call("run", "quick", "--set", change, cwd=tmp_path))
+
+
+def test_names_may_be_written_with_either_dash_and_an_axis_with_one_value(tmp_path):
+    texts = (
+        "noise-std = 0.1\nplant.lam = 110.0\n[options.kfbo]\nlag-aware = true",
+        "noise_std = [0.1]\nplant.lam = [110.0]\n[options.kfbo]\nlag_aware = true",
+    )
+    for name, text in zip("ab", texts, strict=True):
+        (tmp_path / f"{name}.toml").write_text(
+            f"name = 'x'\nscenarios = ['cart/slow']\nobservers = ['kfbo']\nseeds = 2\n[axes]\n{text}\n"
+        )
+        assert call("run", tmp_path / f"{name}.toml", "--quiet", "--out", tmp_path / name).returncode == 0
+    assert (tmp_path / "a" / "stats.parquet").read_bytes() == (tmp_path / "b" / "stats.parquet").read_bytes()
+
+
+@pytest.mark.parametrize("words", [["--version"], ["-V"]])
+def test_it_says_which_release_it_is(words):
+    assert call(*words).stdout == f"pcbench {version('pcbench')}\n"
+
+
+def test_help_is_short_for_h_and_a_module_can_be_run():
+    for module in ("pcbench", "pcbench.cli"):
+        done = subprocess.run([sys.executable, "-m", module, "run", "-h"], capture_output=True, text=True, check=False)
+        assert done.returncode == 0
+        assert "Example: pcbench run quick" in done.stdout
+
+
+def test_commands_stand_in_the_order_of_work_and_no_line_is_cut():
+    said = call("--help").stdout
+    names = [line.split()[0] for line in said.partition("Commands:")[2].splitlines() if line.strip()]
+    assert names == [
+        "list",
+        "run",
+        "report",
+        "trace",
+        "status",
+        "verify",
+        "merge",
+        "compare",
+        "design",
+        "tune",
+        "check",
+        "reproduce",
+    ]
+    assert said.count("...") == 1, "of the usage"
+    assert "--install-completion" in said
+
+
+@pytest.mark.parametrize("words", [["rum"], ["run", "quick", "--sedes", "3"], ["run"], ["trace", "cart/white"]])
+def test_a_wrong_word_points_to_the_help_of_its_own_command(words):
+    sentence = refused(call(*words))
+    assert sentence.endswith(f"; see pcbench{' ' + words[0] if words[0] != 'rum' else ''} --help.")
+    assert "?" not in sentence.removesuffix(".")
+    assert words[0] != "rum" or "did you mean 'run'" in sentence
+
+
+def test_a_trace_is_of_the_kind_that_its_name_says(tmp_path):
+    for name in ("t.csv", "t.parquet"):
+        done = call("trace", "cart/slow", "--observer", "open-loop", "--out", tmp_path / name)
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "t.parquet").read_bytes()[:4] == b"PAR1"
+    pd.testing.assert_frame_equal(
+        pd.read_csv(tmp_path / "t.csv"), pd.read_parquet(tmp_path / "t.parquet"), check_exact=True, check_dtype=False
+    )
+    for name, said in (("t.mat", "got the suffix '.mat'"), ("t", "got no suffix")):
+        assert said in refused(call("trace", "cart/slow", "--observer", "open-loop", "--out", tmp_path / name))
 
 
 def test_trace_writes_every_tick(tmp_path):
@@ -229,11 +329,11 @@ def test_ctrl_c_where_python_cannot_raise_it_still_stops(tmp_path):
     """It lands in a finaliser, which Python ignores with a traceback: here it is one sentence, at the next occasion."""
     code = (
         "import os, signal, sys\n"
-        "from pcbench import cli, catalogue\n"
+        "from pcbench import cli\nfrom pcbench.cli import catalogue\n"
         "class Last:\n    def __del__(self): os.kill(os.getpid(), signal.SIGINT); [None for _ in range(10**6)]\n"
-        "real = catalogue.CATALOGUE['plants']\n"
-        "def plants():\n    Last()\n    return real()\n"
-        "catalogue.CATALOGUE['plants'] = plants\n"
+        "names, real = catalogue.CATALOGUE['plants']\n"
+        "def plant(name):\n    Last()\n    return real(name)\n"
+        "catalogue.CATALOGUE['plants'] = names, plant\n"
         "sys.argv = ['pcbench', 'list', 'plants']\n"
         "cli.main()\n"
     )

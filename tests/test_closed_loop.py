@@ -8,7 +8,8 @@ from rich.console import Console
 from scipy.stats import binomtest
 
 import pcbench
-from pcbench import closed_loop, draws, ensemble, machine, show, statistics, sweep
+from pcbench import closed_loop, draws, ensemble, machine, statistics, sweep
+from pcbench.cli.screen import results
 from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
 from pcbench.shapes import tail_tick
@@ -166,7 +167,7 @@ def test_an_observer_that_always_diverges_is_shown_and_loses(short, capsys):
     assert set(done.stats[done.stats.metric == "tracking_rmse"].signal) == {"pitch", "yaw"}
     pair = done.pairs[(done.pairs.signal == "pitch") & (done.pairs.metric == "mae")]
     assert (pair.n.item(), pair.prob_a_better.item()) == (0, 0.0)
-    show.closing(done, Console(width=160))
+    results.closing(done, Console(width=160), "mae")
     said = capsys.readouterr().out
     assert "3 seeds" in said
     assert "100 % (43.9 .. 100)" in said

@@ -8,7 +8,8 @@ import pytest
 from rich.console import Console
 
 import pcbench
-from pcbench import ensemble, metrics, planning, show, study_file, sweep
+from pcbench import ensemble, metrics, planning, study_file, sweep
+from pcbench.cli.screen import results
 from pcbench.reproduce import arm_table, unknown_input
 from pcbench.scenarios import SCENARIOS
 
@@ -45,7 +46,7 @@ def test_every_table_says_whether_a_prediction_carries_the_input(done):
 
 def test_the_closing_table_shows_both_headlines_and_says_what_is_carried(done):
     console = Console(file=io.StringIO(), width=160)
-    show.closing(done, console)
+    results.closing(done, console, "mae")
     text = console.file.getvalue()
     assert "error of link_velocity [rad/s], 3 seeds" in text
     assert "error of input [rad/s^2], 3 seeds" in text

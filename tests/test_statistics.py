@@ -68,8 +68,20 @@ def test_the_median_has_hettmanspergers_and_sheathers_interval():
     assert got["p50_high"] == pytest.approx((1 - w) * x[n - d] + w * x[n - d - 1], rel=1e-12)
 
 
+def test_an_interval_of_sizes_is_students_of_their_means_logarithm_and_never_below_zero():
+    low, high = np.exp(stats.t.interval(0.95, 59, loc=np.log(A.mean()), scale=stats.sem(A) / A.mean()))
+    got = statistics.size(A)
+    assert (got["ci_low"], got["ci_high"]) == pytest.approx((low, high), rel=1e-12)
+    few = statistics.size(np.array([0.0, 0.0, 0.0, 8.0]))
+    assert 0 < few["ci_low"] < few["mean"] < few["ci_high"] < np.inf
+    assert statistics.mean(np.array([0.0, 0.0, 0.0, 8.0]))["ci_low"] < 0
+    none = statistics.size(np.zeros(4))
+    assert (none["mean"], none["ci_low"], none["ci_high"]) == (0, 0, 0)
+
+
 def test_pooled_interval_is_the_root_of_the_mean_squares_interval():
-    low, high = stats.t.interval(0.95, 59, loc=A.mean(), scale=stats.sem(A))
+    square = statistics.size(A)
+    low, high = square["ci_low"], square["ci_high"]
     got = statistics.pooled(A)
     assert (got["mean"], got["ci_low"], got["ci_high"]) == pytest.approx(np.sqrt([A.mean(), low, high]))
     assert got["se"] == pytest.approx(stats.sem(A) / (2 * np.sqrt(A.mean())))
@@ -303,7 +315,7 @@ def test_two_thousand_chunks_lose_no_digits():
     """Of values that vary by 1e-6 about 1000, one at a time."""
     x = 1000 + 1e-6 * RNG.normal(size=2000)
     whole = {"a": dict.fromkeys(statistics.RUN_METRICS, x[None]) | {"diverged": x < 0, "unsettled": x[None] < 0}}
-    (row, *_), want = statistics.describe(cut(whole, 1)[0], {"a": None})["a"], statistics.mean(x)
+    (row, *_), want = statistics.describe(cut(whole, 1)[0], {"a": None})["a"], statistics.size(x)
     assert row["mean"] == pytest.approx(want["mean"], rel=1e-14)
     assert row["se"] == pytest.approx(want["se"], rel=1e-6)
 

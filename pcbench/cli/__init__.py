@@ -3,31 +3,32 @@
 import signal
 import sys
 
-import typer
-
-from pcbench.cli import checking, datasets, observers, papers, reports, runs, tuning
-from pcbench.cli.shared import app, say, speak
 from pcbench.cli.stopping import STOPPED, asked, interrupt, stop_if_asked, unraisable
 from pcbench.errors import UserError
 
 __all__ = ["main"]
-COMMANDS = (observers, checking, runs, reports, tuning, datasets, papers)  # each registers its own
 
 
 def main() -> None:
-    """Run the command line and exit: 0 done, 2 a mistake that the user can mend, 130 stopped."""
+    """Run the command line and exit: 0 done, 1 something is wrong that was asked about, 2 a mistake to mend, 130 stopped.
+
+    Everything is imported here, so that Ctrl-C is heard from the start.
+    """
     code = 0
     signal.signal(signal.SIGINT, interrupt)
-    speak()
     sys.unraisablehook = unraisable
     try:
-        code = app(sys.argv[1:] or ["--help"], standalone_mode=False) or 0
+        from pcbench.cli.commands import app
+        from pcbench.cli.shared import speak
+
+        speak()
+        code = app(sys.argv[1:] or ["--help"], prog_name="pcbench", standalone_mode=False) or 0
         stop_if_asked()
         if code == STOPPED:  # some releases of the command-line library turn Ctrl-C into an exit code themselves
             raise KeyboardInterrupt
     except UserError as error:
         code = _complain(str(error))
-    except (KeyboardInterrupt, typer.Abort):
+    except KeyboardInterrupt:
         code = _stopped()
     except BrokenPipeError:
         code = 141
@@ -36,8 +37,16 @@ def main() -> None:
             sys.exit(_stopped())
         if not hasattr(error, "format_message"):  # the command line's own usage errors have one
             raise
-        code = _complain(error.format_message().rstrip(".") + "; see pcbench --help.")
+        code = _complain(_of_usage(error))
     sys.exit(code)
+
+
+def _of_usage(error: Exception) -> str:
+    """A usage error as one sentence, with the help that tells more."""
+    text = str(error.format_message()).strip()  # type: ignore[attr-defined]
+    text = text.replace(". Did you mean", "; did you mean").replace(" Did you mean", "; did you mean")
+    context = getattr(error, "ctx", None)
+    return f"{text.rstrip('.?')}; see {context.command_path if context else 'pcbench'} --help."
 
 
 def _stopped() -> int:
@@ -45,5 +54,5 @@ def _stopped() -> int:
 
 
 def _complain(sentence: str, code: int = 2) -> int:
-    say(sentence)
+    print(f"pcbench: {sentence}", file=sys.stderr)
     return code

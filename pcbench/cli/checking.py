@@ -8,11 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli.shared import AsJson, app, console, setup
+from pcbench.cli.shared import AsJson, console, setup
 from pcbench.errors import UserError, short
 
 
-@app.command()
 def check(
     observer: Annotated[
         str, typer.Argument(metavar="MODULE:OBSERVER", help="a module's name or a .py file, and an observer in it")
@@ -29,14 +28,15 @@ def check(
     """
     given = dict(map(_option, options or []))
     setup()
-    from pcbench import checking, show
+    from pcbench import checking
+    from pcbench.cli.screen import gains
 
     with contextlib.redirect_stdout(sys.stderr):  # what the user's code prints is no part of the answer
         label, found = checking.check(observer, scenario, given)
     if as_json:
         print(json.dumps({"observer": label, "scenario": scenario, "checks": [f._asdict() for f in found]}, indent=2))
     else:
-        show.checked(f"{label} on {scenario}", found, console())
+        gains.checked(f"{label} on {scenario}", found, console())
     if any(f.verdict == "fails" for f in found):
         raise typer.Exit(1)
 

@@ -5,10 +5,9 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Folder, Quiet, app, console, setup
+from pcbench.cli.shared import AsJson, Folder, Quiet, console, out, setup
 
 
-@app.command()
 def status(
     folder: Folder,
     as_json: AsJson = False,
@@ -17,45 +16,43 @@ def status(
 
     Example: pcbench status results/quick
     """
-    from pcbench import show
+    from pcbench.cli.screen import folder as screen
     from pcbench.dataset import inspection
 
     found = inspection.status(folder)
     if as_json:
         print(json.dumps(found._asdict() | {"shares": [s._asdict() for s in found.shares]}, indent=2))
     else:
-        show.status(found, folder, console())
+        screen.status(found, folder, console())
     if found.damaged or found.doubled:
         raise typer.Exit(1)
 
 
-@app.command()
 def merge(
     folders: Annotated[
         list[str], typer.Argument(help="folders or URIs of one study, with other seeds or from other machines")
     ],
-    out: Annotated[str, typer.Option(help="new folder or URI")],
+    into: Annotated[str, out("new folder or URI")],
     quiet: Quiet = False,
 ) -> None:
     """Make one dataset of several; what two of them hold must be equal.
 
     Example: pcbench merge monday tuesday --out both
     """
-    from pcbench import show
+    from pcbench.cli.screen.progress import counting
     from pcbench.dataset import merging
 
-    with show.counting(quiet) as tell:
-        made = merging.merge(folders, out, tell)
+    with counting(quiet) as tell:
+        made = merging.merge(folders, into, tell)
     again = f" {made.doubled:,} runs stood in more than one, all of them equal." if made.doubled else ""
     lack = (
-        f" {made.missing:,} runs are missing: pcbench run {out}/study.toml --out {out} fills them."
+        f" {made.missing:,} runs are missing: pcbench run {into}/study.toml --out {into} fills them."
         if made.missing
         else ""
     )
-    print(f"{made.blocks:,} blocks in {out}.{again}{lack}")
+    print(f"{made.blocks:,} blocks in {into}.{again}{lack}")
 
 
-@app.command()
 def verify(
     folder: Folder,
     sample: Annotated[int, typer.Option(min=0, help="blocks to compute again")] = 4,
@@ -69,20 +66,20 @@ def verify(
     Example: pcbench verify results/quick --sample 8
     """
     setup()
-    from pcbench import show
+    from pcbench.cli.screen import folder as screen
+    from pcbench.cli.screen.progress import counting
     from pcbench.dataset import inspection
 
-    with show.counting(quiet or as_json) as tell:
+    with counting(quiet or as_json) as tell:
         found = inspection.verify(folder, None if every else sample, seed, tell)
     if as_json:
         print(json.dumps(found._asdict(), indent=2))
-    else:
-        show.verdict(found, folder, console())
+    elif not quiet:
+        screen.verdict(found, folder, console())
     if found.wrong or found.differing:
         raise typer.Exit(1)
 
 
-@app.command()
 def compare(
     there: Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")],
     here: Annotated[str, typer.Argument(help="another, of the same study: another release, another machine")],
@@ -103,8 +100,8 @@ def compare(
         moved = found.rows[found.rows.changed].to_dict("records")
         print(machine.as_json(said | drawn | {"moved": moved}))
     elif not quiet:
-        from pcbench import show_comparison
+        from pcbench.cli.screen.comparison import comparison
 
-        show_comparison.comparison(found, there, here, console())
+        comparison(found, there, here, console())
     if found.changed:
         raise typer.Exit(1)

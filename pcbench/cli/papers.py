@@ -6,14 +6,13 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli.shared import AsJson, Quiet, app, console, setup
+from pcbench.cli.shared import AsJson, Quiet, console, setup
 from pcbench.cli.stopping import stoppable
 from pcbench.errors import UserError, unknown
 
 ALL = "all"
 
 
-@app.command()
 def reproduce(
     paper: Annotated[str, typer.Argument(help="a paper's short name, or all")] = ALL,
     page: Annotated[
@@ -41,16 +40,17 @@ def reproduce(
 
 
 def _one(paper: str, title: str, rows: list[Any], quiet: bool, as_json: bool) -> None:
-    from pcbench import show_claims
+    from pcbench.cli.screen.claims import claims
 
     if as_json:
         print(json.dumps(_said(paper, title, rows), indent=2))
     elif not quiet:
-        show_claims.claims(title, rows, console())
+        claims(title, rows, console())
 
 
 def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
-    from pcbench import show, show_claims
+    from pcbench.cli.screen import claims
+    from pcbench.cli.screen.progress import counting
     from pcbench.dataset import store
     from pcbench.reproduce import PAPERS, every
     from pcbench.reproduce.claim import counts
@@ -58,7 +58,7 @@ def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
 
     if page is not None:
         store.make(store.target(page.parent))  # a place that cannot be written is said before the work
-    with show.counting(quiet or as_json) as draw:
+    with counting(quiet or as_json) as draw:
         found = every.claims(stoppable(draw))
     if page is not None:
         store.put(store.target(page.parent), page.name, written(found).encode())
@@ -67,7 +67,7 @@ def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
         print(json.dumps({"papers": said, "verdicts": counts(r for rows in found.values() for r in rows)}, indent=2))
     elif not quiet:
         screen = console()
-        show_claims.every(found, {name: title for name, (title, _) in PAPERS.items()}, screen)
+        claims.every(found, {name: title for name, (title, _) in PAPERS.items()}, screen)
         if page is not None:
             screen.print(f"The page: {page}", highlight=False, markup=False)
 

@@ -2,25 +2,22 @@
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Quiet, Set, app, console, names, say, setup
+from pcbench.cli.shared import RANKS, AsJson, Metric, Quiet, Set, Signals, chosen, console, names, out, say, setup
 from pcbench.cli.stopping import stoppable
 
-LONG = 30.0  # s of a study
 
-
-@app.command()
 def run(
     study: Annotated[str, typer.Argument(help="a study, a scenario or a TOML file")],
     seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
     first_seed: Annotated[int | None, typer.Option(help="the first of them [default: 0]")] = None,
     observers: Annotated[str | None, typer.Option(help="comma-separated names")] = None,
     changes: Set = None,
-    out: Annotated[
-        str | None, typer.Option(help="folder or URI for the tables; run again, it goes on [default: results/STUDY]")
+    folder: Annotated[
+        str | None, out("folder or URI for the tables; run again, it goes on [default: results/STUDY]")
     ] = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="remove what an earlier run left there, and start over")
@@ -37,7 +34,8 @@ def run(
         str | None, typer.Option(help="what results may take at a time, e.g. 2GiB [default: a quarter of the memory]")
     ] = None,
     block: Annotated[int | None, typer.Option(help="seeds a file; of no influence on any number")] = None,
-    metric: Annotated[str, typer.Option(help="metric that ranks the closing table")] = "mae",
+    metric: Metric = RANKS,
+    signal: Signals = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
@@ -46,18 +44,21 @@ def run(
     Example: pcbench run quick --seeds 512 --out first-look
     """
     setup()
-    from pcbench import bench, show, statistics, study_file
+    from pcbench import bench, statistics, study_file
+    from pcbench.cli.screen import gains, results
+    from pcbench.cli.screen.progress import progress
 
     statistics.compared(metric, "--metric")
-    chosen = study_file.load(study, changes)
-    folder = str(Path("results") / chosen.name.replace("/", "-")) if out is None else out
-    with show.progress(quiet or as_json) as draw:
+    asked, where = study_file.load(study, changes), chosen(signal)
+    study_file.require_signals(asked, where, "--signal")
+    place = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
+    with progress(quiet or as_json) as draw:
         result = bench.run(
-            chosen,
+            asked,
             seeds=seeds,
             first_seed=first_seed,
             observers=None if observers is None else names(observers),
-            out=folder,
+            out=place,
             fresh=fresh,
             until_se=until_se,
             max_seeds=max_seeds,
@@ -68,57 +69,40 @@ def run(
             tell=stoppable(draw),
             say=say,
         )
-    if (
-        result.effort.runs and result.provenance["wall_seconds"] > LONG
-    ):  # little beside the study: a report is quicker then
-        _examples(result, quiet or as_json)
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
-        summary = {"study": chosen.name, "out": str(folder), "provenance": result.provenance, "stats": stats}
+        summary = {"study": asked.name, "out": place, "provenance": result.provenance, "stats": stats}
         if result.fair is not None:
             summary["fair"] = json.loads(result.fair.to_json(orient="records"))
         print(json.dumps(summary, indent=2))
-    elif not quiet:
+    elif quiet:
+        print(place)
+    else:
         screen = console()
-        show.closing(result, screen, metric)
+        results.closing(result, screen, metric, where)
         if result.fair is not None:
-            show.fair(result.fair, screen)
-        screen.print("... - best: paired over the same draws; '=' is not distinguishable (Holm, 5 %).", highlight=False)
-        screen.print(show.effort(result, folder), highlight=False)
+            gains.fair(result.fair, screen)
+        screen.print(results.effort(result, place), highlight=False, markup=False, soft_wrap=True)
+        screen.print(f"Now look at it: pcbench report {place}", highlight=False, markup=False, soft_wrap=True)
 
 
-def _examples(result: Any, quiet: bool) -> None:
-    """Leave one run of each scenario tick by tick, for a report."""
-    from pcbench import examples, machine, show
-
-    names = list(dict.fromkeys(result.stats.scenario))
-    with machine.float64(), show.counting(quiet) as draw:
-        tell = stoppable(draw)
-        tell("examples", float(len(names)))
-        for name in names:
-            examples.of(result.study, name, result.out)
-            tell("checked", 1.0)
-
-
-@app.command()
 def trace(
     scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
     observer: Annotated[str, typer.Option(help="an observer's name, or several with commas")],
-    out: Annotated[Path, typer.Option(help="Parquet file to write")],
+    file: Annotated[str, out("file to write, .parquet or .csv")],
     seed: Annotated[int, typer.Option(help="seed index")] = 0,
     changes: Set = None,
 ) -> None:
-    """Write one run tick by tick.
+    """Write one run tick by tick, as Parquet or CSV.
 
-    Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.parquet
+    Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.csv
     """
     setup()
     from pcbench import bench, study_file, tables
-    from pcbench.dataset import store
+    from pcbench.dataset import as_file
     from pcbench.plants import signals_of
 
+    as_file.kind_of(file)
     frame = bench.trace(scenario, names(observer), seed=seed, overrides=changes)
-    place = store.target(out.parent)
-    store.make(place)
-    store.put_table(place, out.name, tables.trace_table(frame, signals_of(study_file.scenario_of(scenario, changes))))
-    print(f"{len(frame)} ticks, columns {', '.join(frame.columns)}: {out}")
+    as_file.put(file, tables.trace_table(frame, signals_of(study_file.scenario_of(scenario, changes))))
+    print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")

@@ -1,29 +1,46 @@
-"""What commands share: the application, options that several take, and where they speak."""
+"""What commands share: the options that several take, and where they speak."""
 
 import codecs
 import io
+import os
 import sys
 from typing import Annotated, Any
 
 import typer
 
-app = typer.Typer(
-    name="pcbench",
-    help="Which observer should I use when my measurements are sampled, late, noisy or lost, and how sure am I?",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
+from pcbench.errors import UserError
 
 PLAIN = {"±": "+-", "…": "...", "–": "-", "·": ".", "µ": "u", "²": "^2", "→": "->", "≤": "<=", "≥": ">="}  # in ASCII
+WIDE = 100  # columns of a table in a file, where COLUMNS says nothing
+
+
+def _named(out: str | None) -> str | None:
+    """Raise UserError for an empty name, before any work."""
+    if out is not None and not out.strip():
+        raise UserError(
+            "--out: got an empty name, expected a file, a folder or a URI; give one, or leave the option out."
+        )
+    return out
+
+
 AsJson = Annotated[bool, typer.Option("--json", help="print JSON for a program instead of a table")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="no progress and no table")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="no progress, no table: only where the result is")]
 Set = Annotated[
     list[str] | None,
     typer.Option("--set", metavar="KEY=VALUE", help="change the study, e.g. axes.noise_std=0.1 (repeatable)"),
 ]
 Folder = Annotated[str, typer.Argument(help="a folder or URI that pcbench run has made")]
+Signals = Annotated[
+    str | None,
+    typer.Option("--signal", help="which signals to show, with commas, or all [default: those a scenario is known by]"),
+]
+Metric = Annotated[str, typer.Option(help="metric that ranks observers: pcbench list metrics")]
+RANKS = "tail_rmse"  # what ranks observers unless said otherwise: the error once a run has settled
+
+
+def out(text: str, *names: str) -> Any:
+    """Return the option that says where a result goes."""
+    return typer.Option(*(names or ("--out",)), "-o", help=text, callback=_named)
 
 
 def speak() -> None:
@@ -46,10 +63,11 @@ def say(sentence: str) -> None:
 
 
 def console() -> Any:
-    """Return where tables are printed: as wide as the terminal, or 160 columns into a file."""
+    """Return where tables are printed: as wide as the terminal, or as COLUMNS says."""
     from rich.console import Console
 
-    return Console() if sys.stdout.isatty() else Console(width=160)
+    wide = os.environ.get("COLUMNS", "")
+    return Console() if sys.stdout.isatty() else Console(width=int(wide) if wide.isdecimal() and int(wide) else WIDE)
 
 
 def setup() -> None:
@@ -62,3 +80,8 @@ def setup() -> None:
 def names(text: str) -> list[str]:
     """Return the names of a comma-separated list."""
     return [name.strip() for name in text.split(",")]
+
+
+def chosen(signals: str | None) -> list[str] | None:
+    """Return the signals that are asked for: None where nothing is said, an empty list for all."""
+    return None if signals is None else [] if signals.strip() == "all" else names(signals)

@@ -26,9 +26,9 @@ def interrupt(number: int, frame: Any) -> None:
 
 def _loads_an_extension(frame: Any) -> bool:
     while frame is not None:
-        if frame.f_code.co_name in ("create_module", "exec_module"):
-            if isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
-                return True
+        loading = frame.f_code.co_name in ("create_module", "exec_module")
+        if loading and isinstance(frame.f_locals.get("self"), ExtensionFileLoader):
+            return True
         frame = frame.f_back
     return False
 

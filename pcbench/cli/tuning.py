@@ -5,14 +5,13 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Quiet, Set, app, console, names, setup
+from pcbench.cli.shared import AsJson, Quiet, Set, console, names, out, setup
 from pcbench.cli.stopping import stoppable
 from pcbench.errors import UserError
 
 SeedRange = Annotated[str | None, typer.Option(metavar="FIRST:END", help="seeds, the end left out")]
 
 
-@app.command()
 def tune(
     scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
     observer: Annotated[str, typer.Argument(help="an observer's name")],
@@ -24,9 +23,7 @@ def tune(
     train: SeedRange = None,
     judge: SeedRange = None,
     changes: Set = None,
-    out: Annotated[
-        str | None, typer.Option(help="folder for tuned.toml and the history; run again, it goes on")
-    ] = None,
+    folder: Annotated[str | None, out("folder for tuned.toml and the history; run again, it goes on")] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
@@ -35,10 +32,10 @@ def tune(
     Example: pcbench tune cart/gaussian pccebo --objective tail_rmse --out tuned
     """
     setup()
-    from pcbench import show
+    from pcbench.cli.screen import gains, progress
     from pcbench.tuning import effort
 
-    with show.tuning(quiet or as_json) as draw:
+    with progress.tuning(quiet or as_json) as draw:
         found = effort.tune(
             scenario,
             observer,
@@ -49,7 +46,7 @@ def tune(
             only=None if only is None else names(only),
             training=_seeds(train, "--train", effort.TRAINING),
             judges=_seeds(judge, "--judge", effort.JUDGES),
-            out=out,
+            out=folder,
             overrides=changes,
             tell=stoppable(draw),
         )
@@ -59,7 +56,7 @@ def tune(
         summary = {"start": found.start, "found": found.found, "kept_start": found.kept_start, "goal": goal}
         print(json.dumps(summary | {"judged": judged, "points": len(found.points), "method": found.method}, indent=2))
     elif not quiet:
-        show.tuned(found, observer, out, console())
+        gains.tuned(found, observer, folder, console())
 
 
 def _seeds(text: str | None, where: str, default: tuple[int, int]) -> tuple[int, int]:

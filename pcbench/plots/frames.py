@@ -10,13 +10,12 @@ import pandas as pd
 
 from pcbench.errors import UserError, unknown
 from pcbench.result import Result
-from pcbench.statistics.description import columns
-from pcbench.statistics.estimates import wilson
+from pcbench.statistics import winning
 from pcbench.study import scenarios_of
 from pcbench.tables import AXIS_UNITS, axes_of
 
+METRIC = "tail_rmse"  # by which observers are ranked, unless said otherwise
 POINTS = 100  # of a distribution
-ALPHA = 0.05
 ROUNDING = 1e-11  # an error below it is drawn as 0: no picture ranks the rounding of zero
 
 
@@ -28,11 +27,25 @@ def scenario_of(result: Result, scenario: str | None) -> str:
     return scenario or names[0]
 
 
-def signals(result: Result, scenario: str) -> list[str]:
+def signals_by_default(result: Result, scenario: str) -> list[str]:
     """Return the signals that a scenario's pictures show by default."""
     there = list(dict.fromkeys(result.stats.signal[result.stats.scenario == scenario]))
     chosen = [s for s in scenarios_of(result.study)[scenario].headline if s in there]
     return chosen or there[:1]
+
+
+def chosen(result: Result, scenario: str, signals: list[str] | None) -> list[str]:
+    """Return the `signals` that a scenario has; of None those it is known by, of an empty list all.
+
+    Raises UserError for one that no scenario of the study has.
+    """
+    if signals is None:
+        return signals_by_default(result, scenario)
+    every, there = set(result.stats.signal), list(dict.fromkeys(result.stats.signal[result.stats.scenario == scenario]))
+    for name in signals:
+        if name not in every:
+            raise unknown("--signal", "signal of the study", name, every)
+    return [s for s in there if s in signals] if signals else there
 
 
 def signal_of(result: Result, scenario: str, signal: str | None) -> str:
@@ -40,7 +53,7 @@ def signal_of(result: Result, scenario: str, signal: str | None) -> str:
     names = list(dict.fromkeys(result.stats.signal[result.stats.scenario == scenario]))
     if signal is not None and signal not in names:
         raise unknown(f"scenario {scenario}", "signal", signal, names)
-    return signal or signals(result, scenario)[0]
+    return signal or signals_by_default(result, scenario)[0]
 
 
 def rows(result: Result, scenario: str | None, signal: str | None, metric: str) -> pd.DataFrame:
@@ -95,7 +108,7 @@ def fixed(part: pd.DataFrame, free: list[str], at: dict[str, Any] | None = None)
 
 
 def distribution(
-    result: Result, scenario: str | None = None, signal: str | None = None, metric: str = "rmse", cell: int = 0
+    result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC, cell: int = 0
 ) -> pd.DataFrame:
     """Return observer, value, share: the fraction of all runs [0, 1] at or below a value of a metric.
 
@@ -117,51 +130,18 @@ def distribution(
 
 
 def winners(
-    result: Result, scenario: str | None = None, signal: str | None = None, metric: str = "mae"
+    result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC
 ) -> pd.DataFrame:
-    """Return for each cell its axes, the `winner`, its `mean`, and `text`; winner is empty where the best is no surer than 5 %.
-
-    The best has the fewest diverged runs and then the least mean. It wins where every other observer surely diverges more often
-    (Wilson's intervals are apart) or differs from it by Holm's adjusted p-value; where several runs do not vary there is no
-    test, and a difference is one. No observer wins where all have diverged.
-    """
+    """Return for each cell its axes, the `winner` (see `statistics.winning`), its `mean`, and `text`."""
     part = rows(result, scenario, signal, metric)
     scenario, signal = part.scenario.iloc[0], part.signal.iloc[0]
     pairs = result.pairs
     pairs = pairs[(pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == metric)]
     out = []
     for cell, mine in part.groupby("cell", sort=False):
-        order = mine.sort_values(["diverged", "mean"], kind="stable")
-        best, others = order.iloc[0], order.iloc[1:]
-        met = pairs[pairs.cell == cell]
-        works = bool(np.isfinite(best["mean"]))
-        surely = works and all(_apart(met, best, other) for other in others.to_dict("records"))
+        found = winning.winner(mine, pairs[pairs.cell == cell])
+        best = mine.sort_values(["diverged", "mean"], kind="stable").iloc[0]
         known = {name: best[name] for name in varying(part)}
-        text = best.observer if surely else "tie" if works else "all diverge"
-        out.append(
-            known | {"cell": cell, "winner": best.observer if surely else "", "mean": best["mean"], "text": text}
-        )
+        text = found or ("tie" if np.isfinite(best["mean"]) else "all diverge")
+        out.append(known | {"cell": cell, "winner": found, "mean": best["mean"], "text": text})
     return pd.DataFrame(out)
-
-
-def diverges_more(best: Any, other: Any) -> bool:
-    """Say whether one row of stats surely has more diverged runs than another."""
-    high, low = (fraction_of(int(row["diverged"]), int(row["n"])) for row in (best, other))
-    return bool(low["ci_low"] > high["ci_high"])
-
-
-def fraction_of(diverged: int, kept: int) -> dict[str, float]:
-    """Return the share of runs that diverged, with Wilson's interval."""
-    return columns(wilson(np.array([diverged]), diverged + kept))[0]
-
-
-def _apart(pairs: pd.DataFrame, best: Any, other: Any) -> bool:
-    if diverges_more(best, other):
-        return True
-    names = {best.observer, other["observer"]}
-    row = pairs[pairs.observer_a.isin(names) & pairs.observer_b.isin(names)]
-    if row.empty:
-        return False
-    p, alike = float(row.p_holm.iloc[0]), float(row.prob_a_better.iloc[0]) == 0.5
-    several = int(row.n.iloc[0]) > 1
-    return several and not alike if np.isnan(p) else p <= ALPHA

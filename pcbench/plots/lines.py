@@ -17,7 +17,12 @@ from pcbench.study import scenarios_of
 
 
 def distributions(
-    result: Result, *, scenario: str | None = None, signal: str | None = None, metric: str = "rmse", cell: int = 0
+    result: Result,
+    *,
+    scenario: str | None = None,
+    signal: str | None = None,
+    metric: str = frames.METRIC,
+    cell: int = 0,
 ) -> Figure:
     """Return the empirical distribution of a metric over runs, a line for each observer; left is better.
 
@@ -43,7 +48,7 @@ def curves(
     *,
     scenario: str | None = None,
     signal: str | None = None,
-    metric: str = "mae",
+    metric: str = frames.METRIC,
     at: dict[str, Any] | None = None,
 ) -> Figure:
     """Return the mean of a metric over one axis of the study (None: the first that varies), with 95 % intervals.

@@ -26,7 +26,7 @@ def heatmaps(
     *,
     scenario: str | None = None,
     signal: str | None = None,
-    metric: str = "mae",
+    metric: str = frames.METRIC,
     at: dict[str, Any] | None = None,
 ) -> Figure:
     """Return a map of a metric's mean over two axes (None: the first two that vary) for each observer, on one scale.
@@ -63,7 +63,7 @@ def winners(
     *,
     scenario: str | None = None,
     signal: str | None = None,
-    metric: str = "mae",
+    metric: str = frames.METRIC,
     at: dict[str, Any] | None = None,
 ) -> Figure:
     """Return a map over two axes of who wins, in its colour; blank where the best is not surely so (5 %, Holm)."""

@@ -5,14 +5,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from pcbench import show
 from pcbench.plots import frames
 from pcbench.plots.palette import styles
-from pcbench.plots.sheet import title_of
 from pcbench.result import Result
+from pcbench.statistics import wording
+from pcbench.statistics.winning import diverges_more
 
 MOST = 4  # cells that stand in full; of more, wins are counted
-HEADS = ("observer", "metric", "against the best", "rms error", "tail rms error", "efficiency", "diverged")
+BESIDE = ("rmse", "tail_rmse", "efficiency")  # what stands beside the metric that ranks
 
 
 class Headline(NamedTuple):
@@ -42,23 +42,24 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
     wide = mine.set_index(["observer", "metric"])
     ranked = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
     order, ranked = list(ranked.observer), ranked.set_index("observer")
+    beside = [m for m in BESIDE if m != metric]
     rows = []
     for observer in order:
         row = wide.loc[observer]
-        against = "best" if observer == order[0] else show.difference(met, observer, order[0])
-        if observer != order[0] and frames.diverges_more(ranked.loc[order[0]], ranked.loc[observer]):
+        against = "best" if observer == order[0] else wording.difference(met, observer, order[0])
+        if observer != order[0] and diverges_more(ranked.loc[order[0]], ranked.loc[observer]):
             against = "diverges more often"
-        share = show.interval(row.loc["efficiency"]) if "efficiency" in row.index else "-"
         lost = row.loc["divergence"]
-        cells = [observer, show.interval(row.loc[metric]), "not surely different" if against == "=" else against]
-        cells += [show.interval(row.loc["pooled_rmse"]), show.interval(row.loc["tail_pooled_rmse"]), share]
-        cells += ["none" if lost["mean"] == 0 else show.fraction(lost)]
+        cells = [observer, wording.interval(row.loc[metric]), "not surely different" if against == "=" else against]
+        cells += [wording.interval(row.loc[m]) if m in row.index else "-" for m in beside]
+        cells += ["none" if lost["mean"] == 0 else wording.fraction(lost)]
         rows.append({"cells": cells, "colour": look[observer].colour, "best": observer == order[0]})
     here = part[part.cell == cell].iloc[0]
     at = ", ".join(f"{frames.label(a)} {here[a]}" for a in frames.varying(part))
+    here_unit = mine[mine.metric == "rmse"].unit.iloc[0]
     unit, n = here.unit, int((part.n + part.diverged).max())
-    heads = ["observer", f"{title_of(metric, signal, unit)}", f"less the best [{unit}]", f"rms error [{unit}]"]
-    heads += [f"tail rms error [{unit}]", "efficiency", "diverged"]
+    heads = ["observer", f"{metric} [{unit}]", f"less the best [{unit}]"]
+    heads += [m if m == "efficiency" else f"{m} [{here_unit}]" for m in beside] + ["diverged"]
     title = f"{signal.replace('_', ' ')}" + (f" at {at}" if at else "")
     kept = [i for i in range(len(heads)) if any(row["cells"][i] not in ("none", "-") for row in rows)]
     rows = [row | {"cells": [row["cells"][i] for i in kept]} for row in rows]
@@ -80,7 +81,7 @@ def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.D
         place = {"wins": int(wins.get(observer, 0)), "median": float(mine["mean"].median())}
         rows.append({"cells": cells, "colour": look[str(observer)].colour, "best": False} | place)
     rows.sort(key=lambda row: (-row["wins"], row["median"]))
-    heads = ["observer", "cells won", f"median over cells: {title_of(metric, signal, part.unit.iloc[0])}", "diverged"]
+    heads = ["observer", "cells won", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
     ties = int((won.winner == "").sum())
     note = (
         f"{len(won)} cells, ties among them: {ties}; there the best is not surely better than every other (5 %, Holm)."

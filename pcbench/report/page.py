@@ -22,7 +22,6 @@ from pcbench.study import scenarios_of
 from pcbench.synthesis import cache
 from pcbench.tables import MEANING
 
-METRIC, SPREAD = "mae", "tail_rmse"
 EXPLAINED = ("mae", "rmse", "tail_rmse", "peak", "settling_time", "efficiency", "divergence", "mean_diff", "p_holm")
 Tell = Callable[[str, float], None]
 
@@ -38,33 +37,48 @@ class Section(NamedTuple):
     charts: list[dict[str, Any]]
 
 
-def write(folder: str | Path, out: str | Path, tell: Tell = lambda event, value: None) -> int:
+def write(
+    folder: str | Path,
+    out: str | Path,
+    tell: Tell = lambda event, value: None,
+    metric: str = frames.METRIC,
+    signals: list[str] | None = None,
+) -> int:
     """Write the page of a study's folder as one file, and return its size in bytes.
 
+    Observers are ranked by `metric`; `signals` are those shown, of every scenario that has them: None, those it is known by; an
+    empty list, all.
     Runs shown in time are simulated where the folder has none yet, and kept there. Raises UserError where the folder holds no
     finished study.
     """
-    content = page(opened(folder), tell).encode()
+    content = page(opened(folder), tell, metric, signals).encode()
     target = store.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
     store.make(target)
     store.put(target, str(out).replace("\\", "/").rpartition("/")[2], content)
     return len(content)
 
 
-def page(result: Result, tell: Tell = lambda event, value: None) -> str:
-    """Return the page's HTML."""
+def page(
+    result: Result,
+    tell: Tell = lambda event, value: None,
+    metric: str = frames.METRIC,
+    signals: list[str] | None = None,
+) -> str:
+    """Return the page's HTML; arguments are those of `write`."""
     names = list(dict.fromkeys(result.stats.scenario))
     tell("scenarios", float(len(names)))
     sections, specs = [], {}
     for number, name in enumerate(names):
         made = []
-        for i, drawn in enumerate(_charts(result, name)):
+        for i, drawn in enumerate(_charts(result, name, metric, signals)):
             key = f"chart-{number}-{i}"
             specs[key] = drawn.spec
             made.append({"id": key, "title": drawn.title, "text": drawn.text, "note": drawn.note})
         s = scenarios_of(result.study)[name]
         tables = [
-            h for signal in frames.signals(result, name) for h in headline.headlines(result, name, signal, METRIC)
+            h
+            for signal in frames.chosen(result, name, signals)
+            for h in headline.headlines(result, name, signal, metric)
         ]
         sections.append(
             Section(f"scenario-{number}", name, f"{s.summary[0].upper()}{s.summary[1:]}.", s.source, tables, made)
@@ -85,26 +99,24 @@ def page(result: Result, tell: Tell = lambda event, value: None) -> str:
     )
 
 
-def _charts(result: Result, scenario: str) -> Iterator[Chart]:
+def _charts(result: Result, scenario: str, metric: str, signals: list[str] | None) -> Iterator[Chart]:
     """Every chart that a scenario's results have something for."""
-    for signal in frames.signals(result, scenario)[:2]:
-        whole = frames.rows(result, scenario, signal, METRIC)
-        yield lines.distribution(
-            frames.rows(result, scenario, signal, SPREAD), frames.distribution(result, scenario, signal, SPREAD), SPREAD
-        )
+    for signal in frames.chosen(result, scenario, signals):
+        whole = frames.rows(result, scenario, signal, metric)
+        yield lines.distribution(whole, frames.distribution(result, scenario, signal, metric), metric)
         axes = frames.varying(whole)
         if len(axes) >= 2:
-            yield maps.winners(whole, frames.winners(result, scenario, signal, METRIC), axes[0], axes[1], METRIC)
-            yield maps.heatmap(whole, axes[0], axes[1], METRIC)
+            yield maps.winners(whole, frames.winners(result, scenario, signal, metric), axes[0], axes[1], metric)
+            yield maps.heatmap(whole, axes[0], axes[1], metric)
         for axis in axes:
-            yield lines.curve(whole, axis, METRIC)
+            yield lines.curve(whole, axis, metric)
     lost = frames.rows(result, scenario, None, "divergence")
     axes = frames.varying(lost)
     if len(axes) >= 2 and (lost["mean"] > 0).any():
         yield maps.heatmap(lost, axes[0], axes[1], "divergence")
     if result.fair is not None:
         yield maps.fair(result.fair[result.fair.cell == result.fair.cell.iloc[0]])
-    signal = frames.signals(result, scenario)[0]
+    signal = (frames.chosen(result, scenario, signals) or frames.chosen(result, scenario, None))[0]
     units = dict(signals_of(scenarios_of(result.study)[scenario]))
     run = examples.of(result.study, scenario, result.out)
     shown = dict.fromkeys(lost.observer)
@@ -113,7 +125,7 @@ def _charts(result: Result, scenario: str) -> Iterator[Chart]:
 
 
 def _what(result: Result) -> str:
-    mine = result.stats[result.stats.metric == METRIC]
+    mine = result.stats[result.stats.metric == "mae"]
     scenarios, cells = mine.scenario.nunique(), int(mine.groupby("scenario").cell.nunique().sum())
     observers, runs = ", ".join(dict.fromkeys(mine.observer)), int((mine.n + mine.diverged).max())
     many = f"{cells} combinations of axis values" if cells > scenarios else "one combination of axis values each"

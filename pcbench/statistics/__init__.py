@@ -1,7 +1,7 @@
 """Numbers over runs: estimates with their uncertainty, and paired comparisons. NumPy and SciPy, no jax.
 
 The face of the modules below, each one idea:
-`moments` (means in parts), `estimates` (Student's and Wilson's intervals), `selection` (order statistics in two passes),
+`moments` (means in parts), `estimates` (intervals of means and of fractions), `selection` (order statistics in two passes),
 `order_statistics` (their intervals), `description` (rows of `stats`), `comparison` (tests), `pairing` (rows of `pairs`).
 
 All intervals are 95 % over seeds. Diverged runs are counted, never averaged. Where the runs do not vary (no noise) an
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pcbench.errors import unknown
 from pcbench.statistics.comparison import SAME, contest, holm
 from pcbench.statistics.description import Row, Seen, columns, described, see, spread
-from pcbench.statistics.estimates import Z95, reached, root, student, wilson
+from pcbench.statistics.estimates import Z95, positive, reached, root, student, wilson
 from pcbench.statistics.moments import Values, moments
 from pcbench.statistics.order_statistics import COLUMNS, QUANTILES, places, ranks, read
 from pcbench.statistics.pairing import ZERO, Met, Pair, meet, verdict, verdicts
@@ -25,7 +25,7 @@ __all__ = [
     "CHUNK", "COLUMNS", "COMPARED", "POOLED", "QUANTILES", "RUN_METRICS", "SAME", "SEEN", "Z95", "ZERO",
     "Chunks", "Results", "Row", "Values",
     "compare", "compared", "describe", "efficiency", "fraction", "holm", "mean", "pairs", "pooled", "quantiles",
-    "summarise",
+    "size", "summarise",
 ]  # fmt: skip
 
 SEEN = 1e-9  # a bound below this part of the prior is zero for every purpose: no efficiency against it
@@ -34,6 +34,11 @@ SEEN = 1e-9  # a bound below this part of the prior is zero for every purpose: n
 def mean(values: Values) -> Row:
     """Return n, mean, standard error and Student's 95 % interval of values [n]; NaN where there are too few."""
     return columns(student(moments(values[None])))[0]
+
+
+def size(values: Values) -> Row:
+    """Return the same of values [n] that cannot be negative: the interval is Student's of the logarithm of the mean."""
+    return columns(positive(moments(values[None])))[0]
 
 
 def quantiles(values: Values) -> Row:
@@ -47,12 +52,12 @@ def quantiles(values: Values) -> Row:
 
 def pooled(squares: Values) -> Row:
     """Return the root of the mean of squares [n] with its uncertainty."""
-    return columns(root(student(moments(squares[None]))))[0]
+    return columns(root(positive(moments(squares[None]))))[0]
 
 
 def efficiency(tail_squares: Values, bound: float) -> Row:
     """Return bound / tail_pooled_rmse: 1 attains the bound, 1/5 is five times its rms. Square it for the variance ratio."""
-    return columns(reached(np.array([bound]), root(student(moments(tail_squares[None])))))[0]
+    return columns(reached(np.array([bound]), root(positive(moments(tail_squares[None])))))[0]
 
 
 def fraction(happened: NDArray[np.bool_]) -> Row:

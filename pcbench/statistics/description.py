@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.statistics import selection
-from pcbench.statistics.estimates import Estimate, reached, root, student, wilson
+from pcbench.statistics.estimates import Estimate, positive, reached, root, student, wilson
 from pcbench.statistics.moments import Moments, Values, merge, moments
 from pcbench.statistics.order_statistics import COLUMNS, places, ranks, read
-from pcbench.statistics.stack import POOLED, RUN_METRICS, Chunks, Named, Stack, kept, stack
+from pcbench.statistics.stack import POOLED, RUN_METRICS, SIGNED, Chunks, Named, Stack, kept, stack
 
 Row = dict[str, Any]
 DESCRIBED = (*RUN_METRICS, *POOLED, "divergence", "unsettled", "efficiency")
@@ -69,7 +69,10 @@ def described(s: Seen, quantiles: Values, bound: Values | None) -> list[Row]:
 
     quantiles are [K, COLUMNS]; bound [signals], NaN where there is none.
     """
-    many, means = len(s.unsettled), student(s.moments)
+    many, means, plain = len(s.unsettled), positive(s.moments), student(s.moments)
+    signed = np.array([name in SIGNED for name, _ in s.rows])
+    low, high = (np.where(signed, *(getattr(e, end) for e in (plain, means))) for end in ("ci_low", "ci_high"))
+    means = means._replace(ci_low=low, ci_high=high)
     known = [
         row | dict(zip(COLUMNS, q, strict=True)) for row, q in zip(columns(means), quantiles.tolist(), strict=True)
     ]

@@ -13,7 +13,8 @@ RUN_METRICS = (
     *("tail_mae", "tail_rmse", "tail_mse", "tail_peak"),
     *("tracking_rmse", "tail_tracking_rmse"),
 )  # recovery_time where an unknown input jumps, tracking_* of what a controller is to lead along a path
-COMPARED = tuple(m for m in RUN_METRICS if m != "final")  # a signed error is neither better nor worse
+SIGNED = ("final",)  # an error with its sign: all others cannot be negative
+COMPARED = tuple(m for m in RUN_METRICS if m not in SIGNED)  # a signed error is neither better nor worse
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
 
 CHUNK = 4096  # seeds in a chunk: numbers depend on where chunks end (in the last bit), so it is where seeds % CHUNK = 0

@@ -32,13 +32,22 @@ def mean(values):
     return out
 
 
+def positive(values):
+    """The mean of what cannot be negative: the interval of its logarithm, by the delta method."""
+    out = mean(values)
+    if out["n"] > 1 and out["mean"] > 0:
+        part = student(out["n"]) * out["se"] / out["mean"]
+        out["ci_low"], out["ci_high"] = (math.exp(math.log(out["mean"]) + sign * part) for sign in (-1, 1))
+    return out
+
+
 def pooled(squares):
-    m = mean(squares)
+    m = positive(squares)
     if m["n"] == 0:
         return m
     rms = math.sqrt(m["mean"])
     se = m["se"] / (2 * rms) if rms > 0 else m["se"]
-    low, high = (math.sqrt(max(0.0, end)) if m["n"] > 1 else NAN for end in (m["ci_low"], m["ci_high"]))
+    low, high = (math.sqrt(end) if m["n"] > 1 else NAN for end in (m["ci_low"], m["ci_high"]))
     return {"n": m["n"], "mean": rms, "se": se, "ci_low": low, "ci_high": high}
 
 
@@ -101,7 +110,7 @@ def describe(results, bound):
     rows = []
     for i in range(len(results["mae"])):
         mine = {m: [float(results[m][i][j]) for j in good] for m in METRICS if m in results and i < len(results[m])}
-        found = [(m, mean(v) | quantiles(v)) for m, v in mine.items()]
+        found = [(m, (mean(v) if m == "final" else positive(v)) | quantiles(v)) for m, v in mine.items()]
         found += [("pooled_rmse", pooled(mine["mse"]) | none), ("tail_pooled_rmse", pooled(mine["tail_mse"]) | none)]
         found.append(("divergence", fraction(gone, len(results["diverged"])) | none))
         found.append(("unsettled", fraction(sum(bool(results["unsettled"][i][j]) for j in good), len(good)) | none))

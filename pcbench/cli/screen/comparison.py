@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from pcbench.show import titled
+from pcbench.cli.screen.tables import titled
 
 LONGEST = 40  # rows; the rest is counted
 

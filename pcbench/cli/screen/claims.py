@@ -5,8 +5,8 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from pcbench.cli.screen.tables import titled
 from pcbench.reproduce.claim import FINDING, VERDICTS, counts
-from pcbench.show import titled
 
 STYLES = dict(zip((*VERDICTS, FINDING), ("green", "yellow", "red", "dim", "white"), strict=True))
 

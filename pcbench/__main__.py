@@ -1,0 +1,5 @@
+"""Run the command line: python -m pcbench."""
+
+from pcbench.cli import main
+
+main()

@@ -1,0 +1,167 @@
+"""What `pcbench list` says of everything there is: as data, for a program and for the screen."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pydantic import BaseModel
+
+from pcbench.axes import AXES
+from pcbench.errors import unknown
+from pcbench.observers import OBSERVERS
+from pcbench.observers.options import TUNABLE, extra
+from pcbench.plants import PLANTS, parameters_of
+from pcbench.plants import signals_of as signals_in
+from pcbench.scenarios import SCENARIOS
+from pcbench.statistics import POOLED, RUN_METRICS
+from pcbench.study import STUDIES, Choices
+from pcbench.tables import AXIS_UNITS, MEANING
+
+TAKES = {
+    "any schedule": "of any age, in any order, from clocks of their own",
+    "one clock": "of any age, in any order; all channels together",
+    "one constant delay": "of one constant age",
+    "constant delays": "taken regularly, all channels together; each channel of a constant age of its own",
+}
+Said = dict[str, Any]
+
+
+def plant(name: str) -> Said:
+    """Return a plant with its states, unknown inputs, and parameters."""
+    p = PLANTS[name]
+    return {
+        "summary": p.summary,
+        "signals": [{"name": s, "unit": u} for s, u in p.signals] or "the study's",
+        "unknown": [{"name": s, "unit": u} for s, u in p.unknowns],
+        "parameters": {k: getattr(p.numbers, k) for k in parameters_of(name)},
+    }
+
+
+def observer(name: str) -> Said:
+    """Return an observer with the samples it takes and its options."""
+    o = OBSERVERS[name]
+    return {
+        "summary": o.summary,
+        "knows_schedule": o.knows_schedule,
+        "samples": TAKES[o.takes],
+        "plants": "nonlinear ones too" if o.nonlinear else "linear",
+        "options": options(o.options),
+    }
+
+
+def options(model: type[BaseModel]) -> dict[str, Said]:
+    """Return every option of a model: type, default, range, what it is, and whether it can be tuned."""
+    properties = model.model_json_schema()["properties"]
+    return {
+        name: {
+            **_kind(properties[name]),
+            "default": properties[name].get("default"),
+            "description": field.description or "",
+            "tunable": TUNABLE in extra(field),
+        }
+        for name, field in model.model_fields.items()
+    }
+
+
+def _kind(schema: Mapping[str, Any]) -> Said:
+    """The type of an option in words, and its range or its choices."""
+    schema = next((each for each in schema.get("anyOf", []) if each.get("type") != "null"), schema)
+    if "enum" in schema:
+        return {"type": "choice", "choices": schema["enum"]}
+    above, least = schema.get("exclusiveMinimum"), schema.get("minimum")
+    low = f"> {above:g}" if above is not None else f">= {least:g}" if least is not None else None
+    most = schema.get("maximum")
+    ends = " and ".join(filter(None, (low, f"<= {most:g}" if most is not None else None)))
+    return {"type": _type(schema), "range": ends or None}
+
+
+def _type(schema: Mapping[str, Any]) -> str:
+    kind = schema.get("type", "value")
+    if kind == "array":
+        inner = schema["items"].get("type")
+        return "matrix" if inner == "array" else f"list of {inner}s"
+    return {"boolean": "true or false", "object": "table", "integer": "whole number", "string": "text"}.get(kind, kind)
+
+
+def scenario(name: str) -> Said:
+    """Return a scenario with its plant, its times, its observers and its source."""
+    s = SCENARIOS[name]
+    signals = signals_in(s)
+    bounds = (s.bound,) * len(signals) if isinstance(s.bound, float) else s.bound
+    return {
+        "summary": s.summary,
+        "source": s.source,
+        "plant": s.plant,
+        "loop": f"closed by {s.controller}" if s.controller else "open",
+        "observers": list(s.observers),
+        "sampling_period": list(s.sampling_period),
+        "delay": ["one interval" if d is None else d for d in s.delay],
+        "noise_std": list(s.noise_std),
+        "tick": s.dt,
+        "horizon": s.horizon,
+        "tail": s.tail,
+        "signals": [
+            {"name": n, "unit": u, "settled_within": band, "diverged_beyond": bound}
+            for (n, u), band, bound in zip(signals, s.settle_band, bounds, strict=True)
+        ],
+        "axes": [*AXES, *(f"plant.{p}" for p in parameters_of(s.plant))],
+    }
+
+
+def study(name: str) -> Said:
+    """Return a built-in study."""
+    s = STUDIES[name]
+    return {
+        "summary": ", ".join(s.scenarios) if len(s.scenarios) < 4 else f"{len(s.scenarios)} scenarios",
+        "scenarios": s.scenarios,
+        "observers": s.observers or "each scenario's own",
+        "seeds": s.seeds,
+        "axes": s.axes,
+        "tuning": s.tuning,
+    }
+
+
+def metric(name: str) -> Said:
+    """Return what a metric means."""
+    return {"summary": MEANING.get(name) or METRICS[name]}
+
+
+def axis(name: str) -> Said:
+    """Return what an axis of a study holds."""
+    unit = AXIS_UNITS.get(name, "s")
+    return {"summary": MEANING[name] + (f" [{unit}]" if unit not in ("", "1") else "")}
+
+
+def choice(name: str) -> Said:
+    """Return a choice of `[options.scenario]`."""
+    said = options(Choices)[name]
+    return {"summary": said["description"]} | said
+
+
+METRICS = {
+    "pooled_rmse": "square root of the mean of e^2 over ticks and runs: it weighs bad runs more than the mean of rmse does",
+    "tail_pooled_rmse": "the same from the tail start on",
+    "efficiency": "the least tail_pooled_rmse that any causal estimator can have, on average over x(0), over the observer's",
+    "divergence": "fraction of runs whose error became non-finite or left the scenario's bound",
+    "unsettled": "fraction of the other runs whose error left its band in the tail",
+}
+CATALOGUE: dict[str, tuple[tuple[str, ...], Callable[[str], Said]]] = {
+    "observers": (tuple(OBSERVERS), observer),
+    "scenarios": (tuple(SCENARIOS), scenario),
+    "plants": (tuple(PLANTS), plant),
+    "studies": (tuple(STUDIES), study),
+    "axes": (AXES, axis),
+    "metrics": ((*RUN_METRICS, *POOLED, "efficiency", "divergence", "unsettled"), metric),
+    "choices": (tuple(Choices.model_fields), choice),
+}
+WITHOUT_WORD = ("observers", "scenarios", "plants", "studies")  # what `pcbench list` alone names
+TITLES = {"choices": "choices ([options.scenario] of a study)", "axes": "axes (besides plant.PARAMETER)"}
+
+
+def found(kind: str, name: str | None = None) -> dict[str, Said]:
+    """Return what there is of a kind, by name, or the one of that name; raise UserError for another word."""
+    if kind not in CATALOGUE:
+        raise unknown("list", "kind of thing", kind, CATALOGUE)
+    names, say = CATALOGUE[kind]
+    if name is not None and name not in names:
+        raise unknown(f"list {kind}", "name there", name, names)
+    return {each: say(each) for each in (names if name is None else [name])}

@@ -1,0 +1,54 @@
+"""The commands, in the order of work, and what all of them have."""
+
+from importlib.metadata import version
+from typing import Annotated, Any
+
+import typer
+
+from pcbench.cli import checking, datasets, lists, observers, papers, reports, runs, tuning
+
+ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
+    "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
+    "run": (runs.run, "run a study, and leave its tables in a folder"),
+    "report": (reports.report, "one HTML page of the results, or figures"),
+    "trace": (runs.trace, "one run tick by tick, as a file"),
+    "status": (datasets.status, "how far a study is, and whether it is whole"),
+    "verify": (datasets.verify, "check every file, compute some runs again"),
+    "merge": (datasets.merge, "one dataset of several"),
+    "compare": (datasets.compare, "what changed between two results of a study"),
+    "design": (observers.design, "find gains and prove them"),
+    "tune": (tuning.tune, "tune gains on some seeds, judge on others"),
+    "check": (checking.check, "check an observer of your own"),
+    "reproduce": (papers.reproduce, "what five papers print, against what comes out"),
+}
+NAMES = {"help_option_names": ["-h", "--help"]}
+
+app = typer.Typer(
+    name="pcbench",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings=NAMES,
+)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"pcbench {version('pcbench')}")
+        raise typer.Exit
+
+
+@app.callback()
+def whole(
+    asked: Annotated[
+        bool, typer.Option("--version", "-V", callback=_version, is_eager=True, help="say which release this is")
+    ] = False,
+) -> None:
+    """Which observer should I use when my measurements are sampled, late, noisy or lost, and how sure am I?
+
+    Begin with: pcbench run quick
+    """
+
+
+for name, (function, line) in ALL.items():
+    app.command(name, short_help=line)(function)

@@ -1,0 +1,1 @@
+"""What a person reads in the terminal: progress, tables of results, gains, folders, claims, what there is."""

@@ -1,0 +1,40 @@
+"""What stands in a study's folder, and what came of checking it."""
+
+from typing import Any
+
+from rich.console import Console
+
+from pcbench.cli.screen.tables import titled
+
+
+def status(found: Any, folder: str, console: Console) -> None:
+    """Print how far a study is."""
+    table = titled(f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB")
+    for head in ("scenario", "observer", "cells", "blocks", "runs", "of", "done"):
+        table.add_column(head, justify="left" if head in ("scenario", "observer") else "right")
+    for s in found.shares:
+        share = f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-"
+        table.add_row(s.scenario, s.observer, str(s.cells), str(s.blocks), f"{s.seeds:,}", f"{s.wanted:,}", share)
+    console.print(table)
+    for what, names in (("damaged", found.damaged), ("doubled", found.doubled)):
+        for name in names:
+            console.print(f"{what}: {name}", highlight=False, markup=False, soft_wrap=True)
+    if many := len(found.unfinished):
+        said = "1 unfinished file" if many == 1 else f"{many} unfinished files"
+        console.print(f"{said} of a run that was killed; the next run clears that away.", highlight=False)
+    behind = any(s.seeds < s.wanted for s in found.shares) or found.damaged or found.doubled
+    end = "Every run is there, with its statistics." if found.closed and not behind else "Run the study again to go on."
+    console.print(end, highlight=False)
+
+
+def verdict(found: Any, folder: str, console: Console) -> None:
+    """Print what a verification found."""
+    for sentence in [*found.wrong, *found.differing]:
+        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
+    wrong = f"{len(found.wrong)} complaint" + ("s" if len(found.wrong) > 1 else "")
+    files = f"{found.files} blocks, {wrong}" if found.wrong else f"all {found.files} blocks are whole"
+    many = len(found.recomputed)
+    again = (
+        f"{many - len(found.differing)} of {many} came out again, bit for bit" if many else "none was computed again"
+    )
+    console.print(f"{folder}: {files}; {again}.", highlight=False)

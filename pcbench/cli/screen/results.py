@@ -1,0 +1,200 @@
+"""A study's results in the terminal: who is better, by how much, and how surely. Heads are the names that the tables use."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from rich.console import Console
+
+from pcbench.cli.screen.tables import Column, fits, printed
+from pcbench.scenarios import Scenario
+from pcbench.statistics.winning import winner
+from pcbench.statistics.wording import difference, fraction, interval
+from pcbench.study import scenarios_of
+from pcbench.tables import unit_of
+
+LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
+BESIDE = (
+    "rmse",
+    "recovery_time",
+    "tail_tracking_rmse",
+    "settling_time",
+    "efficiency",
+)  # least first, where there are such
+LESS = "less the best"
+PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Holm, 5 %)."
+HALF = "± is half a 95 % interval; one that leans to one side is written by its ends."
+
+
+class Shown(NamedTuple):
+    """What a closing table shows of a scenario: one signal of it."""
+
+    scenario: Scenario
+    stats: pd.DataFrame  # of this signal
+    pairs: pd.DataFrame  # of this signal and metric
+    metric: str
+
+    @property
+    def title(self) -> str:
+        """Return scenario, signal with its unit, and runs."""
+        ranked = self.stats[self.stats.metric == self.metric]
+        many = int((ranked.n + ranked.diverged).max())
+        return f"{self.scenario.name}: error of {self.stats.signal.iloc[0]} [{self.unit}], {many:,} seeds"
+
+    @property
+    def unit(self) -> str:
+        """Return the signal's unit."""
+        return str(self.stats[self.stats.metric == "mae"].unit.iloc[0])
+
+
+def closing(result: Any, console: Console, metric: str, signals: list[str] | None = None) -> None:
+    """Print who was better and how surely, the least mean `metric` first.
+
+    Of every scenario the `signals` that it has; None: those it is known by; an empty list: all.
+    """
+    stats, pairs, known = result.stats, result.pairs, scenarios_of(result.study)
+    notes: dict[str, None] = {}
+    for name, whole in stats.groupby("scenario", sort=False):
+        there = list(dict.fromkeys(whole.signal))
+        chosen = (known[name].headline or there[:1]) if signals is None else signals or there
+        for signal in [s for s in chosen if s in there]:
+            part = whole[whole.signal == signal]
+            met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
+            shown = Shown(known[name], part, met, metric)
+            if metric not in set(part.metric):
+                console.print(f"{name}: has no {metric} of {signal}.", highlight=False)
+            elif part.cell.nunique() * part.observer.nunique() > LONGEST:
+                notes |= dict.fromkeys(_counted(shown, console))
+            else:
+                notes |= dict.fromkeys(_tables(shown, console))
+        _say_what_is_carried(whole, console)
+    for note in notes:
+        console.print(note, highlight=False, markup=False)
+
+
+def _say_what_is_carried(stats: pd.DataFrame, console: Console) -> None:
+    """Say which predictions to the present carry the unknown input that was found."""
+    said = stats[["observer", "carries_input"]].dropna().drop_duplicates()
+    for carries, text in ((True, "carries"), (False, "does not carry")):
+        names = ", ".join(dict.fromkeys(said.observer[said.carries_input == carries]))
+        if names:
+            console.print(f"The prediction to now {text} the unknown input found: {names}.", highlight=False)
+
+
+def _varying(part: pd.DataFrame) -> list[str]:
+    first = list(part.columns).index("cell") + 1
+    axes = list(part.columns)[first : list(part.columns).index("signal")]
+    return [a for a in axes if part[a].astype(str).nunique() > 1]
+
+
+def _tables(shown: Shown, console: Console) -> list[str]:
+    """Print the cells in one table, or where that is too wide each in its own; return what a reader has to know of them."""
+    axes = _varying(shown.stats)
+    cells = [cell for _, cell in shown.stats.groupby("cell", sort=True)]
+    columns = _columns(shown, cells, axes)
+    groups = [(shown.title, cells, columns)]
+    if axes and not fits(columns, console):
+        at = [", ".join(f"{a} = {_axis(cell[a].iloc[0])}" for a in axes) for cell in cells]
+        groups = [
+            (f"{shown.title}, {where}", [cell], _columns(shown, [cell], []))
+            for where, cell in zip(at, cells, strict=True)
+        ]
+    left_out: dict[str, None] = {}
+    for title, mine, each in groups:
+        left_out |= dict.fromkeys(printed(title, each, console, [cell.observer.nunique() for cell in mine]))
+    paired = [PAIRED] if any(cell.observer.nunique() > 1 for cell in cells) else []
+    return [HALF, *paired, *([f"Left out for want of room: {', '.join(left_out)}."] if left_out else [])]
+
+
+def _columns(shown: Shown, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:
+    """The columns of some cells, best observers first: what ranks them, by how much, and what else there is."""
+    metric, there = shown.metric, set(shown.stats.metric)
+    beside = [m for m in BESIDE if m in there and m != metric]
+    values: dict[str, list[str]] = {name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence")}
+    for cell in cells:
+        wide = cell.set_index(["observer", "metric"])
+        met = shown.pairs[shown.pairs.cell == cell.cell.iloc[0]]
+        order = list(ranked(cell[cell.metric == metric]).observer)
+        for observer in order:
+            best = observer == order[0]
+            for axis in axes:
+                values[axis].append(_axis(cell[axis].iloc[0]) if best else "")
+            values["observer"].append(f"[bold]{observer}[/bold]" if best else observer)
+            values[metric].append(interval(wide.loc[observer, metric]))
+            values[LESS].append("" if best else difference(met, observer, order[0]))
+            for name in beside:
+                values[name].append(_beside(wide, observer, name, shown.scenario.horizon))
+            values["divergence"].append(fraction(wide.loc[observer, "divergence"]))
+    lost, several = bool(shown.stats.diverged.any()), len(set(values["observer"])) > 1
+    columns = [Column(axis, values[axis]) for axis in axes]
+    columns += [Column("observer", values["observer"], left=True), Column(_head(shown, metric), values[metric])]
+    columns += [Column(LESS, values[LESS])] if several else []
+    columns += [Column("diverged", values["divergence"])] if lost else []
+    return columns + [
+        Column(_head(shown, name), values[name], spare=1 + len(beside) - beside.index(name)) for name in beside[::-1]
+    ]
+
+
+def ranked(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return rows of one metric and cell, the best first: the fewest diverged runs, then the least mean."""
+    return rows.sort_values(["diverged", "mean"], kind="stable", na_position="last")
+
+
+def _head(shown: Shown, metric: str) -> str:
+    """A metric's name, with its unit where that is not the signal's, and what it is of its runs where that is no mean."""
+    own = unit_of(metric, shown.unit)
+    unit = f" [{own}]" if own not in (shown.unit, "1") else ""
+    return f"median\n{metric}{unit}" if metric == "settling_time" and metric != shown.metric else metric + unit
+
+
+def _beside(wide: Any, observer: str, metric: str, horizon: float) -> str:
+    if (observer, metric) not in wide.index:
+        return ""
+    row = wide.loc[observer, metric]
+    return settled(row, horizon) if metric == "settling_time" else interval(row)
+
+
+def settled(row: Any, horizon: float) -> str:
+    """The median settling time; 'never' where most runs were outside their band at the end."""
+    return "-" if np.isnan(row["p50"]) else "never" if row["p50"] >= horizon else f"{row['p50']:.3g}"
+
+
+def _axis(value: Any) -> str:
+    """A value of an axis; one for each channel with commas."""
+    return ", ".join(f"{v:g}" for v in value) if isinstance(value, np.ndarray) else str(value)
+
+
+def _counted(shown: Shown, console: Console) -> list[str]:
+    """Print how many cells each observer wins; return what a reader has to know."""
+    part, metric = shown.stats[shown.stats.metric == shown.metric], shown.metric
+    won = pd.Series(
+        [winner(rows, shown.pairs[shown.pairs.cell == cell]) for cell, rows in part.groupby("cell")]
+    ).value_counts()
+    each = part.groupby("observer", sort=False)
+    order = sorted(each, key=lambda item: (-won.get(item[0], 0), np.nan_to_num(item[1]["mean"].median(), nan=np.inf)))
+    unit = unit_of(metric, part.unit.iloc[0])
+    columns = [
+        Column("observer", [str(name) for name, _ in order], left=True),
+        Column("cells won", [str(won.get(name, 0)) for name, _ in order]),
+        Column(f"median {metric} [{unit}]", [f"{mine['mean'].median():.4g}" for _, mine in order]),
+    ]
+    if part.diverged.any():
+        lost = [f"{100 * m.diverged.sum() / (m.n + m.diverged).sum():.3g} %" for _, m in order]
+        columns.append(Column("runs diverged", lost))
+    cells = part.cell.nunique()
+    signal, fewest = part.signal.iloc[0], " among those with fewest diverged runs" if part.diverged.any() else ""
+    title = f"{shown.scenario.name}: least {metric} of {signal}{fewest}, over {cells:,} cells"
+    printed(title, columns, console)
+    ties = won.get("", 0)
+    return [
+        f"A cell is won where the best is surely better than every other (Holm, 5 %); {ties:,} of {cells:,} are not."
+    ]
+
+
+def effort(result: Any, folder: str) -> str:
+    """Return what a run took, in a sentence."""
+    p = result.provenance
+    if not result.effort.runs:
+        return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
+    took = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
+    return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {took}."

@@ -1,0 +1,34 @@
+"""One table as a file of the kind that its name says: Parquet, which keeps units and meanings, or CSV, which keeps numbers."""
+
+import io
+from pathlib import Path
+
+import pyarrow as pa
+from pyarrow import csv
+
+from pcbench.dataset import store
+from pcbench.errors import UserError
+
+KINDS = (".parquet", ".csv")
+
+
+def kind_of(out: str | Path) -> str:
+    """Return the suffix of a file's name; raise UserError where it is none of KINDS."""
+    kind = Path(str(out)).suffix.lower()
+    if kind not in KINDS:
+        found = f"the suffix '{kind}'" if kind else "no suffix"
+        raise UserError(f"--out {out}: got {found}, expected one of {', '.join(KINDS)}; give the file such a name.")
+    return kind
+
+
+def put(out: str | Path, table: pa.Table) -> None:
+    """Put a table into a file, whole or not at all."""
+    kind, (folder, _, name) = kind_of(out), str(out).replace("\\", "/").rpartition("/")
+    place = store.target(folder or ("/" if str(out).startswith("/") else "."))
+    store.make(place)
+    if kind == ".parquet":
+        store.put_table(place, name, table)
+        return
+    content = io.BytesIO()
+    csv.write_csv(table, content, csv.WriteOptions(quoting_style="needed"))
+    store.put(place, name, content.getvalue())

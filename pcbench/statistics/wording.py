@@ -1,0 +1,63 @@
+"""Estimates as text: a value with its interval, both to the same digit. No jax.
+
+`0.2224 ± 0.0072` is a mean and half its 95 % interval, two digits of that. Where the interval leans to one side, as that of a
+mean that cannot be negative does when runs are few, its ends stand instead: `0.0047 (0.0011 .. 0.020)`.
+"""
+
+from math import floor, isfinite, isnan, log10
+from typing import Any
+
+import pandas as pd
+
+ROUNDING = 1e-11  # a value below it is rounding of 0, and stands as that
+EXACT = 1e-6  # an interval narrower than this part of its value is not written: six digits stand
+LEAN = 1.25  # an interval leans where one side is longer than the other by more
+
+
+def interval(row: Any) -> str:
+    """Return an estimate of stats with its interval."""
+    return estimate(row["mean"], row["ci_low"], row["ci_high"])
+
+
+def estimate(value: float, low: float, high: float, sign: str = "") -> str:
+    """Return a value with its interval; `sign` "+" writes it of a positive number too. Of one run the interval is `?`."""
+    if isnan(value):
+        return "-"
+    if abs(value) < ROUNDING:
+        return "0"
+    if not (isfinite(low) and isfinite(high)):
+        return f"{value:{sign}.4g} ± ?"
+    half, sides = (high - low) / 2, sorted((value - low, high - value))
+    if half <= EXACT * abs(value):
+        return f"{value:{sign}.{4 if half == 0 else 6}g}"
+    if sides[1] > LEAN * sides[0]:
+        return f"{value:{sign}.3g} ({low:.2g} .. {high:.2g})"
+    return _alike(value, half, sign)
+
+
+def _alike(value: float, half: float, sign: str) -> str:
+    """A value and half its interval, to two digits of the latter."""
+    half = float(f"{half:.1e}")
+    digits, power = 1 - floor(log10(half)), floor(log10(max(abs(value), half)))
+    if -5 < power < 6:
+        value = round(value, digits)
+        return f"{value:{sign}.{max(digits, 0)}f} ± {half:.{max(digits, 0)}f}"
+    return f"({value / 10.0**power:{sign}.{digits + power}f} ± {half / 10.0**power:.{digits + power}f})e{power:+03d}"
+
+
+def fraction(row: Any) -> str:
+    """Return a fraction of runs with its interval, in per cent."""
+    return f"{100 * row['mean']:.3g} % ({100 * row['ci_low']:.3g} .. {100 * row['ci_high']:.3g})"
+
+
+def difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
+    """Return the difference of an observer to the best, with its interval; '=' where it is not distinguishable."""
+    forward = pairs[(pairs.observer_a == observer) & (pairs.observer_b == best)]
+    backward = pairs[(pairs.observer_a == best) & (pairs.observer_b == observer)]
+    if forward.empty and backward.empty:
+        return "-"
+    row, sign = (forward.iloc[0], 1) if len(forward) else (backward.iloc[0], -1)
+    if row.n > 1 and (row.p_holm > 0.05 or row.prob_a_better == 0.5):  # one run says nothing of others
+        return "="
+    low, high = sorted((sign * row.ci_low, sign * row.ci_high))
+    return estimate(sign * row.mean_diff, low, high, sign="+")

@@ -1,0 +1,246 @@
+"""Tables in the terminal: no number is cut at any width, a value and its interval end at one digit, a head has one meaning."""
+
+import io
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from commands import call
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+from small_study import STUDY
+
+import pcbench
+from pcbench.cli.screen import results
+from pcbench.cli.screen.tables import aligned
+from pcbench.statistics import wording
+
+MANY = {
+    "name": "many",
+    "scenarios": ["cart/slow"],
+    "observers": ["pccebo", "kfbo", "dkf", "open-loop"],
+    "seeds": 5,
+    "axes": {"noise_std": [0.1, 0.5], "delay": [0.2, 0.6], "assumed_delay_error": [0.0, 0.05]},
+}
+
+
+@pytest.fixture(scope="module")
+def many():
+    return pcbench.run(MANY)
+
+
+def shown(result, width=80, metric="tail_rmse", signals=None):
+    console = Console(file=io.StringIO(), width=width)
+    results.closing(result, console, metric, signals)
+    return console.file.getvalue()
+
+
+def number(row):
+    return wording.interval(row)
+
+
+@pytest.mark.parametrize("width", [60, 80, 100, 160])
+def test_no_number_is_cut_at_any_width(many, width):
+    text = shown(many, width)
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= width
+    rows = many.stats[(many.stats.metric == "tail_rmse") & (many.stats.signal == "position")]
+    flat = " ".join(text.split())
+    assert len(rows) == 32
+    for row in rows.to_dict("records"):
+        value, sign, half = number(row).partition(" ± ")
+        assert re.search(
+            rf"{re.escape(row['observer'])} +{re.escape(value)}{' ± +' if sign else ''}{re.escape(half)}", flat
+        )
+    assert ("Left out for want of room: " in text) == (width < 160)
+    assert ("delay = 0.2, noise_std = 0.1, assumed_delay_error = 0.0" in flat) == (width < 100), "axes stand above then"
+
+
+def test_an_axis_column_stands_where_there_is_room(many):
+    text = shown(many, 200)
+    assert re.search(r"delay +noise_std +assumed_delay_error +observer +tail_rmse +less the best", text)
+    assert "Left out" not in text
+
+
+@pytest.mark.parametrize("metric", ["tail_rmse", "mae", "rmse", "settling_time", "tail_mse", "peak"])
+def test_a_head_is_the_name_of_one_metric(whole, metric):
+    """The column that ranks bears the metric's name, and no other column does."""
+    result = pcbench.opened(whole)
+    text = shown(result, 160, metric)
+    head = next(line for line in text.splitlines() if "observer" in line and metric in line)
+    words = [w for w in re.split(r"  +", head.strip()) if w]
+    assert "settling_time [s]" not in words or metric == "settling_time" or "median" in text
+    assert len(set(words)) == len(words)
+    assert words.count(metric) + sum(w.startswith(f"{metric} [") for w in words) == 1
+    assert set(words) <= {
+        "noise_std",
+        "observer",
+        metric,
+        f"{metric} [s]",
+        f"{metric} [(m)^2]",
+        "less the best",
+        "efficiency",
+        "settling_time [s]",
+        "rmse",
+    }
+    means = result.stats[(result.stats.metric == metric) & (result.stats.signal == "position")]
+    for row in means.to_dict("records"):
+        assert number(row).split(" ± ")[0] in text
+
+
+def test_the_best_by_the_metric_stands_first_and_the_others_say_by_how_much(whole):
+    result = pcbench.opened(whole)
+    for metric in ("tail_rmse", "peak"):
+        mine = result.stats[
+            (result.stats.metric == metric) & (result.stats.signal == "position") & (result.stats.cell == 1)
+        ]
+        best, worse = mine.sort_values("mean").observer
+        lines = [line.split() for line in shown(result, 160, metric).splitlines()]
+        order = [w for line in lines for w in line if w in ("pccebo", "kfbo")][-2:]
+        assert order == [best, worse]
+        pairs = result.pairs[
+            (result.pairs.metric == metric) & (result.pairs.signal == "position") & (result.pairs.cell == 1)
+        ]
+        said = wording.difference(pairs, worse, best)
+        assert said.startswith("+") or said == "="
+        assert said.split(" ± ")[0] in shown(result, 160, metric)
+
+
+def test_signals_can_be_chosen(whole):
+    result = pcbench.opened(whole)
+    assert shown(result).count("error of ") == 1
+    assert shown(result, signals=[]).count("error of ") == 2
+    assert "error of velocity [m/s]" in shown(result, signals=["velocity"])
+    assert "error of position" not in shown(result, signals=["velocity"])
+
+
+def test_the_command_takes_signals_and_a_metric(tmp_path):
+    """And another name is one sentence, before anything runs."""
+    words = ["run", "cart/slow", "--seeds", "3", "--observers", "dkf,open-loop", "--out", tmp_path / "out"]
+    done = call(*words, "--signal", "all", "--metric", "peak")
+    assert done.returncode == 0, done.stderr
+    assert "error of velocity [m/s], 3 seeds" in done.stdout
+    assert re.search(r"observer +peak +less the best", done.stdout)
+    assert done.stdout.rstrip().endswith(f"Now look at it: pcbench report {tmp_path / 'out'}")
+    done = call("run", "cart/slow", "--signal", "speed", "--out", tmp_path / "no")
+    assert done.returncode == 2
+    assert "--signal: 'speed' is no signal of cart/slow; valid: position, velocity." in done.stderr
+    assert not (tmp_path / "no").exists()
+    page = tmp_path / "page.html"
+    assert call("report", tmp_path / "out", "--signal", "velocity", "--metric", "peak", "--out", page).returncode == 0
+    text = page.read_text()
+    assert "peak [m/s]" in text
+    assert "largest |error| of velocity" in text
+    assert "of position" not in text
+    done = call("report", tmp_path / "out", "--signal", "speed")
+    assert "--signal: 'speed' is no signal of the study" in done.stderr
+
+
+def test_of_many_cells_wins_are_counted_where_they_are_sure(many, monkeypatch):
+    monkeypatch.setattr(results, "LONGEST", 8)
+    text = shown(many)
+    assert "least tail_rmse of position, over 8 cells" in text
+    assert "median tail_rmse [m]" in text
+    assert "less the best" not in text, "a footnote of columns that are not there"
+    order = [line.split()[0] for line in text.splitlines() if line.split()[:1] and line.split()[0] in MANY["observers"]]
+    won = {
+        line.split()[0]: int(line.split()[1])
+        for line in text.splitlines()
+        if line.split()[:1] and line.split()[0] in order
+    }
+    stats = many.stats[(many.stats.metric == "tail_rmse") & (many.stats.signal == "position")]
+    medians = stats.groupby("observer")["mean"].median()
+    assert order == sorted(order, key=lambda o: (-won[o], medians[o])), "ties by the median, not by the alphabet"
+
+
+def digits(text):
+    """Where a number's last digit stands."""
+    body, _, power = text.partition("e")
+    return -len(body.partition(".")[2]) + int(power or 0)
+
+
+@given(st.floats(1e-9, 1e9), st.floats(1e-5, 0.2), st.floats(0.9, 1.1))
+def test_value_and_interval_end_at_one_digit(value, part, lean):
+    """Two digits of the half interval, and the value is the nearest with as many."""
+    half = value * part
+    text = wording.estimate(value, value - half * lean, value + half / lean)
+    whole = text.startswith("(")
+    mean, sign, width = text.strip("()").partition(" ± ")
+    power = "e" + text.rpartition("e")[2] if whole else ""
+    mean, width = mean + power, width.partition(")")[0] + power
+    assert sign
+    assert digits(mean) == digits(width)
+    assert 1 <= len(width.partition("e")[0].replace(".", "").lstrip("0")) <= max(2, len(str(int(float(width)))))
+    assert abs(float(mean) - value) <= 0.51 * 10.0 ** max(digits(mean), np.floor(np.log10(half * 1.01)) - 1)
+
+
+def test_what_an_interval_cannot_say_is_said_otherwise():
+    nan = float("nan")
+    assert wording.estimate(nan, nan, nan) == "-"
+    assert wording.estimate(3e-12, 1e-12, 9e-12) == "0"
+    assert wording.estimate(0.5, nan, nan) == "0.5 ± ?"
+    assert wording.estimate(5.082, 5.082, 5.082) == "5.082"
+    assert wording.estimate(0.0047, 0.0011, 0.0203) == "0.0047 (0.0011 .. 0.02)", "it leans to one side"
+    assert wording.estimate(36000, 34800, 37200) == "36000 ± 1200"
+    assert wording.estimate(3.9e-10, 3.8e-10, 4.0e-10) == "(3.90 ± 0.10)e-10"
+    assert wording.estimate(0.337, 0.328, 0.346, "+") == "+0.3370 ± 0.0090"
+
+
+@given(st.lists(st.sampled_from(["0.22 ± 0.01", "1.2600 ± 0.0068", "5", "", "never", "0.5 (0.1 .. 2)"]), min_size=1))
+def test_signs_stand_below_one_another(cells):
+    out = aligned(cells)
+    places = {text.index("±") for text in out if "±" in text}
+    assert len(places) <= 1
+    assert [" ".join(text.split()) for text in out] == cells
+
+
+def test_a_narrow_terminal_shows_the_readmes_motor_whole(tmp_path):
+    """80 columns, as a shell says in COLUMNS: what a newcomer sees first."""
+    done = call("run", "cart/white", "--seeds", "8", "--out", tmp_path / "out")
+    assert "…" not in done.stdout
+    tables = [line for line in done.stdout.splitlines() if "±" in line or "observer" in line]
+    assert max(map(len, tables)) <= 100
+
+
+@pytest.mark.parametrize("kind", ["observers", "scenarios", "plants", "studies", "axes", "metrics", "choices"])
+def test_everything_there_is_can_be_told_whole(kind):
+    from pcbench.cli.catalogue import found
+    from pcbench.cli.screen import listing
+
+    for name, said in found(kind).items():
+        console = Console(file=io.StringIO(), width=80)
+        listing.whole(name, said, console)
+        text = console.file.getvalue()
+        assert max(map(len, text.splitlines())) <= 80
+        for option, told in said.get("options", {}).items():
+            assert f"  {option}: " in text
+            assert told["description"].split()[0] in text
+
+
+def test_options_have_type_default_and_range():
+    import json
+
+    said = json.loads(call("list", "observers", "pccebo", "--json").stdout)["observers"]["pccebo"]["options"]
+    assert said["q"] == {
+        "type": "number",
+        "range": "> 0",
+        "default": 0.002,
+        "description": said["q"]["description"],
+        "tunable": False,
+    }
+    assert said["gain"]["choices"] == ["lmi", "riccati", "decay", "h2", "hinf"]
+    assert said["L"]["type"] == "matrix"
+    text = call("list", "observers", "pccebo").stdout
+    assert "q: number > 0, default 0.002" in text
+    done = call("list", "observers", "pcebo")
+    assert done.returncode == 2
+    assert "did you mean 'pccebo'" in done.stderr
+
+
+def test_a_list_fits_a_screen_line_each():
+    text = call("list").stdout
+    assert len(text.splitlines()) < 90
+    assert pd.Series(text.splitlines()).str.len().max() <= 100
+    assert STUDY["scenarios"][0] in text
