@@ -1,17 +1,19 @@
 """What a schedule of its own for every run costs, beside one schedule for all runs, in one process.
 
-    python benchmarks/random_schedules.py [--quick] [--json]
+    python benchmarks/random_schedules.py [--small] [--json]
 
 The same observers on the same scenario, 1024 runs a device: once on a schedule that all share, then with jitter, loss, both,
 random intervals, and delays that let samples overtake. Rows take turns (see `turns`); a turn is what a user gets: jobs stacked,
 sent, simulated and read, draws and sorting of the events included. The ratio is of the best turns, within a scenario.
+Before it is timed, every row is checked: its runs end with finite errors, and are not those of one schedule for all.
+With --small 32 runs of every row go on for two seconds of their scenario, one turn: its figures mean nothing then.
 With overtaking an observer keeps as many samples as may be overtaken and runs again from there: that row does other work.
 """
 
 import argparse
 import json
 import sys
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -19,9 +21,10 @@ from rich.console import Console
 from rich.table import Table
 from turns import Row, take
 
-from pcbench import ensemble, machine, planning, study_file
+from pcbench import cells, ensemble, machine, planning, shapes, study_file
 
 JOBS = 3  # a device and turn
+FEW = 32  # lanes with --small
 SETS = {
     "cart/white": ["pccebo", "kfbo"],
     "cart/gaussian-fast": ["pccebo", "pi-pco", "dkf"],
@@ -37,43 +40,71 @@ RANDOM: dict[str, dict[str, Any]] = {
 }
 
 
-def row_of(scenario: str, observers: list[str], what: str, axes: dict[str, Any]) -> Row:
-    """Return one way to sample as a row to be timed, compiled and warm."""
+class Made(NamedTuple):
+    """A row to be timed, compiled and warm, and the last errors of its first runs."""
+
+    row: Row
+    errors: np.ndarray
+
+
+def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bool) -> shapes.Planned:
+    """Return a cell of one way to sample, laid out."""
     raw = {"name": "cost", "scenarios": [scenario], "observers": observers, "axes": {k: [v] for k, v in axes.items()}}
-    (planned,) = planning.plan(study_file.parse(raw, "cost"))
-    devices, width = ensemble.cores(), planned.layout.width
-    jobs = [ensemble.Job(planned.problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
-    made = ensemble.program(planned.layout, jobs[0])
+    study = study_file.parse(raw, "cost")
+    (cell,) = cells.cells_of(study)
+    if not small:
+        return next(planning.drafts(study, [cell]))
+    cell = cell._replace(scenario=cell.scenario._replace(horizon=2.0, tail=1.0))
+    draft = next(planning.drafts(study, [cell]))
+    return draft._replace(layout=draft.layout._replace(width=FEW))
 
-    def work() -> None:
-        for _ in ensemble.run(planned.layout, jobs, devices):
-            pass
 
-    work()
-    return Row(
-        f"{scenario} ({', '.join(observers)}): {what}",
-        devices,
-        width * devices,
-        width * len(jobs),
-        work,
-        made.compile_seconds,
-    )
+def rows_of(scenario: str, observers: list[str], small: bool) -> list[Made]:
+    """Return every way to sample a scenario as a row; those that can share a program do, as in a study."""
+    kinds = {what: axes for what, axes in RANDOM.items() if what != "overtaking" or "kfbo" not in observers}
+    each = shapes.fit([planned(scenario, observers, axes, small) for axes in kinds.values()])
+    return [_made(f"{scenario} ({', '.join(observers)}): {what}", p) for what, p in zip(kinds, each, strict=True)]
+
+
+def _made(what: str, p: shapes.Planned) -> Made:
+    devices, width = ensemble.cores(), p.layout.width
+    jobs = [ensemble.Job(p.problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
+    made = ensemble.program(p.layout, jobs[0])
+
+    def work() -> list[Any]:
+        return list(ensemble.run(p.layout, jobs, devices))
+
+    errors = np.concatenate(list(work()[0][1].final.values()))
+    return Made(Row(what, devices, width * devices, width * len(jobs), work, made.compile_seconds), errors)
+
+
+def check(made: list[Made]) -> None:
+    """Exit with a sentence where a row's runs are not finite, or are those of one schedule for all."""
+    for i, (row, errors) in enumerate(made):
+        if not np.isfinite(errors).all():
+            raise SystemExit(f"random_schedules: {row.what}: got errors that are not finite, expected runs that end.")
+        if i and np.array_equal(errors, made[0].errors):
+            raise SystemExit(f"random_schedules: {row.what}: got the runs of one schedule for all, expected others.")
 
 
 def main() -> None:
-    """Parse, time, print."""
+    """Parse, check, time, print."""
     parser = argparse.ArgumentParser(description="Random schedules beside a shared one: cost in one process.")
-    parser.add_argument("--quick", action="store_true", help="the first scenario, one turn")
+    parser.add_argument(
+        "--small", action="store_true", help="few runs, two seconds of each scenario; every row and check"
+    )
     parser.add_argument("--json", action="store_true", help="print JSON for a program instead of the table")
     options = parser.parse_args()
     machine.setup()
     jax.config.update("jax_platforms", "cpu")
-    jax.config.update("jax_enable_compilation_cache", False)
+    if not options.small:
+        jax.config.update("jax_enable_compilation_cache", False)
     found = []
-    for scenario in list(SETS)[: 1 if options.quick else None]:
-        kinds = {w: a for w, a in RANDOM.items() if w != "overtaking" or "kfbo" not in SETS[scenario]}
-        rows = [row_of(scenario, SETS[scenario], what, axes) for what, axes in kinds.items()]
-        timed = take(rows, 1 if options.quick else 5)
+    for scenario, observers in SETS.items():
+        made = rows_of(scenario, observers, options.small)
+        check(made)
+        rows = [row for row, _ in made]
+        timed = take(rows, 1 if options.small else 5)
         best, median = timed.wall.min(1), np.median(timed.wall, 1)
         for i, row in enumerate(rows):
             microseconds = 1e6 * best[i] / JOBS / 10_000
@@ -86,13 +117,13 @@ def main() -> None:
     for head in ("what", "tick [us]", "to one schedule", "medians", "compile [s]"):
         table.add_column(head, justify="left" if head == "what" else "right", no_wrap=head != "what")
     for r in found:
-        cells = (
+        cells_ = (
             f"{r['tick_us']:.1f}",
             f"{r['ratio']:.2f}",
             f"{r['ratio_of_medians']:.2f}",
             f"{r['compile_seconds']:.1f}",
         )
-        table.add_row(r["what"], *cells)
+        table.add_row(r["what"], *cells_)
     (Console() if sys.stdout.isatty() else Console(width=150)).print(table)
 
 

@@ -2,12 +2,16 @@
 
     python benchmarks/studies.py              # a few minutes
     python benchmarks/studies.py --only memory
+    python benchmarks/studies.py --small      # every row and check, a few runs each: its figures mean nothing then
 
 writing: the time that tasks spend on their files, of the time that all places have; and what the same tasks take longer
          with files than without, in turn (on a shared machine good to some per cent).
 workers: the same study on one and on two local Dask workers, warm; time on one / (2 x time on two). The same of bare
          processes that only simulate, in turn: what the machine gives where both cores are busy.
 memory:  peak resident memory of studies with more and more seeds, and with more and more cells, one program each.
+
+Checked: files or not, workers or not, the same number of runs is done; a study with 256 times the seeds takes less than twice
+the memory. Exit code 1 where that does not hold.
 """
 
 import argparse
@@ -44,7 +48,10 @@ def without_files(work: blocks.Work, task: blocks.Task, place: Callable[[], Any]
 
 
 def timed(study: dict[str, Any], execute: executors.Executor, block: int | None = None) -> tuple[float, float]:
-    """Return the seconds in which a study's blocks are filled, planning and statistics left out, and those of writing."""
+    """Return the seconds in which a study's blocks are filled, planning and statistics left out, and those of writing.
+
+    Exits with a sentence where other runs were done than asked for.
+    """
     with tempfile.TemporaryDirectory() as out, machine.float64():
         place, began = store.target(out), []
         claimed = folder.claim(place, study_file.study_of(study, {}, []))
@@ -56,16 +63,20 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
         effort = campaign.fill(
             place, claimed, [], execute, campaign.everything(claimed, []), campaign.Options(block), tell
         )
-        return time.perf_counter() - began[0], effort.writing_seconds
+        took, asked = time.perf_counter() - began[0], study["seeds"] * len(study["observers"])
+        if effort.runs != asked:
+            raise SystemExit(f"studies: got {effort.runs} runs, expected {asked}.")
+        return took, effort.writing_seconds
 
 
-def writing(turns: int) -> None:
+def writing(turns: int, small: bool) -> None:
     """Print what files cost of studies of about a minute."""
     whole = blocks.compute
     for scenario, (seeds, block, observers) in WRITTEN.items():
+        seeds, block = (32, 16) if small else (seeds, block)
         study = {"name": "cost", "scenarios": [scenario], "observers": observers}
         with executors.here() as execute:
-            timed(study | {"seeds": 2048}, execute)
+            timed(study | {"seeds": 16 if small else 2048}, execute)
             longer, share, base = [], [], []
             for _ in range(turns):
                 blocks.compute = without_files
@@ -81,9 +92,10 @@ def writing(turns: int) -> None:
         )
 
 
-def workers(turns: int) -> None:
+def workers(turns: int, small: bool) -> None:
     """Print how much of two workers a study gets, on work that costs more than its files, and what the machine would give."""
     study = {"name": "cost", "scenarios": ["arm/sampled"], "observers": ["smo", "pio"], "seeds": 512 * 8}
+    study = STUDY | {"seeds": 32} if small else study
     seconds: dict[str, list[float]] = {}
     with ExitStack() as stack:
         clusters = [stack.enter_context(executors.dask("local", count)) for count in (1, 2)]
@@ -118,20 +130,23 @@ def simulating(work: partial[Any], tasks: Iterable[blocks.Task]) -> Iterator[blo
         yield partial(without_files, *work.args)(task, nullcontext)
 
 
-def memory() -> None:
+def memory(turns: int, small: bool) -> None:
     """Print the peak memory of studies of several sizes, each in a process of its own."""
     sizes: dict[str, tuple[int, dict[str, Any]]] = {
-        "1024 seeds, 1 cell": (1024, {}),
-        "16384 seeds, 1 cell": (16384, {}),
+        f"{many} seeds, 1 cell": (many, {}) for many in ((16,) if small else (1024, 16384, 262144))
     }
-    sizes |= {"262144 seeds, 1 cell": (262144, {})}
-    sizes |= {f"64 seeds, {n} cells": (64, {"noise_std": [0.01 * (1 + i) for i in range(n)]}) for n in (16, 256)}
+    many_cells = (8,) if small else (16, 256)
+    sizes |= {f"64 seeds, {n} cells": (64, {"noise_std": [0.01 * (1 + i) for i in range(n)]}) for n in many_cells}
+    found = []
     for what, (seeds, axes) in sizes.items():
         code = f"from benchmarks import studies; studies.peak({STUDY | {'seeds': seeds, 'axes': axes}!r})"
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=Path(__file__).parent.parent
         )
-        print(f"memory: {what}: peak {done.stdout.strip()}", flush=True)
+        found.append(int(done.stdout))
+        print(f"memory: {what}: peak {found[-1]} MiB", flush=True)
+    if max(found) >= 2 * found[0]:
+        raise SystemExit(f"studies: got a peak of {max(found)} MiB, expected less than twice {found[0]} MiB.")
 
 
 def peak(study: dict[str, Any]) -> None:
@@ -139,23 +154,24 @@ def peak(study: dict[str, Any]) -> None:
     machine.setup()
     with tempfile.TemporaryDirectory() as out:
         bench.run(study, out=out)
-    print(f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
+    status = Path(
+        "/proc/self/status"
+    )  # the most of this program alone; of what started it too, where that is not there
+    kib = status.read_text().partition("VmHWM:")[2].split()[0] if status.exists() else resource.getrusage(0).ru_maxrss
+    print(f"{float(kib) / 1024:.0f}")
 
 
 def main() -> None:
     """Print the figures."""
     machine.setup()
-    parts: dict[str, Callable[[], None]] = {
-        "writing": partial(writing, 3),
-        "workers": partial(workers, 3),
-        "memory": memory,
-    }
+    parts: dict[str, Callable[[int, bool], None]] = {"writing": writing, "workers": workers, "memory": memory}
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=parts)
-    only = parser.parse_args().only
+    parser.add_argument("--small", action="store_true", help="a few runs, one turn; every row and check")
+    options = parser.parse_args()
     for name, part in parts.items():
-        if only in (None, name):
-            part()
+        if options.only in (None, name):
+            part(1 if options.small else 3, options.small)
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
 """Kill a study again and again while others read it: is what stands in the end what an undisturbed run leaves?
 
-    python benchmarks/survival.py --kills 100
+    python benchmarks/survival.py --kills 100 [--dask] [--small]
 
 A study is started, killed with SIGKILL at a random moment, and started again in the same folder until it ends by itself; then
 its files are compared, byte for byte, with those of a run that nobody disturbed; and so on until there were so many kills.
-Meanwhile a reader polls the folder with pyarrow, DuckDB and Polars: whatever it sees must be whole blocks, no row twice.
+With --small the study has an eighth of the seeds and is killed twice. Meanwhile a reader polls the folder with pyarrow, DuckDB
+and Polars: whatever it sees must be whole blocks, no row twice.
 """
 
 import argparse
@@ -23,13 +24,14 @@ import duckdb
 import polars as pl
 import pyarrow.dataset as ds
 
-STUDY = ["cart/white", "--seeds", "2048", "--observers", "pccebo,kfbo,dkf", "--set", "axes.noise_std=[0.1, 0.2, 0.4]"]
+STUDY = ["cart/white", "--observers", "pccebo,kfbo,dkf", "--set", "axes.noise_std=[0.1, 0.2, 0.4]"]
 ROWS = 64 * 2  # of a block: seeds x signals
+SEEDS, FEW = 2048, 256
 
 
 def command(out: Path, extra: list[str]) -> list[str]:
     """Return the command line of the study."""
-    return [sys.executable, "-m", "pcbench.cli", "run", *STUDY, "--block", "64", "--out", str(out), "--quiet", *extra]
+    return [sys.executable, "-m", "pcbench", "run", *STUDY, "--block", "64", "--out", str(out), "--quiet", *extra]
 
 
 def files(out: Path) -> dict[str, bytes]:
@@ -81,7 +83,7 @@ def disturbed(out: Path, longest: float, most: int, extra: list[str], draw: rand
     """Run the study to its end under kills; return how many there were, `most` at most."""
     kills = 0
     while True:
-        process = subprocess.Popen(command(out, extra), start_new_session=True)
+        process = subprocess.Popen(command(out, extra), start_new_session=True, stdout=subprocess.DEVNULL)
         try:
             code = process.wait(draw.uniform(0, longest) if kills < most else None)
         except subprocess.TimeoutExpired:
@@ -97,25 +99,28 @@ def disturbed(out: Path, longest: float, most: int, extra: list[str], draw: rand
 def main() -> None:
     """Kill, resume, compare; exit 1 where anything differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--kills", type=int, default=100)
+    parser.add_argument("--kills", type=int, default=None, help="default 100, or 2 of a small study")
+    parser.add_argument("--small", action="store_true", help="fewer seeds and kills; every check")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--dask", action="store_true", help="run on two local Dask workers")
     options = parser.parse_args()
-    extra = ["--dask", "local", "--workers", "2"] if options.dask else []
+    most = options.kills or (2 if options.small else 100)
+    extra = ["--seeds", str(FEW if options.small else SEEDS)]
+    extra += ["--dask", "local", "--workers", "2"] if options.dask else []
     draw, seen, kills, rounds = random.Random(options.seed), Counter[str](), 0, 0
     with tempfile.TemporaryDirectory() as folder:
-        subprocess.run(command(Path(folder) / "warm", extra), check=True)  # compiled programs are kept
-        start = time.perf_counter()
-        subprocess.run(command(Path(folder) / "whole", extra), check=True)
+        for name in ("warm", "whole"):  # compiled programs are kept
+            start = time.perf_counter()
+            subprocess.run(command(Path(folder) / name, extra), check=True, stdout=subprocess.DEVNULL)
         alone = time.perf_counter() - start
         want = files(Path(folder) / "whole")
         print(f"undisturbed: {alone:.1f} s, {len(want)} tables", flush=True)
-        while kills < options.kills:
+        while kills < most:
             out, stop = Path(folder) / f"killed-{rounds}", threading.Event()
             out.mkdir()
             reader = threading.Thread(target=poll, args=(out, stop, seen))
             reader.start()
-            kills += disturbed(out, alone, options.kills - kills, extra, draw)
+            kills += disturbed(out, alone, most - kills, extra, draw)
             stop.set()
             reader.join()
             got, rounds = files(out), rounds + 1

@@ -1,6 +1,8 @@
 """Lane-ticks a second: pcbench beside a NumPy loop, NumPy over runs and numba, all in one process.
 
-    python benchmarks/throughput.py [--quick] [--json]
+    python benchmarks/throughput.py [--small] [--json]
+
+With --small it has few lanes, few ticks and one turn, with every row and every check: its figures mean nothing then.
 
 One lane-tick is one run of cart/white advanced by one tick: plant, pccebo and kfbo, and MAE, RMSE and peak of both states
 of both observers, in float64. Before anything is timed, the metrics of every row are compared with pcbench's for the same
@@ -9,7 +11,7 @@ draws, with the fixed and with a random start; a difference above 1e-9 ends the 
 Timing: rows take turns (see `turns`); best and median of the turns. 'busy' is CPU time over wall time. A baseline on one
 core is held to it. pcbench on one device computes on one thread, but the runtime's other worker waits by spinning (busy 2),
 and held to the same core it would take half of it: so that row is not held. `taskset -c 0 python benchmarks/throughput.py`
-gives the whole process one core and one device.
+gives the whole process one core.
 A turn of pcbench is what a user gets: jobs stacked, sent, simulated and read. All draw their noise inside the time.
 Not claimed: that the baselines could not be faster; only that they are what a person would write.
 """
@@ -33,6 +35,7 @@ from pcbench.problem import Layout, Outcome, Problem
 
 SCENARIO, OBSERVERS = "cart/white", ["pccebo", "kfbo"]
 TOLERANCE = 1e-9
+FEW = 64  # lanes with --small
 JOBS = 3  # a device and turn: the next call is prepared while the last one runs, as in a study
 KINDS = {  # watch, random start
     "pcbench, streams": (False, False),
@@ -64,14 +67,13 @@ def agree(what: str, got: Array, expected: Array, ticks: int) -> None:
 
 
 def pcbench_rows(
-    layout: Layout, problem: Problem, kinds: list[str], counts: list[int], ticks: int
+    layout: Layout, problems: dict[bool, Problem], counts: list[int], ticks: int
 ) -> tuple[list[Row], dict[bool, Array]]:
-    """Return pcbench's rows by kind and number of devices, and its sums for seeds 0 .. L-1 by random start."""
+    """Return pcbench's rows by kind and number of cores, and its sums for seeds 0 .. L-1 by random start."""
     rows, sums, width = [], {}, layout.width
-    for kind in kinds:
-        watch, random = KINDS[kind]
+    for kind, (watch, random) in KINDS.items():
         for devices in counts:
-            jobs = [ensemble.Job(problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
+            jobs = [ensemble.Job(problems[random], 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
             mine = layout._replace(watch=watch, random_start=random)
             made = ensemble.program(mine, jobs[0])
             got = sums_of(next(ensemble.serial(made, jobs[:1]))[1])
@@ -81,14 +83,15 @@ def pcbench_rows(
     return rows, sums
 
 
-def check_baselines(case: Case, problem: Problem, sums: dict[bool, Array]) -> None:
+def check_baselines(case: Case, problems: dict[bool, Problem], sums: dict[bool, Array]) -> None:
     """Exit unless every baseline finds pcbench's metrics in pcbench's draws."""
     ticks, lanes = len(case.u), sums[False].shape[-1]
     seeds, samples = np.arange(lanes), -(-ticks // case.period)
     noise = np.asarray(jax.jit(jax.vmap(lambda seed: draws.measurement_noise(0, seed, samples)[0], 0, 1))(seeds))
     normal = np.asarray(draws.normals(draws.run_keys(np.asarray(0), seeds, "initial", 2), np.zeros(2, int)))
     for random, expected in sums.items():
-        x0 = problem.xhat0[:, None] + problem.spread0 @ normal if random else np.tile(problem.x0[:, None], lanes)
+        mean = problems[random].x0[:, None]
+        x0 = mean + problems[random].spread0 @ normal if random else np.tile(mean, lanes)
         agree("a loop per run", one_run(case, x0[:, 0], noise[:, 0])[..., None], expected[..., :1], ticks)
         agree("NumPy over runs", over_runs(case, x0, noise), expected, ticks)
         agree("numba", runs_alone(case, x0, noise), expected, ticks)
@@ -169,23 +172,28 @@ def show(found: list[dict[str, Any]], console: Console) -> None:
 def main() -> None:
     """Parse, check, time, print."""
     parser = argparse.ArgumentParser(description="Lane-ticks a second of pcbench, NumPy and numba on cart/white.")
-    parser.add_argument("--quick", action="store_true", help="few ticks, one turn, streams on one device only")
+    parser.add_argument("--small", action="store_true", help="few ticks and one turn; every row and check")
     parser.add_argument("--json", action="store_true", help="print JSON for a program instead of the table")
     options = parser.parse_args()
     machine.setup()
     jax.config.update("jax_platforms", "cpu")
-    jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
-    (planned,) = planning.plan(study_file.study_of(study_file.load(SCENARIO, []), {"observers": OBSERVERS}, []))
-    ticks = 2000 if options.quick else shapes.ticks(planned.cell)
-    problem = planned.problem._replace(windows=np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]]))
-    case = prepare(problem, ticks)
-    every = list(dict.fromkeys((1, len(jax.devices()))))
-    kinds, counts = (list(KINDS)[:1], [1]) if options.quick else (list(KINDS), every)
-    rows, sums = pcbench_rows(planned.layout, problem, kinds, counts, ticks)
-    others = baseline_rows(case, problem, planned.layout.width)
-    check_baselines(case, problem, sums)
+    if not options.small:
+        jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
+    problems: dict[bool, Problem] = {}
+    for random in (False, True):
+        given = {"observers": OBSERVERS, "options": {"scenario": {"random_start": random}}}
+        (planned,) = planning.plan(study_file.study_of(study_file.load(SCENARIO, []), given, []))
+        ticks = 500 if options.small else shapes.ticks(planned.cell)
+        windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
+        problems[random] = planned.problem._replace(windows=windows)
+        layout = planned.layout._replace(width=FEW) if options.small else planned.layout
+    case = prepare(problems[False], ticks)
+    every = list(dict.fromkeys((1, ensemble.cores())))
+    rows, sums = pcbench_rows(layout, problems, every, ticks)
+    others = baseline_rows(case, problems[False], layout.width)
+    check_baselines(case, problems, sums)
     rows = others + rows
-    found = report(rows, take(rows, 1 if options.quick else 5), ticks)
+    found = report(rows, take(rows, 1 if options.small else 5), ticks)
     if options.json:
         print(json.dumps({"scenario": SCENARIO, "unit": "million lane-ticks a second", "rows": found}, indent=2))
     else:

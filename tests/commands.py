@@ -41,6 +41,9 @@ for line in sys.stdin:
 """
 
 
+PATIENCE = 900  # [s] a command that takes longer hangs
+
+
 @cache
 def server() -> subprocess.Popen:
     return subprocess.Popen([sys.executable, "-c", SERVER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
@@ -53,9 +56,9 @@ def call(*words, cwd=None) -> subprocess.CompletedProcess:
         outputs = [str(Path(folder) / name) for name in ("out", "err")]
         process.stdin.write(json.dumps([given, str(cwd or os.getcwd()), outputs]) + "\n")
         process.stdin.flush()
-        if not select.select([process.stdout], [], [], 300)[0]:
+        if not select.select([process.stdout], [], [], PATIENCE)[0]:
             process.kill()
-            raise TimeoutError(f"pcbench {' '.join(given)} took more than 300 s")
+            raise TimeoutError(f"pcbench {' '.join(given)} took more than {PATIENCE} s")
         code = int(process.stdout.readline())
         out, err = (Path(path).read_text() for path in outputs)
     return subprocess.CompletedProcess(given, code, out, err)

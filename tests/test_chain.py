@@ -114,7 +114,7 @@ def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(
         np.testing.assert_allclose(d[[f"{label}.x1", f"{label}.x2"]].to_numpy()[::10], want, atol=1e-11, err_msg=label)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(
     delays=st.lists(st.integers(0, 9), min_size=3, max_size=3).filter(any),
     loss=st.floats(0.0, 0.6),

@@ -307,12 +307,10 @@ def test_ctrl_c_leaves_complete_files_only(tmp_path):
     out = tmp_path / "out"
     words = [*PCBENCH, "run", "cart", "--seeds", "16000", "--out", str(out)]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    for _ in range(1200):
-        if list(out.rglob("*.parquet")) or process.poll() is not None:
-            break
+    while not list(out.rglob("*.parquet")) and process.poll() is None:
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    _, stderr = process.communicate(timeout=120)
+    _, stderr = process.communicate(timeout=900)
     assert process.returncode == 130, stderr
     assert "stopped" in stderr
     assert "Traceback" not in stderr
@@ -337,6 +335,6 @@ def test_ctrl_c_where_python_cannot_raise_it_still_stops(tmp_path):
         "sys.argv = ['pcbench', 'list', 'plants']\n"
         "cli.main()\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 130
     assert done.stderr == "pcbench: stopped; every file already written is complete.\n"

@@ -1,10 +1,8 @@
 """What a shell may set: the answer is one sentence, or the same numbers."""
 
 import os
-import signal
 import subprocess
 import sys
-import time
 
 import pytest
 from small_study import sealed_again, tables
@@ -20,7 +18,7 @@ def command(*words, cwd, **environment):
     """A command in a process of its own."""
     plain = {k: v for k, v in os.environ.items() if not k.startswith(("JAX_", "PYTHON", "LC_", "LANG"))}
     given = plain | {"PYTHONPATH": os.environ.get("PYTHONPATH", "")} | environment
-    done = subprocess.run([*PCBENCH, *words], cwd=cwd, env=given, capture_output=True, timeout=300, check=False)
+    done = subprocess.run([*PCBENCH, *words], cwd=cwd, env=given, capture_output=True, timeout=900, check=False)
     assert b"Traceback" not in done.stderr, done.stderr
     return done
 
@@ -31,7 +29,7 @@ ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
 def test_a_terminal_without_our_letters_has_the_table_in_its_own(tmp_path):
     done = command(*RUN, "--out", "out", cwd=tmp_path, **ASCII)
     assert done.returncode == 0, done.stderr
-    assert " +- " in done.stdout.decode("ascii")
+    assert "+- is half a 95 % interval" in done.stdout.decode("ascii")
     assert "?" not in done.stdout.decode("ascii")
 
 
@@ -87,38 +85,34 @@ def test_other_flags_are_among_what_compare_says(whole, copy):
 LOADS = """
 import signal, sys
 from importlib.machinery import ExtensionFileLoader
-from pcbench.cli import stopping
 
-def slow(self, spec, real=ExtensionFileLoader.create_module):
-    if spec.name == {module!r} and not asked:  # Ctrl-C in the middle of it
-        asked.append(1)
+def create_module(self, spec, real=ExtensionFileLoader.create_module):
+    if spec.name == {module!r}:  # Ctrl-C in the middle of it
+        print("loading", flush=True)
         signal.raise_signal(signal.SIGINT)
-        print("loaded", flush=True)
     return real(self, spec)
 
-asked, ExtensionFileLoader.create_module = [], slow
+ExtensionFileLoader.create_module = create_module
+
+class Asked:
+    def find_spec(self, name, path=None, target=None):
+        if name == {module!r} and "." not in name:
+            print("loading", flush=True)
+            signal.raise_signal(signal.SIGINT)
+
+sys.meta_path.insert(0, Asked())
 from pcbench import cli
 sys.argv = ["pcbench", "run", "cart/slow", "--out", {out!r}]
 cli.main()
 """
 
 
-@pytest.mark.parametrize("module", ["numpy._core._multiarray_umath", "jaxlib._jax", "pyarrow.lib"])
+@pytest.mark.parametrize("module", ["typer", "jax", "numpy._core._multiarray_umath", "jaxlib._jax", "pyarrow.lib"])
 def test_ctrl_c_while_a_library_is_being_loaded_stops_in_one_sentence(module, tmp_path):
-    """Some crash, or make another error of it, where Python is interrupted there."""
+    """Extensions crash, or make another error of it, where Python is interrupted in the middle of them."""
     code = LOADS.format(module=module, out=str(tmp_path / "out"))
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300, check=False)
-    assert done.stdout == "loaded\n"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=900, check=False)
+    assert done.stdout == "loading\n"
     assert done.returncode == 130, done.stderr
     assert done.stderr == "pcbench: stopped; every file already written is complete.\n"
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_ctrl_c_at_any_time_of_a_start_stops_in_one_sentence(tmp_path):
-    for wait in (0.4, 0.7, 1.1):
-        process = subprocess.Popen([*PCBENCH, *RUN, "--out", tmp_path / "out"], stderr=subprocess.PIPE, text=True)
-        time.sleep(wait)
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=300)
-        assert "Traceback" not in said
-        assert process.returncode in (130, 0), said
+    assert not list(tmp_path.rglob("stats.parquet"))

@@ -1,14 +1,13 @@
 """Any TOML either runs or ends in one sentence that names the place and says what was expected: never a traceback."""
 
 import re
-import signal
 import warnings
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
 import tomli_w
 from fuzzed import BUILT_IN, OWN, PUBLISHED, changed, documents, extreme, keys, values
+from hanging import in_time
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -17,29 +16,8 @@ from pcbench.cells import cells
 from pcbench.errors import UserError
 from pcbench.study import observers_of
 
-FEW = {"deadline": None, "derandomize": True, "suppress_health_check": list(HealthCheck), "print_blob": True}
+FEW = {"derandomize": True, "suppress_health_check": list(HealthCheck), "print_blob": True}
 MANY = FEW | {"derandomize": False}
-SECONDS = 60  # of the processor: a study that is neither planned nor refused by then takes for ever,
-ASLEEP = 600  # and so does one that takes so long by the clock
-
-
-@contextmanager
-def in_time():
-    """Raise TimeoutError where the body takes more than SECONDS of the processor, or sleeps for ever."""
-
-    def late(*_):
-        raise TimeoutError(f"neither planned nor refused after {SECONDS} s")
-
-    before = {number: signal.signal(number, late) for number in (signal.SIGPROF, signal.SIGALRM)}
-    signal.setitimer(signal.ITIMER_PROF, SECONDS)
-    signal.alarm(ASLEEP)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.alarm(0)
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def one_sentence(said):

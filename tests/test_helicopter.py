@@ -77,7 +77,7 @@ def test_twenty_seconds_equal_the_reference(name, observer):
 
 
 @pytest.mark.slow
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=3)
 @given(
     observer=st.sampled_from(sorted(OBSERVERS)),
     period=st.integers(1, 300),
@@ -123,7 +123,7 @@ def test_a_misprint_would_be_seen(misprint):
 
 
 @pytest.mark.parametrize("observer", [pytest.param(o, marks=pytest.mark.slow) if o == "ekf" else o for o in OBSERVERS])
-@settings(max_examples=4, deadline=None)
+@settings(max_examples=4)
 @given(period=st.integers(1, 250), delay=st.integers(0, 60), feedforward=st.booleans())
 def test_a_perfect_start_has_no_error(observer, period, delay, feedforward):
     """True start and viscosities, no noise: z follows x; only rounding, which the loop amplifies."""

@@ -1,9 +1,8 @@
 """What once was a traceback, a hang, a quiet guess or half a sentence; each is refused at once in one that says what to do."""
 
-import time
-
 import numpy as np
 import pytest
+from hanging import in_time
 
 from pcbench import limits, machine, planning, study_file
 from pcbench.errors import LONGEST, UserError, said, shown
@@ -138,18 +137,17 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("what", REFUSED)
-def test_it_is_refused_at_once_in_one_sentence(what, tmp_path):
+def test_it_is_refused_before_any_work_in_one_sentence(what, tmp_path):
     text, expected = REFUSED[what]
-    path, start = tmp_path / "study.toml", time.perf_counter()
+    path = tmp_path / "study.toml"
     path.write_text(text)
-    with pytest.raises(UserError, match=expected) as error:
+    with in_time(), pytest.raises(UserError, match=expected) as error:
         study_file.load(str(path))
     sentence = str(error.value)
     assert sentence.startswith(f"{path}: ")
     assert sentence.isprintable()
     assert sentence.endswith(".")
     assert len(sentence) < 1000
-    assert time.perf_counter() - start < 5
 
 
 @pytest.mark.parametrize("name", ["x" * 5000, "x" * 5000 + ".toml", "a\0b.toml", "a\0b"])

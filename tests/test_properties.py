@@ -10,7 +10,7 @@ from pcbench.observers import OBSERVERS
 from pcbench.synthesis import linear
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(te=st.integers(1, 200), d=st.integers(0, 300), seed=st.integers(0, 2**31 - 1))
 def test_pccebo_error_does_not_depend_on_the_input(te, d, seed):
     still = Case(CART, te, d, ticks=400, u=np.zeros((401, 1)), noise_std=0.5, seed=seed % 1000)

@@ -137,13 +137,13 @@ seed_of = st.integers(0, 2**31 - 1)
 # one run: its samples, and its schedule
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(clocks=any_clocks(), ticks=ticks_of, root=st.integers(0, 5), seed=seed_of)
 def test_a_runs_samples_are_those_its_draws_say(clocks, ticks, root, seed):
     assert realised(clocks, ticks, seed, root) == every_sample(clocks, ticks, root, seed)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(data, clocks, ticks, seed):
     q, error = width(clocks), misjudged(data, clocks)
@@ -188,7 +188,7 @@ def packets(clocks, ticks, seed):
     return sorted((taken, c, i, arrives) for c, i, taken, arrives in each)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 @example(clocks=[Clock((0,), 20, None, (20, 20, 3), 1)], ticks=39, seed=2)  # the third is taken at 39, not at 40
 def test_intervals_and_ages_are_whole_ticks_in_the_ranges_that_are_claimed(clocks, ticks, seed):
@@ -225,7 +225,7 @@ def test_every_claimed_interval_and_both_ends_of_the_ages_occur(clock):
     assert (min(ages), max(ages)) == sampling.ages(clock, ticks)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_overtaking_is_counted_and_never_more_than_is_claimed_beforehand(clocks, ticks, seed):
     found = every_sample(clocks, ticks, 0, seed)
@@ -258,7 +258,7 @@ def overwritten(rows, size, ticks, error):
     return False
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_no_packet_is_overwritten_in_the_room_that_is_claimed_beforehand(data, clocks, ticks, seed):
     """Notes may be due for samples beyond the horizon: random intervals go on there, the others end."""
@@ -291,7 +291,7 @@ def test_the_room_that_is_claimed_beforehand_is_needed(error):
     assert not any(overwritten(rows, room, LONGEST, error) for rows in runs)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_a_schedule_says_the_least_room_in_which_no_packet_is_overwritten(data, clocks, ticks, seed):
     error, q = misjudged(data, clocks), width(clocks)
@@ -323,7 +323,7 @@ def agenda_of(clocks, seeds, ticks=LONGEST):
     return jax.tree.map(np.asarray, plan)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(clocks=any_clocks(), ticks=ticks_of, first=st.integers(0, 2**20))
 def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
     seeds = np.arange(first, first + SEEDS)

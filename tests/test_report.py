@@ -91,7 +91,7 @@ def test_a_browser_draws_every_chart_and_complains_of_nothing(folder, text):
     probe.write_text(before + tail + "</body>" + after)
     words = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=10000"]
     words += ["--enable-logging=stderr", "--v=0", "--dump-dom", probe.as_uri()]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    done = subprocess.run(words, capture_output=True, text=True, timeout=900, check=False)
     many = len(specs(text))
     assert f"<title>drawn {many} of {many}</title>" in done.stdout
     assert done.stdout.count('class="marks"') == many

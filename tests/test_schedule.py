@@ -23,7 +23,7 @@ def arrivals(plan):
     ]
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data(), q=channels, ticks=st.integers(1, 120))
 def test_every_sample_arrives_once_at_its_tick_with_its_age(data, q, ticks):
     period = data.draw(st.lists(st.integers(1, 40), min_size=q, max_size=q))
@@ -40,7 +40,7 @@ def test_every_sample_arrives_once_at_its_tick_with_its_age(data, q, ticks):
     assert set(got) == want
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data(), ticks=st.integers(5, 60))
 def test_late_together_and_out_of_order_samples_are_delivered_oldest_first(data, ticks):
     taken = data.draw(st.lists(st.integers(0, ticks), unique=True, min_size=1, max_size=12))
@@ -53,7 +53,7 @@ def test_late_together_and_out_of_order_samples_are_delivered_oldest_first(data,
         assert (np.diff(sent) > 0).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(data=st.data(), q=channels)
 def test_a_ring_of_that_many_packets_never_overwrites_one_in_flight(data, q):
     ticks = 150

@@ -28,7 +28,7 @@ def test_mean_interval_equals_scipy():
     assert (got["ci_low"], got["ci_high"]) == pytest.approx((low, high))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.integers(1, 400), st.integers(0, 2**32 - 1))
 def test_quantiles_equal_numpy_to_the_bit(n, seed):
     x = np.random.default_rng(seed).lognormal(size=n)
@@ -238,7 +238,7 @@ def assert_rows_agree(got, want):
                 assert g[name] == value, name
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.one_of(st.integers(1, 12), st.integers(13, 160)),
@@ -265,7 +265,7 @@ def test_any_chunks_agree_with_loops_over_whole_arrays(seed, n, observers, diver
     assert_rows_agree(pair_rows, reference.pairs(whole, SIGNALS, SIZES))
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     seed=st.integers(0, 2**32 - 1),
     n=st.integers(1, 500),

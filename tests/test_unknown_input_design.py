@@ -73,7 +73,7 @@ def test_the_arm_comes_out_as_the_permutation_of_the_page():
     np.testing.assert_array_equal(ARM.E222, [[1]])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(model=random_plants)
 def test_the_unknown_input_reaches_the_last_outputs_only(model):
     got, (p, n), r = split(model, "test"), model.C.shape, model.E.shape[1]
@@ -90,7 +90,7 @@ def test_the_unknown_input_reaches_the_last_outputs_only(model):
     assert (T[:, 0] > 0).all()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(model=random_plants)
 def test_units_of_the_unknown_inputs_change_nothing_else(model):
     """Each in its own: two of them 18 decades apart, beyond what a pseudo-inverse would keep."""
@@ -135,7 +135,7 @@ def apart(model, got, L1, A22s, gains, rng):
     return np.abs(off).max() / max(np.abs(x_rate).max(), np.abs(xhat_rate).max(), 1.0) / np.linalg.cond(got.T)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(model=random_plants, seed=st.integers(0, 2**31 - 1), sliding=st.booleans())
 def test_the_error_moves_as_the_page_says_whatever_f_and_v(model, seed, sliding):
     got, rng = split(model, "test"), np.random.default_rng(seed)
