@@ -74,6 +74,17 @@ def test_over_equals_vmap(name, shared):
     np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.parametrize("axes", [0, 1, 2, (0, 2), (2, 1), (0, 1, 2)])
+@pytest.mark.parametrize("fold", [jnp.sum, jnp.prod, jnp.max, jnp.min, jnp.any, jnp.all])
+def test_folds_go_over_the_axes_that_are_named(fold, axes):
+    """No two axes of one length, so that a fold over others has another shape or other entries."""
+    x = RNG.normal(size=(2, 3, 4, L))
+    x = x > 0.3 if fold in (jnp.any, jnp.all) else x
+    got = over(lambda a: fold(a, axis=axes))(lanes.split(jnp.asarray(x)))
+    want = getattr(np, fold.__name__)(x, axis=axes)
+    np.testing.assert_allclose(np.asarray(lanes.join(got), float), want.astype(float), rtol=1e-13)
+
+
 class Tree:
     """A scan's operands as jax has them from 0.11 on: parts that can be gone over, and no more is asked of them."""
 
