@@ -10,6 +10,7 @@ the problem's bits and the text that states it; where `synthesis` itself is chan
 
 import argparse
 import os
+import resource
 import shutil
 import signal
 import subprocess
@@ -25,7 +26,8 @@ from typing import Any, NamedTuple
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
-LONGEST = 900  # s: tests that take longer under a mutation never end
+LONGEST = 300  # s: tests that take longer under a mutation never end
+LARGEST = 8 * 2**30  # bytes of a process: a loop that never ends may fill the memory first
 PASSED, FAILED = 0, 1  # what pytest returns where all tests pass, and where some fail
 
 
@@ -110,6 +112,8 @@ class Workshop:
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip
         self.running.add(process)
+        if hasattr(resource, "prlimit"):
+            resource.prlimit(process.pid, resource.RLIMIT_AS, (LARGEST, LARGEST))
         try:
             said, _ = process.communicate(timeout=LONGEST)
             return process.returncode, said
