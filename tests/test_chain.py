@@ -116,7 +116,7 @@ def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(
 
 @pytest.mark.parametrize("older", [1, 3])
 def test_what_is_believed_to_be_from_before_0_is_left_out(older):
-    """Samples that are believed older than they are: the first ones would be from before the first. The compiled program of all."""
+    """Samples are believed older than they are: the first ones from before the first. The compiled program of all the tests."""
     cells, _ = recorded("odd")
     p, model, delays = cells[0], PLANTS["odd"], [2, 0, 4]
     N = len(p.problem.inputs) - 1

@@ -95,7 +95,9 @@ def test_dkf_is_designed_for_the_process_noise_that_there_is():
     found = design.certificate.numbers["P_end"]
     np.testing.assert_allclose(found / np.outer(size, size), want / np.outer(size, size), rtol=0, atol=1e-6)
     added = sum(np.linalg.matrix_power(plant.A, i) @ Q @ np.linalg.matrix_power(plant.A, i).T for i in range(5))
-    np.testing.assert_allclose(design.gains.noise[0][5] / np.outer(size, size), added / np.outer(size, size), atol=1e-12)
+    np.testing.assert_allclose(
+        design.gains.noise[0][5] / np.outer(size, size), added / np.outer(size, size), atol=1e-12
+    )
 
 
 @pytest.mark.slow

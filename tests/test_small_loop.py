@@ -41,7 +41,7 @@ CONTROLLER = Controller(
     target=aimed,
     before=lambda params, tick, estimate: -params.K @ estimate + 0.1 * aimed(params, tick)[0],
     command=lambda params, now, estimate, coming: (
-        -params.K @ jnp.append(estimate[:1] - aimed(params, now.tick), estimate[1:]) + 0.2 * coming(jnp.asarray(2))
+        -params.K @ jnp.append(estimate[:1] - aimed(params, now.tick), estimate[1:]) + 0.2 * coming(jnp.asarray(0))
     ),
 )
 OBSERVER = Observer(
@@ -97,7 +97,7 @@ def written_out(seed):
             xhat = xhat + L @ (on_its_way[k] - C @ xhat)
         e.append(x - xhat)
         wanted = -K @ (xhat - [path(k)[0], 0.0])
-        commands[k] = wanted + 0.2 * applied(commands, k + 2, k - 1)
+        commands[k] = wanted + 0.2 * applied(commands, k, k - 1)
         off.append(path(k) - x[:1])
         if lost < 0 and (np.abs(e[-1]) > BOUND).any():
             lost = k
