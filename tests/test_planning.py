@@ -36,6 +36,18 @@ def test_the_period_that_designers_believe_is_the_mean_of_intervals_in_turn():
     assert planning.setting(cell("cart/variable", profile=(0.1, 0.3, 0.5))).period == (300,)
 
 
+def test_a_delay_reaches_back_to_the_sample_before_it():
+    """Of samples every 0.2 s one of 0.5 s ago reaches three back, one of 0.4 s two."""
+    assert planning.setting(cell("cart/white", delay=(0.5,))).reach == 3
+    assert planning.setting(cell("cart/white", delay=(0.4,))).reach == 2
+
+
+def test_observers_know_the_model_and_not_what_is_true_of_the_plant():
+    known = planning.setting(cell("cart/variable-gain", {"b": 390.5}))
+    np.testing.assert_array_equal(known.model.B, [[0.0], [355.0]])
+    np.testing.assert_array_equal(planning.setting(cell("csth/literal")).model.A[2], [0, 0, -1.2019e-3])
+
+
 BOUNDLESS = {
     "drift": ("cart/white", None, {"drift": 1.0}),
     "another parameter": ("cart/white", {"lam": 110.0}, {}),
