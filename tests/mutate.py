@@ -113,7 +113,7 @@ class Workshop:
         )  # fmt: skip
         self.running.add(process)
         if hasattr(resource, "prlimit"):
-            resource.prlimit(process.pid, resource.RLIMIT_AS, (LARGEST, LARGEST))
+            resource.prlimit(process.pid, resource.RLIMIT_DATA, (LARGEST, LARGEST))
         try:
             said, _ = process.communicate(timeout=LONGEST)
             return process.returncode, said

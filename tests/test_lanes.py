@@ -163,3 +163,30 @@ def test_a_packed_memory_with_a_table_is_the_memory():
     assert back["ring"].rows == 3
     for name in memory:
         np.testing.assert_array_equal(lanes.join(back[name]), lanes.join(memory[name]))
+
+
+def test_a_packed_memory_keeps_the_kind_and_the_place_of_every_entry():
+    """A table with other entries before and behind it, whole numbers, truth values; what moves is kept as it is."""
+    memory = {
+        "a": lanes.split(jnp.arange(8).reshape(2, 4)),
+        "b": lanes.table(lanes.split(jnp.arange(24.0).reshape(3, 2, 4) + 100)),
+        "c": lanes.split(jnp.array([[True, False, True, True], [False, True, False, False]])),
+        "d": lanes.split(jnp.arange(4.0).reshape(1, 4) - 50),
+        "moved": lanes.split(jnp.zeros((1, 4))),
+    }
+    form = packing.packing(lambda m: m | {"moved": over(lambda v: v + 1)(m["moved"])}, memory)
+    kept = form.pack(memory)
+    assert kept.still.shape == (2 + 6 + 2 + 1, 4)
+    assert len(kept.moving) == 1
+    back = form.whole(kept)
+    for name, entry in memory.items():
+        assert (back[name].dtype, back[name].shape, back[name].rows) == (entry.dtype, entry.shape, entry.rows), name
+        np.testing.assert_array_equal(lanes.join(back[name]), lanes.join(entry))
+
+
+@pytest.mark.parametrize("mode", ["fill", "clip", "wrap"])
+def test_rows_from_beyond_a_table_are_what_their_gather_says(mode):
+    index = jnp.array([[0, 5, 11, 12, 30], [-1, 3, 40, -20, 2]])
+    got = over(lambda i: jnp.take(jnp.asarray(BIG), i, 0, mode=mode))(lanes.split(index))
+    want = jax.vmap(lambda i: jnp.take(jnp.asarray(BIG), i, 0, mode=mode), -1, -1)(index)
+    np.testing.assert_array_equal(lanes.join(got), want)
