@@ -231,7 +231,8 @@ def _rows_of_table(eqn: Any, args: list[Any]) -> Lanes:
     """A gather of whole rows from a table that all lanes share, each lane's own rows, in one gather."""
     table, own = jnp.asarray(args[0]), args[1].parts[..., 0]
     columns = table.reshape(table.shape[0], -1).T
-    found = columns.at[:, jnp.stack(list(own.flat))].get(mode="clip")  # [entries, rows, L]
+    each = columns.at[:, jnp.stack(list(own.flat))]
+    found = each.get(mode="clip", wrap_negative_indices=False)  # [entries, rows, L]; -1 is no last row
     shape = eqn.outvars[0].aval.shape
     return lanes_of(shape, [found[e, r] for r in range(own.size) for e in range(columns.shape[0])])
 

@@ -11,10 +11,9 @@ import pyarrow as pa
 
 from pcbench.statistics import QUANTILES, RUN_METRICS
 
-SCHEMA = (
-    "5"  # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...
-    # 5: intervals of what cannot be negative are not; blocks know their observer's options, provenance.json its files' digests
-)
+# 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...;
+# 5: intervals of what cannot be negative are not; blocks know their observer's options, provenance.json its files' digests
+SCHEMA = "5"
 AXIS_UNITS = {
     "sampling_period": "s",
     "delay": "s",

@@ -114,6 +114,26 @@ def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(
         np.testing.assert_allclose(d[[f"{label}.x1", f"{label}.x2"]].to_numpy()[::10], want, atol=1e-11, err_msg=label)
 
 
+@pytest.mark.parametrize("older", [1, 3])
+def test_what_is_believed_to_be_from_before_0_is_left_out(older):
+    """Samples are believed older than they are: the first ones from before the first. The compiled program of all the tests."""
+    cells, _ = recorded("odd")
+    p, model, delays = cells[0], PLANTS["odd"], [2, 0, 4]
+    N = len(p.problem.inputs) - 1
+    sent = [sampling.Sample(j, k, k, k + delays[j]) for k in range(N + 1) for j in range(3)]
+    believed = [d + older for d in delays]
+    known = planning.setting(p.cell)._replace(delay=tuple(believed), reach=9, error=older)
+    gains = p.problem.gains | {"chain": chain.design(known, chain.Options(pole=0.4)).gains}
+    plan = sampling.pad_slots(sampling.schedule(sent, N, 3, older), 3)
+    problem = p.problem._replace(gains=gains, schedule=plan, noise_std=np.zeros(3))
+    with machine.float64():
+        run = jax.tree.map(np.asarray, recording.compiled()(p.layout, problem, np.asarray(0), np.asarray(3)))
+    _, y = ref.simulate(model, p.problem.inputs, START["odd"])
+    links = links_of("odd", p._replace(problem=problem), "chain", believed)
+    want = ref.chain(model, links, p.problem.inputs, ref.received(y, delays), believed, 0 * START["odd"])
+    np.testing.assert_array_less(np.abs(run.estimates["chain"] - want).max(0), 1e-11 * np.abs(want).max(0))
+
+
 @settings(max_examples=15)
 @given(
     delays=st.lists(st.integers(0, 9), min_size=3, max_size=3).filter(any),

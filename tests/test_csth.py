@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from reference import chain
+from scipy.linalg import solve_discrete_are
 
 import pcbench
 from pcbench import draws, machine
@@ -80,6 +81,23 @@ def test_dkf_equals_the_reference_with_process_noise_and_unequal_delays(noisy):
     Q, R, P0 = chain.csth_noise(10.0)
     want, _ = chain.kalman(plant, u, chain.received(y, [2, 5, 7]), [2, 5, 7], np.zeros(3), P0, Q, R)
     close(table(d, "dkf.", STATES), want, 1e-9)
+
+
+def test_dkf_is_designed_for_the_process_noise_that_there_is():
+    """After a long time its variance is that of a Riccati equation by SciPy; over five samples noise adds up as they are."""
+    s = SCENARIOS["csth/10s-noise"]
+    design = pcbench.design("csth/10s-noise", "dkf")
+    plant = chain.csth("10s")
+    Q, R = (np.diag(np.square(std)) for std in (s.process_std, s.noise_std))
+    prior = solve_discrete_are(plant.A.T, plant.C.T, Q, R)
+    K = prior @ plant.C.T @ np.linalg.inv(plant.C @ prior @ plant.C.T + R)
+    want, size = prior - K @ plant.C @ prior, np.sqrt(np.diag(prior))
+    found = design.certificate.numbers["P_end"]
+    np.testing.assert_allclose(found / np.outer(size, size), want / np.outer(size, size), rtol=0, atol=1e-6)
+    added = sum(np.linalg.matrix_power(plant.A, i) @ Q @ np.linalg.matrix_power(plant.A, i).T for i in range(5))
+    np.testing.assert_allclose(
+        design.gains.noise[0][5] / np.outer(size, size), added / np.outer(size, size), atol=1e-12
+    )
 
 
 @pytest.mark.slow

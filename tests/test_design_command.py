@@ -80,6 +80,29 @@ def test_a_design_by_a_method_runs_with_the_numbers_that_were_found(observer, sc
     assert found.certificate.rate > 0
 
 
+def test_a_design_that_is_read_back_promises_nearly_the_decay_that_was_asked_and_keeps_other_options():
+    changes = ["options.pccebo.decay=1.0", "options.scenario.start_spread=0.2", "options.dkf.R=3.0"]
+    table, _ = written("pccebo", "cart/gaussian", method="h2", overrides=changes)
+    assert table["options"]["pccebo"]["decay"] == pytest.approx(0.999)
+    assert set(table["options"]["pccebo"]) >= {"L", "decay"}
+    assert table["options"]["scenario"] == {"start_spread": 0.2}
+    assert table["options"]["dkf"] == {"R": 3.0}
+
+
+def test_a_trade_off_shows_gains_and_noise_and_not_what_proves_them():
+    table = pcbench.trade_off("cart/gaussian", "pccebo", "q", [0.01, 1.0], method="riccati")
+    numbers = [name for name in table.columns if name not in ("q", "rate", "margin", "solver", "fallback", "refused")]
+    assert [name for name in numbers if not name.startswith("eigenvalues")] == [
+        "L[0]",
+        "L[1]",
+        "noise_rms[0]",
+        "noise_rms[1]",
+    ]
+    for value, row in zip((0.01, 1.0), table.to_dict("records"), strict=True):
+        found = pcbench.design("cart/gaussian", "pccebo", method="riccati", overrides=[f"options.pccebo.q={value}"])
+        assert [row["L[0]"], row["L[1]"]] == found.gains.L[:, 0].tolist()
+
+
 def test_the_command_writes_a_study_that_runs_and_says_what_is_promised(tmp_path):
     out = tmp_path / "folder" / "h2.toml"
     words = [

@@ -6,8 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from harness import ODD, Case, problem, recorder
 
-from pcbench import cells, differentiable, metrics, planning, shapes, simulation, study_file
+from pcbench import cells, differentiable, machine, metrics, planning, shapes, simulation, study_file
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.study import options_of
 from pcbench.tuning import free, gradient
@@ -51,6 +52,24 @@ def test_they_are_the_metrics_of_the_tables(scenario):
         want = metrics.read(out.streams[label], out.watches[label], out.final[label], n, tail, 1.0)
         for name, values in got[label].items():
             np.testing.assert_allclose(values, want[name], rtol=1e-12, atol=1e-14, err_msg=f"{label} {name}")
+
+
+@pytest.mark.parametrize(("ticks", "tail"), [(60, 25), (63, 1), (8, 7)])
+def test_they_are_sums_over_the_ticks_of_a_recorded_run(ticks, tail):
+    """Whatever is left of the last chunk; every error differs from all others."""
+    case = Case(ODD, 7, 12, ticks=ticks, h=0.02, noise_std=0.3, seed=4)
+    layout, p = problem(case, {"open-loop": {}, "pccebo": {}})
+    with machine.float64():
+        run = recorder()(layout, p, np.asarray(0), np.asarray(case.seed))
+        found = METRICS(layout._replace(width=1), p, ticks, tail, 0, np.array([case.seed]))
+    for label, got in found.items():
+        e = np.asarray(run.x - run.estimates[label])[:ticks]
+        for prefix, part in (("", e), ("tail_", e[tail:])):
+            want = {"mae": np.abs(part).mean(0), "mse": (part**2).mean(0), "peak": np.abs(part).max(0)}
+            for name, values in (want | {"rmse": np.sqrt(want["mse"])}).items():
+                np.testing.assert_allclose(
+                    got[prefix + name][:, 0], values, rtol=1e-11, err_msg=f"{label} {prefix}{name}"
+                )
 
 
 SLOPES = {

@@ -8,6 +8,7 @@ from reference import ekf as reference
 import pcbench
 from pcbench import draws, planning, recording, shapes
 from pcbench.cells import Cell
+from pcbench.observers import ekf
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import Choices, Study, options_of
 
@@ -41,6 +42,16 @@ def test_on_the_arm_it_equals_the_reference(period, delay):
     C = np.eye(2, 5, 1)
     want = reference.ekf(arm, s.dt, [*s.xhat0, 0.0], np.eye(5), Q, np.diag([1e-6, 4e-6]), C, got.u, arrivals)
     np.testing.assert_allclose(got.estimates["ekf"], want, rtol=0, atol=1e-10)
+
+
+def test_its_design_says_how_far_a_tick_lets_states_and_unknowns_walk():
+    """The noise of a tick: what is added to the states, and of what is unknown its size squared, walk a second."""
+    s = SCENARIOS["arm/sampled"]._replace(
+        horizon=0.1, tail=0.05, unknown_std=(3.0,), process_std=(1e-3, 2e-3, 0.0, 4e-3)
+    )
+    gains = ekf.design(planning.setting(Cell(s, 0, {}, {}, Choices())), ekf.Options(walk=0.5)).gains
+    np.testing.assert_allclose(gains.Q, np.diag([1e-6, 4e-6, 0.0, 16e-6, 0.5 * 9.0 * s.dt]), rtol=1e-12)
+    np.testing.assert_allclose(gains.P0, np.diag([1.0, 1.0, 1.0, 1.0, 9.0]), rtol=1e-12)
 
 
 @pytest.mark.slow

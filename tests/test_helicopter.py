@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from reference import high_gain as forms
 
 from pcbench.plants import helicopter
-from pcbench.types import Now
+from pcbench.types import Arrival, Now
 
 PAGE = {  # scenario, observer, t [s]: pitch, yaw, rates; estimates
     ("constant", "high-gain", 0.2): (
@@ -45,6 +45,34 @@ def test_the_pages_accelerations():
     now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(1e-3), jnp.array([8.0, -3.0]), lambda age: age)
     rate = helicopter.field(params, now, jnp.array([0.5, -0.3, 0.7, -1.1]))
     np.testing.assert_allclose(rate, [0.7, -1.1, -13.822427543781945, 3.4668418838283315], rtol=0, atol=1e-12)
+
+
+def test_viscosities_drift_as_a_sine_of_twenty_seconds():
+    """At rest where they began, the whole drift more after five seconds, and back after ten."""
+    params = helicopter.prepare(helicopter.Numbers(drift=0.3), 1e-3, 1)
+    nothing = jnp.zeros(2)
+    for t, part in ((0.0, 0.0), (5.0, 0.3), (10.0, 0.0), (15.0, -0.3), (20 / 12, 0.15)):
+        now = Now(jnp.asarray(t), jnp.asarray(0), jnp.asarray(1e-3), nothing, lambda age: nothing)
+        found = helicopter.unknown(params, now, jnp.zeros(4))
+        np.testing.assert_allclose(found, np.array(TRUTH) * (1 + part), rtol=1e-12)
+
+
+def test_an_older_sample_does_not_take_the_place_of_a_newer_one():
+    """Each channel by itself; what is not fresh changes nothing, and c is what the model expected less what was measured."""
+    p = planned("high-gain", SHORT)
+    gains, observer = p.problem.gains["high-gain"], p.layout.observers[0][1]
+    memory = observer.init(gains, jnp.asarray(p.problem.xhat0))._replace(
+        c=jnp.array([5.0, 6.0]), newest=jnp.array([3, 3])
+    )
+    note, value = jnp.array([1.0, 2.0]), jnp.array([0.25, 0.5])
+    for fresh, index, c, newest in (
+        ((True, True), (4, 2), (0.75, 6.0), (4, 3)),
+        ((False, True), (9, 4), (5.0, 1.5), (3, 4)),
+        ((True, True), (3, 3), (5.0, 6.0), (3, 3)),
+    ):
+        arrival = Arrival(value, jnp.array(fresh), jnp.zeros(2, int), jnp.array(index), note, jnp.asarray(1))
+        jumped = observer.jump(gains, memory, None, arrival)
+        assert (jumped.c.tolist(), jumped.newest.tolist()) == (list(c), list(newest))
 
 
 @pytest.mark.parametrize("case", [case for case in PAGE if case[2] <= 1], ids=str)

@@ -74,6 +74,17 @@ def test_over_equals_vmap(name, shared):
     np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.parametrize("axes", [0, 1, 2, (0, 2), (2, 1), (0, 1, 2)])
+@pytest.mark.parametrize("fold", [jnp.sum, jnp.prod, jnp.max, jnp.min, jnp.any, jnp.all])
+def test_folds_go_over_the_axes_that_are_named(fold, axes):
+    """No two axes of one length, so that a fold over others has another shape or other entries."""
+    x = RNG.normal(size=(2, 3, 4, L))
+    x = x > 0.3 if fold in (jnp.any, jnp.all) else x
+    got = over(lambda a: fold(a, axis=axes))(lanes.split(jnp.asarray(x)))
+    want = getattr(np, fold.__name__)(x, axis=axes)
+    np.testing.assert_allclose(np.asarray(lanes.join(got), float), want.astype(float), rtol=1e-13)
+
+
 class Tree:
     """A scan's operands as jax has them from 0.11 on: parts that can be gone over, and no more is asked of them."""
 
@@ -152,3 +163,30 @@ def test_a_packed_memory_with_a_table_is_the_memory():
     assert back["ring"].rows == 3
     for name in memory:
         np.testing.assert_array_equal(lanes.join(back[name]), lanes.join(memory[name]))
+
+
+def test_a_packed_memory_keeps_the_kind_and_the_place_of_every_entry():
+    """A table with other entries before and behind it, whole numbers, truth values; what moves is kept as it is."""
+    memory = {
+        "a": lanes.split(jnp.arange(8).reshape(2, 4)),
+        "b": lanes.table(lanes.split(jnp.arange(24.0).reshape(3, 2, 4) + 100)),
+        "c": lanes.split(jnp.array([[True, False, True, True], [False, True, False, False]])),
+        "d": lanes.split(jnp.arange(4.0).reshape(1, 4) - 50),
+        "moved": lanes.split(jnp.zeros((1, 4))),
+    }
+    form = packing.packing(lambda m: m | {"moved": over(lambda v: v + 1)(m["moved"])}, memory)
+    kept = form.pack(memory)
+    assert kept.still.shape == (2 + 6 + 2 + 1, 4)
+    assert len(kept.moving) == 1
+    back = form.whole(kept)
+    for name, entry in memory.items():
+        assert (back[name].dtype, back[name].shape, back[name].rows) == (entry.dtype, entry.shape, entry.rows), name
+        np.testing.assert_array_equal(lanes.join(back[name]), lanes.join(entry))
+
+
+@pytest.mark.parametrize("mode", ["fill", "clip", "wrap"])
+def test_rows_from_beyond_a_table_are_what_their_gather_says(mode):
+    index = jnp.array([[0, 5, 11, 12, 30], [-1, 3, 40, -20, 2]])
+    got = over(lambda i: jnp.take(jnp.asarray(BIG), i, 0, mode=mode))(lanes.split(index))
+    want = jax.vmap(lambda i: jnp.take(jnp.asarray(BIG), i, 0, mode=mode), -1, -1)(index)
+    np.testing.assert_array_equal(lanes.join(got), want)

@@ -5,7 +5,7 @@ The reference propagates mean and covariance of the error without a single rando
 
 import numpy as np
 import pytest
-from harness import CART, Case, noise, trace
+from harness import CART, ODD, Case, noise, trace
 from reference import cart, linear, moments
 
 import pcbench
@@ -54,6 +54,20 @@ def test_the_error_is_affine_in_the_noise(observer):
     one, two = (trace(base._replace(noise_std=s), {observer: options}).estimates[observer] for s in (1.0, 2.0))
     np.testing.assert_allclose(two, 2 * one, rtol=0, atol=1e-12 * np.abs(one).max())
     assert np.abs(noise(base)[0]).max() > 0.5
+
+
+@pytest.mark.parametrize(("te", "d"), [([60, 60], [60, 60]), ([40, 25], [130, 40]), ([50, 50], [0, 20])])
+def test_the_bound_with_process_noise_equals_the_reference_recursion(te, d):
+    """Noise that is added between samples, on the way to the present, and before the first; two sensors of their own times."""
+    P0, R, ticks, h = np.diag([1.0, 4.0, 9.0]), np.array([0.6, 0.2]), 300, 0.01
+    W = 0.3 * ODD.B @ ODD.B.T
+    doubled = synthesis.doublings(ODD, h, synthesis.bits_for(ticks))
+    noise = synthesis.noise_doublings(ODD, synthesis.input_noise(ODD, 0.3, h), h, len(doubled))
+    samples = [(taken + d[j], taken, j) for j in range(2) for taken in range(0, ticks + 1, te[j])]
+    got = riccati.posterior_variance(doubled, noise, ODD.C, R, P0, samples, ticks)
+    model = linear.Model(ODD.A, ODD.B, ODD.C, h)
+    want = np.diagonal(moments.posterior_covariance(model, ticks, te, d, R, P0, W), axis1=1, axis2=2)
+    np.testing.assert_allclose(got, want[:-1], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize(("te", "d"), [(60, 60), (40, 130), (50, 0)])

@@ -81,6 +81,29 @@ def test_next_event_and_since_count_from_the_definition():
     assert [int(plan.since[k, 0]) for k in (10, 17, 24)] == [10, 7, 7]
 
 
+@settings(max_examples=60, deadline=None)
+@given(data=st.data(), ticks=st.integers(5, 60), error=st.integers(-5, 25))
+def test_samples_are_believed_and_noted_so_much_earlier_but_never_before_tick_0(data, ticks, error):
+    taken = data.draw(st.lists(st.integers(-20, ticks), unique=True, min_size=1, max_size=12))
+    late = data.draw(st.lists(st.integers(5, 30), min_size=len(taken), max_size=len(taken)))
+    samples = [Sample(0, i, t, max(t, 0) + d) for i, (t, d) in enumerate(zip(sorted(taken), late, strict=True))]
+    plan, packets = schedule(samples, ticks, 1, error), {}
+    for s in samples:
+        if s.taken <= ticks:
+            packets[s.taken] = len(packets)
+    believed = {
+        (tick, int(plan.arrive[tick, slot])): int(plan.believed[tick, slot])
+        for tick, slot in zip(*np.nonzero(plan.arrive >= 0), strict=True)
+    }
+    inside = [s for s in samples if s.taken <= ticks]
+    assert believed == {(s.arrives, packets[s.taken]): max(s.taken - error, 0) for s in inside if s.arrives <= ticks}
+    noted = {s.taken - error: packets[s.taken] for s in inside if 0 <= s.taken - error <= ticks}
+    assert {k: int(plan.note[k]) for k in range(ticks + 1) if plan.note[k] >= 0} == noted
+    sensed = {s.taken: packets[s.taken] for s in inside if s.taken >= 0}
+    assert {k: int(plan.sense[k]) for k in range(ticks + 1) if plan.sense[k] >= 0} == sensed
+    assert plan.early.ravel().tolist() == [s.number for s in inside if s.taken < 0]
+
+
 def test_padding_adds_only_empty_slots():
     plan = periodic([5, 3], [4, 4], 30)
     assert arrivals(pad_slots(plan, 4)) == arrivals(plan)
@@ -93,6 +116,14 @@ def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
         np.testing.assert_array_equal(a, b, err_msg=name)
         assert a.dtype == b.dtype, name
     assert sampling.in_flight(slow) == 1
+
+
+def test_intervals_in_turn_come_in_their_turn_and_a_sine_as_it_swings():
+    turn, sine = sampling.Clock((0,), 9, 3, (5, 8, 6)), sampling.Clock((0,), 20, 3, "sine")
+    assert sampling.instants(turn, 40) == [0, 5, 13, 19, 24, 32, 38, 43]
+    intervals = [round(20 * (1 + 0.5 * np.sin(0.6 * i))) for i in range(1, 6)]
+    assert sampling.instants(sine, 200)[:6] == [0, *np.cumsum(intervals)]
+    assert sampling.intervals(turn, 40) == [5, 6, 8]
 
 
 @pytest.mark.parametrize("period", [1, 7, 50, 80])

@@ -9,9 +9,9 @@ from harness import CART, ODD, Case, setting
 from reference import cart as reference_cart
 from scipy.linalg import expm, solve_discrete_are
 
-from pcbench.errors import DesignError
+from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
-from pcbench.synthesis import cache, current_estimator, linear, riccati
+from pcbench.synthesis import cache, current_estimator, linear, promises, riccati
 from pcbench.synthesis.certificate import Certificate, certified
 
 PERIODS = [0.05, 0.2, 0.6, 1.0]
@@ -135,6 +135,43 @@ def test_recursion_converges_to_the_discrete_riccati_equation():
         prior = E @ run.P @ E.T + Q
         run = riccati.multirate(E[None], Q[None], ODD.C, np.diag(R), prior, (1, 1), 0)
     np.testing.assert_allclose(prior, solve_discrete_are(E.T, ODD.C.T, Q, R), rtol=1e-9, atol=1e-12)
+
+
+def test_held_noise_through_the_input_of_a_discrete_plant_has_its_intensity_over_the_tick():
+    """White noise of intensity q, averaged over h seconds, has the variance q / h; a state that walks adds its own a second."""
+    h, q, walk = 0.05, 0.3, np.array([0.7])
+    model = ODD._replace(discrete=True)
+    np.testing.assert_allclose(linear.input_noise(model, q, h), q / h * ODD.B @ ODD.B.T, rtol=1e-14)
+    wide = linear.with_unknown_input(model._replace(E=np.array([[1.0], [0.3], [0.2]])))
+    Q = linear.input_noise(wide, q, h, walk)
+    np.testing.assert_allclose(Q[3:, 3:], [[0.7 * h]], rtol=1e-14)
+    np.testing.assert_allclose(Q[:3, :3], q / h * ODD.B @ ODD.B.T, rtol=1e-14)
+    still = linear.input_noise(linear.with_unknown_input(ODD._replace(E=np.array([[1.0], [0.3], [0.2]]))), 0.0, h, walk)
+    np.testing.assert_allclose(still[3:, 3:], [[0.7 * h]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("discrete", [False, True])
+def test_a_model_with_an_input_bias_moves_and_measures_as_one_under_that_much_more_input(discrete):
+    D, b, u = np.array([[0.4, -1.0], [0.2, 0.7]]), np.array([0.3, -2.0]), np.array([1.5, 0.5])
+    model = ODD._replace(D=D, discrete=discrete)
+    wide = linear.with_input_bias(model)
+    (Phi, Gamma), (F, G) = (linear.one_tick(each, 0.1) for each in (model, wide))
+    x = np.array([1.0, -2.0, 0.5])
+    for _ in range(3):
+        z = np.append(x, b)
+        np.testing.assert_allclose(wide.C @ z + wide.feedthrough @ u, ODD.C @ x + D @ (u + b), rtol=1e-13)
+        np.testing.assert_allclose(F @ z + G @ u, np.append(Phi @ x + Gamma @ (u + b), b), rtol=1e-12)
+        x = Phi @ x + Gamma @ (u + b)
+
+
+def test_a_rate_is_of_seconds_and_not_of_samples():
+    """A factor of e^{-0.6} a sample of 0.2 s is a decay of 3 a second."""
+    assert promises.rate_of(np.exp(-0.6), 0.2) == pytest.approx(3.0)
+    F = np.exp(-0.6) * np.array([[[0.0, 1.0], [-1.0, 0.0]]])
+    assert promises.rate(F, np.eye(2), np.array([0.2])) == pytest.approx(3.0)
+    assert promises.rate(F[[0, 0]], np.eye(2), np.array([0.2, 0.5])) == pytest.approx(0.6 / 0.5), "the slowest counts"
+    with pytest.raises(UserError, match=r"expected 24 at most over intervals of 0\.5 s"):
+        promises.require_slower(25.0, np.array([0.2, 0.5]), "test")
 
 
 @pytest.mark.parametrize("ticks", [1, 2, 3, 200, 600, 1000])

@@ -103,6 +103,16 @@ def test_a_metric_that_a_scenario_lacks_is_one_sentence(done):
         pcbench.run(STUDY, out=done.out, until_se="tracking_rmse=0.1")
 
 
+@pytest.mark.parametrize(("has", "error", "goal"), [(64, 0.3, 0.1), (100, 0.11, 0.1), (256, 0.05, 0.013)])
+def test_so_many_seeds_are_asked_for_that_the_error_reaches_its_goal_by_its_root_with_a_margin(has, error, goal):
+    """The error falls with the root of the seeds: with as many as are asked for it is 2.5 % below the goal, no more."""
+    then = error * np.sqrt(has / until.enough(has, error, goal))
+    assert 0.97 * goal < then < 0.98 * goal
+    assert until.enough(has, goal, goal) == has
+    assert until.enough(has, 0.9 * goal, goal) == has
+    assert until.enough(has, 100 * goal, goal) == until.GROWTH * has, "a round adds so much at most"
+
+
 def test_one_seed_is_no_standard_error():
     assert until.enough(1, np.inf, 0.1) == until.GROWTH
 

@@ -1,0 +1,44 @@
+"""How the closing tables are read from the blocks: in chunks that end where seeds say, whoever cut the blocks."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from small_study import rows
+
+from pcbench import statistics
+from pcbench.dataset import closing, folder, ledger, store
+
+
+def parts(out, cell=0, last=None):
+    """The chunks of one cell, each observer's mean absolute errors of position with it."""
+    place = store.target(out)
+    claimed, blocks = folder.opened(place), {}
+    for b in ledger.present(place):
+        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    found = closing.observed(place, claimed, claimed.cells[cell], blocks)
+    return list(closing.chunks(place, found, last))
+
+
+@pytest.mark.parametrize("size", [12, 16, 40, 7, 1000])
+@pytest.mark.parametrize("last", [None, 33])
+def test_chunks_end_where_the_seed_is_a_multiple_of_their_size(whole, size, last, monkeypatch):
+    """Seeds 0 .. 39 stand in blocks of 16: chunks do not care."""
+    monkeypatch.setattr(statistics, "CHUNK", size)
+    end, table = last or 40, rows(whole)
+    edges = [*range(0, end, size), end]
+    found = parts(whole, 1, last)
+    assert [len(chunk["kfbo"]["diverged"]) for chunk in found] == np.diff(edges).tolist()
+    for (a, b), chunk in zip(pairwise(edges), found, strict=True):
+        for observer in ("pccebo", "kfbo"):
+            mine = table[(table.observer == observer) & (table.cell == 1) & table.seed.between(a, b - 1)]
+            for i, signal in enumerate(("position", "velocity")):
+                np.testing.assert_array_equal(chunk[observer]["mae"][i], mine[mine.signal == signal].mae)
+
+
+def test_chunks_of_seeds_that_begin_elsewhere_end_at_the_same_seeds(tmp_path, monkeypatch):
+    import pcbench
+
+    pcbench.run("cart/slow", observers=["kfbo"], seeds=20, first_seed=5, block=9, out=tmp_path / "out")
+    monkeypatch.setattr(statistics, "CHUNK", 8)
+    assert [len(chunk["kfbo"]["diverged"]) for chunk in parts(tmp_path / "out")] == [3, 8, 8, 1]

@@ -1,0 +1,56 @@
+"""Samples that overtake each other are put back: by the tick they were taken, and of one tick as they came."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pcbench.observers import in_order
+from pcbench.observers.in_order import Sample
+
+BASE = 7.0  # a state is the numbers of all samples used, in their order, as digits
+
+
+def digits(state, sample):
+    return state * BASE + sample.value[0]
+
+
+def replayed(arrivals, places):
+    """The state after each arrival, where an arrival is (tick taken, number)."""
+    line, out = in_order.start(jnp.asarray(0.0), np.zeros(places), 1, 0), []
+    step = jax.jit(lambda line, sample: in_order.replay(digits, line, sample))
+    for taken, number in arrivals:
+        sample = Sample(jnp.asarray(taken), jnp.array([float(number)]), jnp.array([True]), jnp.zeros(0))
+        line, state = step(line, sample)
+        out.append(float(state))
+    return out
+
+
+def sorted_all(arrivals):
+    """The same by sorting all that has come, oldest first; a sort that keeps what is alike in its order."""
+    out = []
+    for many in range(1, len(arrivals) + 1):
+        value = 0.0
+        for _, number in sorted(arrivals[:many], key=lambda each: each[0]):
+            value = value * BASE + number
+        out.append(value)
+    return out
+
+
+CASES = {
+    "in order": ([(0, 1), (5, 2), (9, 3), (12, 4)], 0),
+    "one overtaken": ([(0, 1), (9, 2), (5, 3), (12, 4), (11, 5)], 1),
+    "three late ones": ([(0, 1), (20, 2), (15, 3), (10, 4), (5, 5), (30, 6)], 3),
+    "of one tick": ([(3, 1), (3, 2), (8, 3), (8, 4), (3, 5), (8, 6), (9, 1)], 4),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_state_is_that_of_all_samples_in_the_order_they_were_taken(case):
+    arrivals, places = CASES[case]
+    assert replayed(arrivals, places) == sorted_all(arrivals)
+
+
+def test_more_room_than_is_needed_changes_nothing():
+    arrivals, places = CASES["three late ones"]
+    assert replayed(arrivals, places) == replayed(arrivals, places + 3)

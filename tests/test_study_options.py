@@ -1,0 +1,64 @@
+"""Whose options an observer has, and how a study comes together from a name, a file, changes and overrides."""
+
+import pytest
+
+from pcbench import study_file
+from pcbench.errors import UserError
+from pcbench.study import choices_of, given, observers_of, options_of, scenarios_of
+
+
+def study(scenario="cart/variable", **changes):
+    return study_file.parse({"name": "t", "scenarios": [scenario]} | changes, "t")
+
+
+def options(made, observer):
+    (name,) = made.scenarios
+    return given(made, scenarios_of(made)[name], observer)
+
+
+def test_the_studys_options_win_over_the_scenarios_and_the_labels_over_its_names():
+    made = study(options={"dkf": {"R": 2.0, "q": 0.5}, "dkf-bias": {"R": 3.0}, "pco": {"Kp": -5.0}})
+    assert options(made, "dkf") == {"R": 2.0, "q": 0.5}
+    assert options(made, "dkf-bias") == {"R": 3.0, "q": 0.5, "bias_variance": 1.0}
+    assert options(made, "pco") == {"Kp": -5.0}
+    assert options(made, "pi-pco") == {"Kp": -61.0, "Ki": 12.2}, "the scenario's own"
+    assert options_of(made, scenarios_of(made)["cart/variable"], "dkf-bias").R == 3.0
+
+
+def test_an_option_is_known_with_either_dash():
+    made = study("cart/white", options={"kfbo": {"lag-aware": True}, "scenario": {"start-spread": 0.5}})
+    assert options(made, "kfbo") == {"R": 0.004, "lag_aware": True}
+    assert choices_of(made).start_spread == 0.5
+
+
+def test_a_studys_observers_run_and_without_any_the_scenarios():
+    assert observers_of(study(observers=["dkf"]), "cart/variable") == ["dkf"]
+    assert observers_of(study(), "cart/variable")[:2] == ["pco", "pi-pco"]
+
+
+def test_a_random_start_is_drawn_in_one_way():
+    for both in ({"random_start": True, "start_spread": 0.1}, {"random_start": True, "start_spread": 2.0}):
+        with pytest.raises(UserError, match="got random_start and start_spread, expected one of them"):
+            study(options={"scenario": both})
+
+
+def test_changes_and_overrides_are_both_put_in():
+    made = study_file.study_of({"name": "t", "scenarios": ["cart/white"], "seeds": 5}, {"seeds": 3}, ["first_seed=7"])
+    assert (made.seeds, made.first_seed) == (3, 7)
+    named = study_file.study_of("cart/white", {"seeds": 3}, ["first_seed=7", "axes.noise_std=0.5"])
+    assert (named.seeds, named.first_seed, named.axes) == (3, 7, {"noise_std": [0.5]})
+
+
+def test_one_cell_is_one_cell():
+    with pytest.raises(UserError, match="got 2 cells, expected one"):
+        study_file.one_cell("cart/white", ["dkf"], ["axes.noise_std=[0.1, 0.5]"])
+    made, cell = study_file.one_cell("cart/white", ["dkf"], ["axes.noise_std=0.5"])
+    assert (made.observers, cell.values["noise_std"]) == (["dkf"], 0.5)
+
+
+def test_a_plants_parameters_may_stand_as_a_table_of_their_own():
+    """As TOML reads plant.lam = [...] under [axes]."""
+    made = study("cart/white", axes={"plant": {"lam": [110.0, 122.0]}, "delay": [0.2]})
+    assert made.axes == {"delay": [0.2], "plant.lam": [110.0, 122.0]}
+    with pytest.raises(UserError, match=r"got plant.lam twice"):
+        study("cart/white", axes={"plant": {"lam": [110.0]}, "plant.lam": [120.0]})

@@ -1,0 +1,156 @@
+"""What a person reads in the terminal: numbers with half their interval, signs, per cents, and counts of verdicts."""
+
+import io
+from typing import NamedTuple
+
+import pandas as pd
+import pytest
+from rich.console import Console
+
+from pcbench.cli.screen import claims, comparison, results
+from pcbench.dataset.comparing import Comparison
+from pcbench.reproduce.claim import FINDING, VERDICTS, Claim
+from pcbench.statistics import wording
+from pcbench.study import STUDIES, Study
+
+NAN = float("nan")
+
+
+def row(mean, low, high, **more):
+    return {"mean": mean, "ci_low": low, "ci_high": high} | more
+
+
+@pytest.mark.parametrize(
+    ("numbers", "text"),
+    [
+        ((0.5, 0.45, 0.55), "0.500 ± 0.050"),
+        ((12.3456, 12.05, 12.65), "12.35 ± 0.30"),
+        ((2.0, 2.0, 2.0), "2"),
+        ((3e-13, 0.0, 1e-12), "0"),
+        ((1.5, NAN, NAN), "1.5 ± ?"),
+        ((NAN, NAN, NAN), "-"),
+    ],
+)
+def test_an_estimate_stands_with_half_its_interval(numbers, text):
+    assert wording.interval(row(*numbers)) == text
+
+
+def test_a_fraction_is_in_per_cent_with_its_whole_interval():
+    assert wording.fraction(row(0.25, 0.125, 0.375)) == "25 % (12.5 .. 37.5)"
+
+
+@pytest.mark.parametrize(
+    ("median", "text"), [(1.234, "1.23"), (9.999, "10"), (10.0, "never"), (12.0, "never"), (NAN, "-")]
+)
+def test_who_settles_at_the_horizon_never_settles(median, text):
+    assert results.settled({"p50": median}, 10.0) == text
+
+
+def pair(a, b, **changes):
+    usual = {"mean_diff": 0.4, "ci_low": 0.3, "ci_high": 0.5, "n": 64, "p_holm": 0.01, "prob_a_better": 0.1}
+    return pd.DataFrame([{"observer_a": a, "observer_b": b} | usual | changes])
+
+
+def test_a_difference_is_that_of_the_observer_to_the_best_whichever_stands_first():
+    assert wording.difference(pair("x", "best"), "x", "best") == "+0.40 ± 0.10"
+    assert wording.difference(pair("best", "x", mean_diff=-0.4, ci_low=-0.5, ci_high=-0.3), "x", "best") == "+0.40 ± 0.10"
+    assert wording.difference(pair("best", "other"), "x", "best") == "-"
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"p_holm": 0.051}, "="),
+        ({"p_holm": 0.05}, "+0.40 ± 0.10"),
+        ({"prob_a_better": 0.5}, "="),
+        ({"n": 1, "ci_low": NAN, "ci_high": NAN, "p_holm": 0.2}, "+0.4 ± ?"),
+        ({"mean_diff": NAN}, "-"),
+        ({"ci_low": 0.4, "ci_high": 0.4, "p_holm": NAN}, "+0.4"),
+    ],
+)
+def test_a_difference_that_may_be_chance_is_none(changes, text):
+    assert wording.difference(pair("x", "best", **changes), "x", "best") == text
+
+
+def printed(show_it, *given):
+    out = io.StringIO()
+    show_it(*given, Console(file=out, width=200, color_system=None))
+    return out.getvalue()
+
+
+def test_claims_are_counted_by_verdict_and_findings_apart():
+    rows = [Claim("c", "1", "2", v) for v in (*VERDICTS, VERDICTS[0], VERDICTS[2], FINDING, FINDING, FINDING)]
+    text = "6 claims: 2 reproduced, 1 misprint, 2 does not hold, 1 not determinable; 3 findings that stand in no paper."
+    assert claims.summary(rows) == text
+    assert text in printed(claims.every, {"a": rows[:4], "b": rows[4:]}, {"a": "A", "b": "B"})
+
+
+def test_a_comparison_shows_both_sides_with_two_standard_errors():
+    one = {
+        "scenario": "s",
+        "where": "",
+        "observer": "o",
+        "signal": "x",
+        "metric": "mae",
+        "unit": "m",
+        "n_a": 9,
+        "n_b": 9,
+    }
+    one |= {
+        "mean_a": 1.0,
+        "se_a": 0.2,
+        "mean_b": 1.5,
+        "se_b": 0.05,
+        "difference": 0.5,
+        "relative": 0.3,
+        "p_value": 0.001,
+    }
+    one |= {"p_holm": 0.002, "same_draws": False, "changed": True, "identical": False}
+    rows = pd.DataFrame([one, one | {"observer": "still", "changed": False}])
+    text = printed(
+        comparison.comparison, Comparison(rows, (0, 3), ["versions.jax: 1 there, 2 here"]), "old", "new"
+    )
+    assert "1 ± 0.4 m" in text
+    assert "1.5 ± 0.1 m" in text
+    assert "+0.5" in text
+    assert "2.0e-03" in text
+    assert "versions.jax: 1 there, 2 here" in text
+    assert "3 rows stand in new alone." in text
+    assert "All 2 rows stand on other draws" in text
+    assert "1 of 2 rows changed beyond their interval." in text
+    assert "still" not in text
+
+
+def stats(**means):
+    """Rows of a closing table for two cells of one scenario."""
+    metrics = ("mae", "pooled_rmse", "tail_pooled_rmse", "settling_time", "divergence")
+    rows = []
+    for observer, (first, second, lost) in means.items():
+        for cell, mean in enumerate((first, second)):
+            for metric in metrics:
+                value = lost / 10 if metric == "divergence" else mean
+                rows.append(
+                    {"study": "t", "scenario": "cart/white", "plant": "cart", "observer": observer, "cell": cell}
+                    | {"delay": 0.2 + cell, "signal": "position", "unit": "m", "carries_input": None, "metric": metric}
+                    | row(value, value - 0.01, value + 0.01, n=10 - lost, diverged=lost, p50=mean)
+                )
+    return pd.DataFrame(rows)
+
+
+class Results(NamedTuple):
+    stats: pd.DataFrame
+    pairs: pd.DataFrame
+    study: Study = STUDIES["quick"]
+
+
+def test_the_closing_table_has_the_least_first_and_who_diverges_last():
+    table = stats(worse=(0.5, 0.2, 0), better=(0.3, 0.4, 0), lost=(0.1, 0.1, 2))
+    pairs = pd.concat([pair("worse", "better", mean_diff=0.2, ci_low=0.1, ci_high=0.3), pair("worse", "better", mean_diff=-0.2, ci_low=-0.3, ci_high=-0.1)]).assign(
+        scenario="cart/white", signal="position", metric="mae", cell=[0, 1]
+    )
+    lines = printed(lambda console: results.closing(Results(table, pairs), console, "mae")).splitlines()
+    order = [word for line in lines for word in line.split() if word in ("worse", "better", "lost")]
+    assert order == ["better", "worse", "lost", "worse", "better", "lost"]
+    assert "20 % (19 .. 21)" in "\n".join(lines)
+    (second,) = (line for line in lines if "worse" in line and "+0.20 ± 0.10" in line)
+    assert "0.500 ± 0.010" in second
