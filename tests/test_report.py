@@ -14,6 +14,7 @@ from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.plots import palette
 from pcbench.report import figures, page
+from pcbench.statistics import wording
 
 STUDY = {
     "name": "map",
@@ -65,7 +66,7 @@ def test_every_chart_has_its_place_a_text_and_units(text):
 
 def test_its_table_has_the_numbers_of_the_tables(folder, text):
     result = pcbench.opened(folder)
-    mine = result.stats.query("metric == 'mae' and signal == 'position'")
+    mine = result.stats.query("metric == 'tail_rmse' and signal == 'position'")
     for observer, median in mine.groupby("observer")["mean"].median().items():
         assert re.search(rf"</span>{observer}</td><td>\d+</td><td>{median:.4g}</td>", text), observer
     assert "8 combinations of axis values" in text
@@ -79,8 +80,9 @@ def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
     (best,) = re.findall(r'<tr class="best"><td>.*?</span>(\S+)</td>', text)
     assert best == "dkf"
     assert "less the best [m]" in text
-    eta = result.stats.query("metric == 'efficiency' and signal == 'position' and observer == 'dkf'")["mean"].iloc[0]
-    assert f"{eta:.4g} ±" in text
+    for metric in ("tail_rmse", "efficiency"):
+        (row,) = result.stats.query(f"metric == '{metric}' and signal == 'position' and observer == 'dkf'").to_dict("records")
+        assert f">{wording.interval(row)}<" in text
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no browser here")
