@@ -68,7 +68,7 @@ def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
     """The model that observers would be told with other parameters."""
     for name in parameters:
         if name not in parameters_of(s.plant):
-            raise unknown(f"{s.name}: parameter-range", f"parameter of plant {s.plant}", name, parameters_of(s.plant))
+            raise unknown(f"{s.name}: parameter_range", f"parameter of plant {s.plant}", name, parameters_of(s.plant))
     return PLANTS[s.plant].nominal(numbers_of(s)._replace(**parameters))
 
 

@@ -200,7 +200,7 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
     model = Choices if name == "scenario" else entry_of(name).options
     for key in dashes(given):
         if key not in model.model_fields:
-            raise unknown(where, "key here", key, [field.replace("_", "-") for field in model.model_fields])
+            raise unknown(where, "key here", key, model.model_fields)
     underscored(given, where)
     for key, value in given.items():
         _of_sensible_size(value, f"{where}.{key}")
@@ -257,8 +257,7 @@ def sentence(where: str, error: ValidationError, model: type[BaseModel]) -> User
     if kind == "extra_forbidden":
         inside = ".".join(str(part) for part in loc[:-1])
         names = (Lti if inside == "lti" else model).model_fields
-        shape = [name if model is Study else name.replace("_", "-") for name in names]
-        return unknown(f"{where}: {inside}" if inside else where, "key here", str(loc[-1]), shape)
+        return unknown(f"{where}: {inside}" if inside else where, "key here", str(loc[-1]), names)
     if kind == "missing":
         return UserError(f"{where}: {place} is missing; write {loc[-1]} = ...")
     same = [each for each in findings if each["loc"][:1] == loc[:1] and _place(each["loc"]).startswith(place)]

@@ -29,7 +29,7 @@ BAD = {
     "study": (["run", "quik"], "'quik' is no study", "'quick'"),
     "observer": (["run", "quick", "--observers", "pcebo"], "'pcebo' is no observer", "'pccebo'"),
     "axis": (["run", "quick", "--set", "axes.noise=1"], "'noise' is no axis", "'noise_std'"),
-    "option": (["run", "quick", "--set", "options.kfbo.lagaware=true"], "'lagaware'", "'lag-aware'"),
+    "option": (["run", "quick", "--set", "options.kfbo.lagaware=true"], "'lagaware'", "'lag_aware'"),
     "option value": (["run", "quick", "--set", "options.kfbo.R=-1"], "options.kfbo: R: got -1", "greater than 0"),
     "whole ticks": (["run", "quick", "--set", "axes.delay=0.2005"], "got 0.2005 s", "0.2 or 0.201"),
     "no period": (["run", "quick", "--set", "axes.sampling_period=0"], "got 0 s", "at least one tick"),
@@ -71,7 +71,7 @@ BAD = {
     "unequal channels": (["run", "quick", "--set", "axes.delay=[[0.1,0.2]]"], "got 2 values", "one or 1"),
     "both variants": (
         ["run", "quick", "--set", "options.kfbo.lag-aware=true", "--set", "options.kfbo.sampled-innovation=true"],
-        "one of lag-aware",
+        "one of lag_aware",
         "not both",
     ),
 }

@@ -11,7 +11,7 @@ Source: Mohammed et al. 2017, section 5 (after Roberts 1986). Different from pri
 `synthesis.riccati`). It does not know that Y is held: on a constant velocity it stays behind by velocity x te/2, so perfect
 start is not claimed. It takes one constant delay, the same for all channels: the age of a sample is nothing it could use, so
 schedules on which it varies are refused. A lost sample leaves the last one held.
-Options: `lag-aware` uses d + te/2 in place of d (te must be even in ticks); `sampled-innovation` holds the innovation
+Options: `lag_aware` uses d + te/2 in place of d (te must be even in ticks); `sampled_innovation` holds the innovation
 Y_i - C z(t_i) instead of the measurement, z' = A z + B u(t - d) + K (Y_i - C z(t_i)), which can be unstable.
 """
 
@@ -67,7 +67,7 @@ class Options(BaseModel):
     @model_validator(mode="after")
     def _one_variant(self) -> "Options":
         if self.lag_aware and self.sampled_innovation:
-            raise ValueError("one of lag-aware and sampled-innovation, not both (they disagree about z's time)")
+            raise ValueError("one of lag_aware and sampled_innovation, not both (they disagree about z's time)")
         return self
 
 
@@ -124,7 +124,7 @@ def design(setting: Setting, options: Options) -> Design:
     K = stationary.K
     if options.lag_aware and (period % 2 or len(set(setting.period)) > 1):
         raise UserError(
-            f"{where}: lag-aware shifts by te/2, got te = {setting.period} ticks, expected one even te for all channels."
+            f"{where}: lag_aware shifts by te/2, got te = {setting.period} ticks, expected one even te for all channels."
         )
     lag = delay + (period // 2 if options.lag_aware else 0)
     Phi, Gamma = linear.one_tick(model, h)

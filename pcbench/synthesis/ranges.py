@@ -78,13 +78,13 @@ def _ticks(periods: list[float], setting: Setting, where: str) -> list[int]:
     low, high = (edge / setting.dt for edge in periods)
     if high - low > MOST:
         raise UserError(
-            f"{where}: got a period-range of {periods} s, which are {high - low:.3g} ticks of {setting.dt:g} s, expected "
+            f"{where}: got a period_range of {periods} s, which are {high - low:.3g} ticks of {setting.dt:g} s, expected "
             f"{MOST} at most; write seconds, or a narrower range."
         )
     found = list(range(max(int(np.ceil(low - 1e-9)), 1), int(high + 1e-9) + 1))
     if not found:
         raise UserError(
-            f"{where}: got a period-range of {periods} s, expected one with a multiple of the tick of {setting.dt:g} s in it."
+            f"{where}: got a period_range of {periods} s, expected one with a multiple of the tick of {setting.dt:g} s in it."
         )
     return found
 
