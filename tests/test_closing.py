@@ -27,7 +27,7 @@ def test_chunks_end_where_the_seed_is_a_multiple_of_their_size(whole, size, last
     monkeypatch.setattr(statistics, "CHUNK", size)
     end, table = last or 40, rows(whole)
     edges = [*range(0, end, size), end]
-    found = parts(whole, 1, last)
+    found = parts(whole, 1, last and (0, last))
     assert [len(chunk["kfbo"]["diverged"]) for chunk in found] == np.diff(edges).tolist()
     for (a, b), chunk in zip(pairwise(edges), found, strict=True):
         for observer in ("pccebo", "kfbo"):

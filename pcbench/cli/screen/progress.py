@@ -1,7 +1,7 @@
 """Bars for long work, on standard error, where that is a terminal."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any
 
 from rich.console import Console
@@ -18,14 +18,19 @@ class Rate(ProgressColumn):
 
 
 @contextmanager
+def shown(quiet: bool, *beside: ProgressColumn) -> Iterator[Progress]:
+    """Yield a bar, with columns `beside` it, that is drawn where standard error is a terminal and nobody wants it quiet."""
+    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *beside, TimeRemainingColumn()]
+    console = Console(stderr=True)
+    bar = Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal)
+    with nullcontext() if bar.disable else bar:  # one that begins and ends writes a line, even if it is disabled
+        yield bar
+
+
+@contextmanager
 def progress(quiet: bool) -> Iterator[Any]:
     """Yield a `tell` for `bench.run` that draws a bar with rate and time left on standard error."""
-    if quiet:
-        yield lambda event, value: None
-        return
-    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Rate(), TimeRemainingColumn()]
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with shown(quiet, Rate()) as bar:
         task = bar.add_task("designing gains", total=None)
 
         def tell(event: str, value: float) -> None:
@@ -44,9 +49,7 @@ def progress(quiet: bool) -> Iterator[Any]:
 @contextmanager
 def counting(quiet: bool) -> Iterator[Any]:
     """Yield a `tell` that draws a bar for files and blocks: an event with its number begins one, `...ed` goes on."""
-    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()]
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+    with shown(quiet) as bar:
         current: list[Any] = []
 
         def tell(event: str, value: float) -> None:
@@ -61,9 +64,7 @@ def counting(quiet: bool) -> Iterator[Any]:
 @contextmanager
 def tuning(quiet: bool) -> Iterator[Any]:
     """Yield a `tell` for a tuning: a bar over its budget with the least objective so far, on standard error."""
-    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()]
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+    with shown(quiet) as bar:
         task = bar.add_task("designing gains", total=None)
 
         def tell(event: str, value: float) -> None:
