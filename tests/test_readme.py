@@ -76,7 +76,7 @@ def test_python_examples_run(first_line, capsys):
     try:
         exec(compile(example.replace("pcbench.setup()", ""), "README.md", "exec"), {})
         shown = capsys.readouterr().out
-        assert "position" in shown or "pccebo" in shown
+        assert "dkf" in shown or "pccebo" in shown
     finally:
         OBSERVERS.pop("nudge", None)
 
