@@ -3,6 +3,8 @@
 How often the intervals cover is tested in test_coverage.py.
 """
 
+import warnings
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -75,6 +77,8 @@ def test_an_interval_of_sizes_is_students_of_their_means_logarithm_and_never_bel
     few = statistics.size(np.array([0.0, 0.0, 0.0, 8.0]))
     assert 0 < few["ci_low"] < few["mean"] < few["ci_high"] < np.inf
     assert statistics.mean(np.array([0.0, 0.0, 0.0, 8.0]))["ci_low"] < 0
+    with warnings.catch_warnings(action="error"):
+        statistics.size(np.array([-1.0, 1.0001]))  # as a signed metric's column is, before its interval is replaced
     none = statistics.size(np.zeros(4))
     assert (none["mean"], none["ci_low"], none["ci_high"]) == (0, 0, 0)
 

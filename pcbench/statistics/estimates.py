@@ -56,7 +56,8 @@ def positive(m: Moments) -> Estimate:
     if m.n < 2:
         return e
     part = e.se * float(stdtrit(m.n - 1, 0.975)) / np.where(e.mean > 0, e.mean, 1.0)
-    return e._replace(ci_low=e.mean * np.exp(-part), ci_high=e.mean * np.exp(part))
+    with np.errstate(over="ignore"):  # of a signed metric's mean, whose interval is Student's own
+        return e._replace(ci_low=e.mean * np.exp(-part), ci_high=e.mean * np.exp(part))
 
 
 def root(squares: Estimate) -> Estimate:
