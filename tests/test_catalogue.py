@@ -32,7 +32,11 @@ def test_scenarios_have_their_times_and_bands_in_their_units():
         ("enthalpy", "J", 1000.0, 2e10),
         ("jacket_temperature", "degC", 0.25, 5e6),
     ]
-    assert (said["tick"], said["horizon"], said["tail"]) == (10.0, SCENARIOS["csth/10s"].horizon, SCENARIOS["csth/10s"].tail)
+    assert (said["tick"], said["horizon"], said["tail"]) == (
+        10.0,
+        SCENARIOS["csth/10s"].horizon,
+        SCENARIOS["csth/10s"].tail,
+    )
     assert found("scenarios", "arm/sampled")["arm/sampled"]["delay"] == list(SCENARIOS["arm/sampled"].delay)
     assert catalogue.scenario("cart/white")["axes"][-3:] == ["plant.lam", "plant.b", "plant.input_bias"]
 

@@ -81,7 +81,9 @@ def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
     assert best == "dkf"
     assert "less the best [m]" in text
     for metric in ("tail_rmse", "efficiency"):
-        (row,) = result.stats.query(f"metric == '{metric}' and signal == 'position' and observer == 'dkf'").to_dict("records")
+        (row,) = result.stats.query(f"metric == '{metric}' and signal == 'position' and observer == 'dkf'").to_dict(
+            "records"
+        )
         assert f">{wording.interval(row)}<" in text
 
 

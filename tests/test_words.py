@@ -53,7 +53,9 @@ def pair(a, b, **changes):
 
 def test_a_difference_is_that_of_the_observer_to_the_best_whichever_stands_first():
     assert wording.difference(pair("x", "best"), "x", "best") == "+0.40 ± 0.10"
-    assert wording.difference(pair("best", "x", mean_diff=-0.4, ci_low=-0.5, ci_high=-0.3), "x", "best") == "+0.40 ± 0.10"
+    assert (
+        wording.difference(pair("best", "x", mean_diff=-0.4, ci_low=-0.5, ci_high=-0.3), "x", "best") == "+0.40 ± 0.10"
+    )
     assert wording.difference(pair("best", "other"), "x", "best") == "-"
 
 
@@ -107,9 +109,7 @@ def test_a_comparison_shows_both_sides_with_two_standard_errors():
     }
     one |= {"p_holm": 0.002, "same_draws": False, "changed": True, "identical": False}
     rows = pd.DataFrame([one, one | {"observer": "still", "changed": False}])
-    text = printed(
-        comparison.comparison, Comparison(rows, (0, 3), ["versions.jax: 1 there, 2 here"]), "old", "new"
-    )
+    text = printed(comparison.comparison, Comparison(rows, (0, 3), ["versions.jax: 1 there, 2 here"]), "old", "new")
     assert "1 ± 0.4 m" in text
     assert "1.5 ± 0.1 m" in text
     assert "+0.5" in text
@@ -145,9 +145,12 @@ class Results(NamedTuple):
 
 def test_the_closing_table_has_the_least_first_and_who_diverges_last():
     table = stats(worse=(0.5, 0.2, 0), better=(0.3, 0.4, 0), lost=(0.1, 0.1, 2))
-    pairs = pd.concat([pair("worse", "better", mean_diff=0.2, ci_low=0.1, ci_high=0.3), pair("worse", "better", mean_diff=-0.2, ci_low=-0.3, ci_high=-0.1)]).assign(
-        scenario="cart/white", signal="position", metric="mae", cell=[0, 1]
-    )
+    pairs = pd.concat(
+        [
+            pair("worse", "better", mean_diff=0.2, ci_low=0.1, ci_high=0.3),
+            pair("worse", "better", mean_diff=-0.2, ci_low=-0.3, ci_high=-0.1),
+        ]
+    ).assign(scenario="cart/white", signal="position", metric="mae", cell=[0, 1])
     lines = printed(lambda console: results.closing(Results(table, pairs), console, "mae")).splitlines()
     order = [word for line in lines for word in line.split() if word in ("worse", "better", "lost")]
     assert order == ["better", "worse", "lost", "worse", "better", "lost"]
