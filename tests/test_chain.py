@@ -100,18 +100,26 @@ def test_between_samples_they_follow_the_model():
 
 @pytest.mark.parametrize("error", [pytest.param(0.1, marks=pytest.mark.slow), -0.1])
 def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(error):
-    """What arrives is believed a sample older or younger than it is; none is believed taken before 0."""
-    study, _, model = slow()
+    """What arrives is believed a sample older or younger than it is; none is believed taken before 0.
+
+    Between samples they follow the model all the same.
+    """
+    study, fine, model = slow()
     off = round(error / 0.1)
     study |= {"axes": {"assumed_delay_error": [error]}}
     labels = ["chain", "equal-delay", "no-delay-plain"]
     d = pcbench.trace(study | {"observers": labels}, labels)
-    u = d[["u1"]].to_numpy()[::10]
+    held = d[["u1"]].to_numpy()
+    u = held[::10]
     _, y = ref.simulate(model, u, np.array([1.0, -2.0]))
     r = ref.received(y, [2, 5])
+    between = np.arange(1, len(d)) % 10 > 0
     for label in labels:
+        got = d[[f"{label}.x1", f"{label}.x2"]].to_numpy()
         want = expected(label, model, u, r, [2 + off, 5 + off], np.zeros(2))
-        np.testing.assert_allclose(d[[f"{label}.x1", f"{label}.x2"]].to_numpy()[::10], want, atol=1e-11, err_msg=label)
+        np.testing.assert_allclose(got[::10], want, atol=1e-11, err_msg=label)
+        moved = got[:-1] @ fine[0].T + held[:-1] @ fine[1].T
+        np.testing.assert_allclose(got[1:][between], moved[between], atol=1e-11, err_msg=label)
 
 
 @pytest.mark.parametrize("older", [1, 3])

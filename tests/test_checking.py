@@ -21,7 +21,7 @@ from pcbench.synthesis.certificate import Design
 WHERE = {"smo": "arm/sampled", "pio": "arm/sampled", "high-gain": "helicopter/constant"}  # what they are made for
 QUICK = ("open-loop", "kfbo", "no-delay")
 ENTRY = Entry(own.nudge, own.Options, own.design, True, "a share of a late innovation", "one clock")
-SEEN, SHARE, COUNT = [], [0.1], itertools.count()
+SEEN, SHARE, TIMES, COUNT = [], [0.1], [np.array([1])], itertools.count()
 
 
 def verdicts(entry, scenario="cart/white"):
@@ -79,6 +79,16 @@ def sets_global(setting, options):
     return own.design(setting, options)
 
 
+def by_global_table(gains, memory, now, arrival):
+    late = jnp.where(arrival.fresh, arrival.value - arrival.note, 0.0)
+    return memory + gains.L @ (jnp.asarray(TIMES[0]) * late)
+
+
+def sets_global_table(setting, options):
+    TIMES[0] = np.array([1 + int(sum(setting.noise_std) > 1)])
+    return own.design(setting, options)
+
+
 def written(gains, memory, now, arrival):
     gains = gains._replace(L=jnp.array([[0.07], [0.3]]))
     return own.corrected(gains, memory, arrival)
@@ -109,6 +119,11 @@ BROKEN = {
     "a list outside": ("purity", {"jump": kept}, "a traced value that jump leaves behind"),
     "a counter": ("purity", {"flow": counted}, "two programs when flow was traced twice"),
     "a global": ("gains", {"jump": by_global, "design": sets_global}, "other numbers in the program of jump"),
+    "a global table of whole numbers": (
+        "gains",
+        {"jump": by_global_table, "design": sets_global_table},
+        "other numbers in the program of jump",
+    ),
     "a matrix written in": ("gains", {"jump": written}, r"an array of shape \[2, 1\] written into jump"),
     "float32": ("float64", {"jump": narrow}, "got float32 in jump"),
     "a callback": ("lanes", {"jump": called_back}, "jump under vmap"),

@@ -1,6 +1,8 @@
 """Looking at a dataset: how far it is, whether it is whole, whether it comes out again."""
 
 import numpy as np
+import pyarrow as pa
+import pytest
 from commands import call
 
 from pcbench.dataset import inspection, ledger, store
@@ -56,3 +58,21 @@ def test_commands_on_a_dataset_answer(copy, tmp_path):
         done = call(*words)
         assert done.returncode == 2
         assert done.stderr.count("\n") == 1, done.stderr
+
+
+def errors(**columns):
+    """Two runs of a signal whose largest error is 1000, and other numbers of them."""
+    return pa.table({"signal": ["x", "x"], "peak": [1e3, 10.0]} | columns)
+
+
+@pytest.mark.parametrize(
+    ("metric", "part"), [("rmse", 1e-10), ("tail_rmse", 1e-10), ("mse", 1e-13), ("tail_mse", 1e-13)]
+)
+def test_what_is_left_of_zero_is_a_part_of_the_largest_error_and_of_a_square_of_its_square(metric, part):
+    found = inspection.difference(errors(**{metric: [1.0, 1e-7]}), errors(**{metric: [1.0, 2e-7]}))
+    assert found == pytest.approx((0.5, part), rel=1e-12)
+
+
+def test_a_number_that_is_missing_on_one_side_is_no_matter_of_size():
+    assert inspection.difference(errors(rmse=[1.0, 2.0]), errors(rmse=[1.0, None])) is None
+    assert inspection.difference(errors(rmse=[1.0, None]), errors(rmse=[1.0, None])) == (0, 0)

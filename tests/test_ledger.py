@@ -55,6 +55,12 @@ def test_what_is_settled_depends_on_no_order(ranges):
     assert ledger.settle(blocks) == ledger.settle(blocks[::-1])
 
 
+def test_blocks_that_follow_one_another_double_nothing():
+    row = [block(0, 8), block(8, 12), block(12, 20), block(30, 31)]
+    assert ledger.settle(row) == (row, [])
+    assert ledger.settle([*row, block(19, 20)]) == (row, [block(19, 20)])
+
+
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     out = tmp_path_factory.mktemp("ledger") / "out"

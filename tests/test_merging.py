@@ -5,7 +5,7 @@ from commands import call
 from small_study import STUDY, same
 
 import pcbench
-from pcbench.dataset import ledger, merging, store
+from pcbench.dataset import folder, ledger, merging, store
 from pcbench.errors import UserError
 
 
@@ -16,6 +16,8 @@ def test_two_halves_merged_are_the_whole(whole, tmp_path):
     made = merging.merge([b, a], tmp_path / "both")
     assert (made.missing, made.doubled) == (0, 2 * 2 * 9)
     same(tmp_path / "both", whole)
+    named = folder.opened(store.target(tmp_path / "both")).study
+    assert (named.first_seed, named.seeds) == (0, 40)
     again = pcbench.run(STUDY, out=tmp_path / "both")
     assert again.provenance["merged"]
     assert "Nothing was left to do" in call("run", str(a / "study.toml"), "--out", str(a)).stdout

@@ -1,5 +1,7 @@
 """Figures of a result: they show its numbers, with units, and say who wins only where that is sure."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -51,6 +53,33 @@ def test_a_curve_has_the_means_and_their_intervals(result):
     (line,) = [line for line in ax.get_lines() if line.get_label() == "kfbo"]
     np.testing.assert_allclose(line.get_ydata(), rows["mean"])
     np.testing.assert_allclose(line.get_xdata(), [0.1, 2.0])
+    band = ax.collections[STUDY["observers"].index("kfbo")].get_paths()[0].vertices[:, 1]
+    np.testing.assert_allclose([band.min(), band.max()], [rows.ci_low.min(), rows.ci_high.max()])
+
+
+def test_an_axis_that_a_figure_does_not_show_stands_at_its_first_value(result):
+    drawn = [
+        {
+            line.get_label(): line.get_ydata()
+            for line in axes_of(plots.curves(result, "noise_std", at=at))[0].get_lines()
+        }
+        for at in (None, {"delay": 0.2}, {"delay": 0.4})
+    ]
+    np.testing.assert_array_equal(drawn[0]["kfbo"], drawn[1]["kfbo"])
+    assert (drawn[0]["kfbo"] != drawn[2]["kfbo"]).all()
+
+
+def test_a_share_of_runs_is_of_all_of_them_and_ends_where_the_rest_diverged():
+    rows = [
+        {"observer": o, "signal": "x", "diverged": i < lost, "mae": 1.0 + i}
+        for o, lost in (("a", 0), ("b", 3))
+        for i in range(4)
+    ]
+    named = SimpleNamespace(stats=pd.DataFrame({"scenario": ["s"], "signal": ["x"]}), study=SimpleNamespace(name="t"))
+    named.runs_of = lambda scenario, metrics, cell: pd.DataFrame(rows)
+    part = frames.distribution(named, "s", "x", "mae")
+    assert part[part.observer == "a"].share.tolist() == [0.25, 0.5, 0.75, 1.0]
+    assert part[part.observer == "b"][["value", "share"]].to_numpy().tolist() == [[4.0, 0.25]]
 
 
 def test_a_tie_is_blank_and_a_win_is_what_a_paired_test_says(result):

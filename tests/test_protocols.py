@@ -99,3 +99,24 @@ def test_the_carts_field_is_its_step_in_the_limit(drift):
     stepped = entry.plant.step(params, now, x)
     flowed = rk4(lambda t, x: entry.plant.field(params, now._replace(t=t), x), now.t, x, now.dt)
     np.testing.assert_allclose(stepped, flowed, rtol=1e-6)
+
+
+OWN = {"A": [[0.0, 1.0], [-2.0, -0.3]], "B": [[0.0], [1.5]], "C": [[1.0, 0.0]], "D": [[0.4]]}
+
+
+@pytest.mark.parametrize(
+    ("name", "off", "gain", "bias"),
+    [("cart", {}, 1.0, 0.2), ("cart", {"drift": 1.0}, 1.0, 0.2), ("lti", OWN, 1.1, -0.3)],
+)
+def test_a_plant_is_pushed_by_its_gain_times_the_input_and_its_bias(name, off, gain, bias):
+    """What moves a plant that differs from its model so is what moves the model under that input."""
+    entry = PLANTS[name]
+    model = entry.numbers._replace(**off)
+    wrong = model._replace(input_bias=bias, **({"input_gain": gain} if gain != 1 else {}))
+    p = jax.tree.map(jnp.asarray, problem(Case(CART, 10, 10, ticks=20), {"open-loop": {}})[1])
+    now, x = rollout.present(p, jnp.asarray(7), True), jnp.array([1.0, 20.0])
+    theirs, own = (jax.tree.map(jnp.asarray, entry.prepare(numbers, 1e-3, 20)) for numbers in (wrong, model))
+    pushed = now._replace(u=gain * now.u + bias)
+    assert jnp.abs(now.u).min() > 0.1
+    for f in (entry.plant.step, entry.plant.output, entry.plant.field):
+        np.testing.assert_allclose(f(theirs, now, x), f(own, pushed, x), rtol=1e-12)

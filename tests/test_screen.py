@@ -13,8 +13,9 @@ from rich.console import Console
 from small_study import STUDY
 
 import pcbench
+from pcbench.cli import shared
 from pcbench.cli.screen import results
-from pcbench.cli.screen.tables import aligned
+from pcbench.cli.screen.tables import Column, aligned, printed
 from pcbench.statistics import wording
 
 MANY = {
@@ -194,6 +195,31 @@ def test_signs_stand_below_one_another(cells):
     places = {text.index("±") for text in out if "±" in text}
     assert len(places) <= 1
     assert [" ".join(text.split()) for text in out] == cells
+
+
+def test_what_stands_before_a_sign_ends_there_and_what_stands_behind_it_begins_there():
+    assert aligned(["0.22 ± 0.01", "11.26 ± 0.0068", "5"]) == [" 0.22 ± 0.01  ", "11.26 ± 0.0068", "    5         "]
+
+
+@pytest.mark.parametrize(("width", "left_out"), [(90, []), (55, ["least"]), (40, ["less", "least"])])
+def test_where_room_is_scarce_the_least_goes_first(width, left_out):
+    columns = [Column("name", ["n" * 20]), Column("less", ["1" * 20], spare=1), Column("least", ["2" * 20], spare=2)]
+    console = Console(file=io.StringIO(), width=width)
+    assert printed("title", columns, console) == left_out
+    text = console.file.getvalue()
+    assert [c.head for c in columns if c.cells[0] not in text] == left_out
+
+
+@pytest.mark.parametrize(("said", "width"), [("", 100), ("60", 60), ("0", 100), ("wide", 100)])
+def test_a_table_in_a_file_is_as_wide_as_columns_says(said, width, monkeypatch):
+    monkeypatch.setenv("COLUMNS", said)
+    assert shared.console().width == width
+
+
+def test_signals_are_a_list_with_commas_or_all():
+    assert shared.chosen("position, velocity") == ["position", "velocity"]
+    assert shared.chosen(" all ") == []
+    assert shared.chosen(None) is None
 
 
 def test_a_narrow_terminal_shows_the_readmes_motor_whole(tmp_path):

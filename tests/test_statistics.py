@@ -6,6 +6,7 @@ How often the intervals cover is tested in test_coverage.py.
 import warnings
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -16,7 +17,7 @@ from scipy import stats
 
 from pcbench import statistics, tables
 from pcbench.dataset import growing
-from pcbench.statistics import order_statistics, selection
+from pcbench.statistics import order_statistics, selection, winning
 
 RNG = np.random.default_rng(5)
 A, B = RNG.gamma(3.0, size=60), RNG.gamma(3.3, size=60)
@@ -136,6 +137,13 @@ def test_runs_that_do_not_vary_have_an_interval_without_width_and_no_test():
     compared = statistics.compare(same, same + 1, GOOD[:9], GOOD[:9])
     assert compared["prob_a_better"] == 1.0
     assert np.isnan(compared["p_value"])
+
+
+@pytest.mark.parametrize("value", [0.1, 1 / 3, 1e-9, 7.3e5])
+def test_values_that_are_all_equal_keep_no_rounding_of_their_sum(value):
+    for n in range(2, 40):
+        found = statistics.mean(np.full(n, value))
+        assert (found["mean"], found["se"]) == (value, 0.0), n
 
 
 def test_rounding_is_a_tie():
@@ -351,3 +359,38 @@ def test_zero_is_a_part_of_the_signals_size_squared_for_squares(metric, zero):
         rows = statistics.pairs(cut({"a": a, "b": b}, 8)[0], SIGNALS, SIZES)
         (row,) = (r for r in rows if r["signal"] == "velocity" and r["metric"] == metric)
         assert row["prob_a_better"] == better
+
+
+def of_a_cell(**observers):
+    """Rows of stats of one metric in a cell, and the one row of pairs where there are two observers."""
+    rows = [{"observer": o, "mean": m, "n": 64 - lost, "diverged": lost} for o, (m, lost) in observers.items()]
+    pair = dict(zip(("observer_a", "observer_b"), observers, strict=True))
+    return pd.DataFrame(rows), pair | {"n": 64, "p_value": 1e-4, "p_holm": 1e-3, "prob_a_better": 0.9}
+
+
+def test_who_diverges_least_wins_before_the_least_mean():
+    rows, pair = of_a_cell(steady=(1.0, 0), lost=(0.5, 32))
+    assert winning.winner(rows, pd.DataFrame([pair])[:0]) == "steady", "no run of both is needed"
+    assert winning.diverges_more(rows.iloc[0], rows.iloc[1])
+    assert not winning.diverges_more(rows.iloc[1], rows.iloc[0])
+
+
+def test_one_diverged_run_of_many_may_be_chance():
+    rows, pair = of_a_cell(steady=(1.0, 0), lost=(1.0, 1))
+    assert not winning.diverges_more(rows.iloc[0], rows.iloc[1])
+    assert winning.winner(rows, pd.DataFrame([pair | {"p_value": 0.4, "p_holm": 0.4}])) == ""
+
+
+@pytest.mark.parametrize(
+    ("found", "wins"),
+    [
+        ({"p_value": 0.001, "p_holm": 0.049}, True),
+        ({"p_value": 0.001, "p_holm": 0.051}, False),  # it is one test of many
+        ({"p_value": np.nan, "p_holm": np.nan, "prob_a_better": 1.0}, True),  # nothing varies
+        ({"p_value": np.nan, "p_holm": np.nan, "prob_a_better": 0.5}, False),
+        ({"p_value": np.nan, "p_holm": np.nan, "prob_a_better": 1.0, "n": 1}, False),  # one run says nothing of others
+    ],
+)
+def test_a_cell_is_won_by_the_adjusted_p_value(found, wins):
+    rows, pair = of_a_cell(better=(0.5, 0), worse=(1.0, 0))
+    assert winning.winner(rows, pd.DataFrame([pair | found])) == ("better" if wins else "")

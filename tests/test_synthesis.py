@@ -11,7 +11,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
-from pcbench.synthesis import cache, current_estimator, linear, promises, riccati
+from pcbench.synthesis import cache, common_lyapunov, current_estimator, linear, observability, promises, riccati
 from pcbench.synthesis.certificate import Certificate, certified
 
 PERIODS = [0.05, 0.2, 0.6, 1.0]
@@ -113,6 +113,52 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
     assert len(list(tmp_path.rglob("*.json"))) == 2
 
 
+def test_matrices_of_the_same_numbers_in_another_shape_are_another_problem(tmp_path, monkeypatch):
+    monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
+    kind, shapes = current_estimator.Solution, [(2, 3), (3, 2), (1, 6)]
+    for shape in shapes:
+        found = cache.remembered(
+            kind, "shape", (np.ones(shape),), partial(kind, np.eye(2), np.ones(shape), 0.0, "", "")
+        )
+        assert found.L.shape == shape
+    assert len(list(tmp_path.rglob("*.json"))) == len(shapes)
+
+
+def test_a_proof_over_a_range_holds_at_every_map_of_it_at_its_own_interval():
+    found = common_lyapunov.Solution(np.eye(2), np.zeros((0, 0)), 0.1, "optimal", "none")
+
+    def certify(factors, rate):
+        maps = np.array(factors)[:, None, None] * np.eye(2)
+        return common_lyapunov.certify(found, common_lyapunov.Range(maps, np.array([0.1, 0.2])), rate, "test")
+
+    assert certify((0.5, 0.5), 0.0).margin == pytest.approx(0.5)
+    assert certify((0.5, 0.5), 0.0).rate == pytest.approx(np.log(2) / 0.2)
+    for factors in ((0.5, 1.1), (1.1, 0.5)):
+        assert certify(factors, 0.0).margin == pytest.approx(-0.1)
+    for rate, holds in ((3.4, True), (3.5, False)):  # log 2 over 0.2 s is 3.466
+        assert (certify((0.5, 0.5), rate).margin > 0) == holds
+
+
+@pytest.mark.parametrize(
+    ("mode", "discrete", "decays"),
+    [
+        (0.5, True, True),
+        (-0.5, True, True),
+        (1.0, True, False),
+        (-1.2, True, False),
+        (-1.2, False, True),
+        (0.0, False, False),
+    ],
+)
+def test_a_mode_decays_inside_the_circle_or_left_of_the_axis(mode, discrete, decays):
+    blind = linear.Model(np.diag([0.3, mode]), np.ones((2, 1)), np.array([[1.0, 0.0]]), None, discrete)
+    if decays:
+        observability.require_detectable(blind, "test")
+    else:
+        with pytest.raises(UserError, match=f"mode {mode:g} is undetectable"):
+            observability.require_detectable(blind, "test")
+
+
 def test_riccati_solution_solves_the_equation_and_its_closed_form():
     for R in (0.004, 0.3, 1.0):
         found = riccati.continuous(CART, 0.002 * CART.B @ CART.B.T, R * np.eye(1), "test")
@@ -187,3 +233,20 @@ def test_process_noise_over_long_intervals_keeps_its_digits(bit):
     """Van Loan's exponential over 0.6 s overflows silently; doubling one tick does not."""
     Q = linear.noise_doublings(CART, linear.input_noise(CART, 0.002, 1e-3), 1e-3, 10)[bit]
     np.testing.assert_allclose(Q, reference_cart.process_covariance(2**bit * 1e-3), rtol=1e-11)
+
+
+@pytest.mark.parametrize("seconds", [0.05, 0.2, 0.6])
+def test_process_noise_over_a_tick_in_which_a_mode_dies_keeps_its_digits(seconds):
+    Q = linear.input_noise(CART, 0.002, seconds)
+    np.testing.assert_allclose(Q, reference_cart.process_covariance(seconds), rtol=1e-11)
+
+
+def test_a_table_of_process_noise_holds_what_so_many_ticks_add():
+    tick = linear.input_noise(ODD, 0.3, 0.01)
+    doubled = linear.doublings(ODD, 0.01, 8)
+    noise, table = linear.noise_doublings(ODD, tick, 0.01, 8), linear.noise_powers(ODD, tick, 0.01, 200)
+    assert table.shape[:2] == (2, 16)
+    for level in range(2):
+        for i in range(16):
+            want = linear.noise_over(doubled, noise, i * 16**level)
+            np.testing.assert_allclose(table[level, i], want, rtol=0, atol=1e-13 * np.abs(noise[-1]).max())

@@ -13,7 +13,10 @@ from interruptions import stop_tuning_at
 import pcbench
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, entry_of
-from pcbench.tuning import effort, free, ways
+from pcbench.tuning import effort, free, gradient, ways
+from pcbench.tuning.goal import Goal
+from pcbench.tuning.judging import against
+from pcbench.tuning.record import Judged
 
 SMALL = {"budget": 6, "training": (0, 16), "judges": (100, 40), "objective": "tail_rmse"}
 START = {"pccebo": {"L": [[0.9], [0.0]]}, "pco": {"Kp": -3.0}, "pi-pco": {"Kp": -3.0, "Ki": 0.5}}
@@ -37,6 +40,45 @@ def test_every_vector_of_numbers_is_an_option(observer, data):
             np.testing.assert_allclose(its * g.scale, mine * f.scale, rtol=1e-12, atol=1e-14 * f.scale)
         else:
             np.testing.assert_allclose(its, mine, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("metric", ["rmse", "pooled_rmse", "tail_pooled_rmse"])
+def test_a_goals_slope_is_its_derivative_and_a_lost_run_has_no_number(metric):
+    goal, runs, lost = Goal(metric, 0, "x", "m"), np.array([4.0, 9.0, 1.0]), np.zeros(3, bool)
+    assert goal.slope(2.0) == pytest.approx((goal.of(2.0 + 1e-6) - goal.of(2.0 - 1e-6)) / 2e-6, rel=1e-8)
+    assert goal.over(runs, lost) == goal.of(14 / 3)
+    assert goal.over(runs, np.array([False, True, False])) == np.inf
+
+
+def test_a_slope_beside_what_is_refused_is_taken_from_the_middle():
+    def design(at):
+        if at[0] > most:
+            raise UserError("mine: got too much, expected less; take less.")
+        return {"L": np.array([3 * at[0] + at[1], at[1]]), "places": np.arange(2)}
+
+    slopes, at, most = [np.array([1.0, 10.0])], np.array([1.0, 0.0]), 2.0
+    for most in (2.0, 1.0):
+        np.testing.assert_allclose(gradient.chain(slopes, design, at), [3.0, 11.0], rtol=1e-9)
+
+
+JUDGED = Judged("judging", 100, 64, 2.0, 0.1, 1.0, 0.1, -1.0, 0.1, (0, 0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({}, ""),
+        ({"difference": 0.19}, ""),  # less than two standard errors
+        ({"difference": 0.21}, "worse than its start on the judging runs by 0.21"),
+        ({"diverged": (3, 2)}, ""),
+        ({"diverged": (2, 3)}, "3 of 64 judging runs diverge, 2 with the start"),
+        ({"difference": np.nan, "diverged": (64, 64)}, "64 of 64 judging runs diverge, as with the start"),
+    ],
+)
+def test_what_is_found_is_used_where_the_judging_runs_do_not_speak_against_it(changes, why):
+    said = against([JUDGED._replace(what="training"), JUDGED._replace(**changes)])
+    assert said.startswith(why)
+    assert bool(said) == bool(why)
 
 
 def bowl(at):
