@@ -40,11 +40,11 @@ WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's stu
 }
 
 
-def without_files(work: blocks.Work, task: blocks.Task, place: Callable[[], Any]) -> blocks.Report:
+def without_files(work: blocks.Work, one: blocks.Task, place: Callable[[], Any]) -> blocks.Report:
     """Simulate a task's seeds and leave it at that."""
     with place() as device:
-        made = blocks.simulated(work, task, device)[2]
-    return blocks.Report(task.runs, ("", 0), made.compile_seconds, 0.0, machine.versions())
+        made = blocks.simulated(work, one, device)[2]
+    return blocks.Report(one.runs, ("", 0), made.compile_seconds, 0.0, machine.versions())
 
 
 def timed(study: dict[str, Any], execute: executors.Executor, block: int | None = None) -> tuple[float, float]:
@@ -126,8 +126,8 @@ def bare(pool: ProcessPoolExecutor, study: dict[str, Any], count: int) -> tuple[
 
 def simulating(work: partial[Any], tasks: Iterable[blocks.Task]) -> Iterator[blocks.Report]:
     """Simulate tasks one after the other, and write nothing."""
-    for task in tasks:
-        yield partial(without_files, *work.args)(task, nullcontext)
+    for one in tasks:
+        yield partial(without_files, *work.args)(one, nullcontext)
 
 
 def memory(turns: int, small: bool) -> None:

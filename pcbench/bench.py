@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import pandas as pd
 
-from pcbench import designing, machine, recording, running
+from pcbench import machine, running
 from pcbench.errors import UserError
 from pcbench.planning import alone, plan
 from pcbench.plants import signals_of
@@ -82,6 +82,8 @@ def trace(
                 "trace them one at a time."
             )
         (p,) = (alone(planned, study.root_seed, seed) for planned in plan(study))
+        from pcbench import recording
+
         out = recording.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
     signals = [name for name, _ in signals_of(p.cell.scenario)]
@@ -112,4 +114,6 @@ def design(
     Raises UserError for a word that is none, DesignError with the margin where the gains are not certified.
     """
     with machine.float64():
+        from pcbench import designing
+
         return designing.design(scenario, observer, method=method, overrides=overrides)[2]

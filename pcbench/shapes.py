@@ -58,14 +58,14 @@ def tail_tick(cell: Cell) -> int:
 
 def room_of(p: Planned) -> Room:
     """Return the room that one draft needs."""
-    plan, shared = p.problem.schedule, isinstance(p.problem.schedule, sampling.Schedule)
+    plan, common = p.problem.schedule, isinstance(p.problem.schedule, sampling.Schedule)
     rows = {(p.cell.scenario.plant, i): len(a) for i, a in enumerate(jax.tree.leaves(p.problem.params)) if np.ndim(a)}
     back, ahead = p.reach or (0, 0)
     return Room(
-        plan.arrive.shape[1] if shared else 1,
-        0 if shared else plan.due.shape[1],
+        plan.arrive.shape[1] if common else 1,
+        0 if common else plan.due.shape[1],
         _rounded(p.layout.ring),
-        _rounded(len(plan.early)) if shared else 0,
+        _rounded(len(plan.early)) if common else 0,
         _rounded(back),
         _rounded(ahead),
         len(p.problem.jumps),

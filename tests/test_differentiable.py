@@ -98,11 +98,11 @@ def test_gradients_are_those_of_finite_differences(observer):
     study, p = planned(scenario, (observer,))
     study = study_file.study_of(scenario, {"observers": [observer], "options": {observer: given}}, [])
     known, options = planning.setting(p.cell), options_of(study, p.cell.scenario, observer)
-    parameters, at = free.start(observer, options, {}, list(set(given) & set(free.tunable(observer))), "test")
+    every, at = free.start(observer, options, {}, list(set(given) & set(free.tunable(observer))), "test")
     aim = goal(metric, p.cell.scenario, None, "test")
 
     def design(at):
-        return entry_of(observer).design(known, free.put(options, parameters, at)).gains
+        return entry_of(observer).design(known, free.put(options, every, at)).gains
 
     back = gradient.backwards(p, aim, study.root_seed, SEEDS)
     mean, slopes, lost = back(design(at))
@@ -112,7 +112,7 @@ def test_gradients_are_those_of_finite_differences(observer):
     assert got.any()
     for i, step in enumerate(1e-5 * np.eye(len(at))):
         ahead, behind = (back(design(at + sign * step))[0] for sign in (1, -1))
-        assert got[i] == pytest.approx((ahead - behind) / 2e-5, rel=2e-6, abs=1e-9 * mean), (parameters, i)
+        assert got[i] == pytest.approx((ahead - behind) / 2e-5, rel=2e-6, abs=1e-9 * mean), (observer, i)
 
 
 @pytest.mark.slow

@@ -38,7 +38,7 @@ def test_what_is_missing_is_done_and_nothing_else(copy, keep, monkeypatch):
     pcbench.run(STUDY, out=copy, block=16)
     assert tables(copy) == want
     assert all(p.stat().st_mtime_ns == t for p, t in stamps.items()), "what stood was not touched"
-    assert sum(task.runs for task in done) == sum(len(pd.read_parquet(p)) // 2 for p in files if p not in stamps)
+    assert sum(one.runs for one in done) == sum(len(pd.read_parquet(p)) // 2 for p in files if p not in stamps)
 
 
 def test_a_damaged_block_is_named_and_done_again(copy):

@@ -63,8 +63,8 @@ def recorded(p, problem=None):
 def reference(name, d, ticks, dt):
     """x, d and the errors of one run, [N+1, 5] each."""
     at_stages = d(ui.stage_times(ticks, dt))[:, None]
-    trace = ui.joint({"smo": ui.SMO, "pio": ui.PIO}[name], at_stages, ui.X0[None], dt)
-    return np.column_stack([trace.x[:, 0], at_stages[::2, 0]]), ui.errors(trace, at_stages)[:, 0]
+    found = ui.joint({"smo": ui.SMO, "pio": ui.PIO}[name], at_stages, ui.X0[None], dt)
+    return np.column_stack([found.x[:, 0], at_stages[::2, 0]]), ui.errors(found, at_stages)[:, 0]
 
 
 def agree(got, d, ticks, dt):

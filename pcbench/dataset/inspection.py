@@ -128,12 +128,12 @@ def _tasks(claimed: Claim, chosen: list[Block]) -> Iterator[blocks.Task]:
 
 
 def _compared(
-    place: store.Target, work: blocks.Work, task: blocks.Task, hold: Callable[[], Any]
+    place: store.Target, work: blocks.Work, one: blocks.Task, hold: Callable[[], Any]
 ) -> tuple[int, list[str]]:
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
-        p, results, _ = blocks.simulated(work, task, device)
-    made = [(ledger.block_of(name), table) for name, table in blocks.files(work, task, p, results)]
+        p, results, _ = blocks.simulated(work, one, device)
+    made = [(ledger.block_of(name), table) for name, table in blocks.files(work, one, p, results)]
     return len(made), [said for b, now in made if b for said in _difference(b, ledger.read(place, b), now)]
 
 

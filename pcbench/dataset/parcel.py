@@ -37,8 +37,8 @@ def unpack(parcel: bytes | Planned) -> Planned:
     s = p.cell.scenario
     names = [(base_of(o) or o) if s.controller else o for o in p.labels]
     each = tuple((name, entry_of(o).observer) for name, o in zip(names, p.labels, strict=True))
-    plant, controller = PLANTS[s.plant].plant, closed_loop.controller(p.cell)
-    return p._replace(layout=p.layout._replace(plant=plant, observers=each, controller=controller))
+    plant, law = PLANTS[s.plant].plant, closed_loop.controller(p.cell)
+    return p._replace(layout=p.layout._replace(plant=plant, observers=each, controller=law))
 
 
 def lay_aside(p: Planned, path: Path) -> Path | Planned:

@@ -163,9 +163,9 @@ def design(setting: Setting, options: Options) -> Design:
             f"{where}: got a (believed) delay of 0 in every channel, expected one above 0: without delays there is nothing "
             "to chain; take dkf or pccebo."
         )
-    per_sample = options.pole_per_tick is not None
+    each_tick = options.pole_per_tick is not None
     pole = options.pole if options.pole_per_tick is None else options.pole_per_tick
-    found = chain.links(plant, options.gain, pole, per_sample, options.output, where)
+    found = chain.links(plant, options.gain, pole, each_tick, options.output, where)
     certificate = certified(chain.certify(found, plant.C, options.gain), where)
     certificate = certificate._replace(rate=rate_of(1 - certificate.margin, plant.period * setting.dt))
     if options.shared:

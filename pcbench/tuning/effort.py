@@ -87,29 +87,29 @@ def tune(
             return Tuned(goal=aim, **done)
         known = planning.setting(cell)
         study, options, designed = _startable(study, cell, observer, known)
-        parameters, start = freed(observer, known, options, designed, only, where)
+        every, start = freed(observer, known, options, designed, only, where)
 
         def design(at: Vector) -> Any:
-            return entry_of(observer).design(known, free.put(options, parameters, at)).gains
+            return entry_of(observer).design(known, free.put(options, every, at)).gains
 
         (p,) = planning.plan(study)
         _estimates(p, aim, where)
         how = _method(method, aim, p, where)
         evaluate = _evaluate(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
-        history = History(place, about, free.entries(parameters), tell)
+        trials = History(place, about, free.entries(every), tell)
         tell("begin", float(budget))
-        _descend(how, history, start, evaluate, budget, where)
-        found = free.written(parameters, np.array(history.best.at))
+        _descend(how, trials, start, evaluate, budget, where)
+        found = free.written(every, np.array(trials.best.at))
         tell("judging", 0.0)
         judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
         kept = against(judged)
         tuned = Tuned(
             _study(study, observer, {} if kept else found),
-            free.written(parameters, start),
+            free.written(every, start),
             found,
             kept,
             judged,
-            history.points,
+            trials.points,
             how,
             aim,
         )
@@ -151,10 +151,10 @@ def freed(
     return free.start(observer, options, designed.certificate.numbers, used, where)
 
 
-def _descend(how: str, history: History, start: Vector, evaluate: Evaluate, budget: int, where: str) -> None:
+def _descend(how: str, trials: History, start: Vector, evaluate: Evaluate, budget: int, where: str) -> None:
     def ask(at: Vector) -> tuple[float, Vector]:
-        first = not history.points
-        value, slope = history.ask(at, evaluate)
+        first = not trials.points
+        value, slope = trials.ask(at, evaluate)
         if first and not np.isfinite(value):
             raise NoStart(
                 f"{where}: a training run diverges, or the gains are refused, at the start; expected a start that works; write "
@@ -162,12 +162,12 @@ def _descend(how: str, history: History, start: Vector, evaluate: Evaluate, budg
             )
         return value, slope
 
-    store.make(history.place)
+    store.make(trials.place)
     if how == "descent":
         ways.descent(ask, start, budget)
     else:
         ways.search(lambda at: ask(at)[0], start, budget)
-    history.write()
+    trials.write()
 
 
 def _check(budget: int, training: tuple[int, int], judges: tuple[int, int], where: str) -> None:
