@@ -21,7 +21,11 @@ from rich.console import Console
 from rich.table import Table
 from turns import Row, take
 
-from pcbench import cells, ensemble, machine, planning, shapes, study_file
+from pcbench import planning
+from pcbench.machine import process
+from pcbench.planning import padding
+from pcbench.simulation import batch
+from pcbench.study import cells, read
 
 JOBS = 3  # a device and turn
 FEW = 32  # lanes with --small
@@ -47,10 +51,10 @@ class Made(NamedTuple):
     errors: np.ndarray
 
 
-def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bool) -> shapes.Planned:
+def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bool) -> padding.Planned:
     """Return a cell of one way to sample, laid out."""
     raw = {"name": "cost", "scenarios": [scenario], "observers": observers, "axes": {k: [v] for k, v in axes.items()}}
-    study = study_file.parse(raw, "cost")
+    study = read.parse(raw, "cost")
     (cell,) = cells.cells_of(study)
     if not small:
         return next(planning.drafts(study, [cell]))
@@ -62,17 +66,17 @@ def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bo
 def rows_of(scenario: str, observers: list[str], small: bool) -> list[Made]:
     """Return every way to sample a scenario as a row; those that can share a program do, as in a study."""
     kinds = {what: axes for what, axes in RANDOM.items() if what != "overtaking" or "kfbo" not in observers}
-    each = shapes.fit([planned(scenario, observers, axes, small) for axes in kinds.values()])
+    each = padding.fit([planned(scenario, observers, axes, small) for axes in kinds.values()])
     return [_made(f"{scenario} ({', '.join(observers)}): {what}", p) for what, p in zip(kinds, each, strict=True)]
 
 
-def _made(what: str, p: shapes.Planned) -> Made:
-    devices, width = ensemble.cores(), p.layout.width
-    jobs = [ensemble.Job(p.problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
-    made = ensemble.program(p.layout, jobs[0])
+def _made(what: str, p: padding.Planned) -> Made:
+    devices, width = batch.cores(), p.layout.width
+    jobs = [batch.Job(p.problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
+    made = batch.program(p.layout, jobs[0])
 
     def work() -> list[Any]:
-        return list(ensemble.run(p.layout, jobs, devices))
+        return list(batch.run(p.layout, jobs, devices))
 
     errors = np.concatenate(list(work()[0][1].final.values()))
     return Made(Row(what, devices, width * devices, width * len(jobs), work, made.compile_seconds), errors)
@@ -95,7 +99,7 @@ def main() -> None:
     )
     parser.add_argument("--json", action="store_true", help="print JSON for a program instead of the table")
     options = parser.parse_args()
-    machine.setup()
+    process.setup()
     jax.config.update("jax_platforms", "cpu")
     if not options.small:
         jax.config.update("jax_enable_compilation_cache", False)

@@ -29,8 +29,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from pcbench import bench, ensemble, machine, study_file
-from pcbench.dataset import blocks, campaign, executors, folder, store
+from pcbench import api
+from pcbench.dataset import executors, fill, ownership, store, task
+from pcbench.machine import process, provenance
+from pcbench.simulation import batch
+from pcbench.study import read
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
 WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's study; from the cheapest runs to dear ones
@@ -40,11 +43,11 @@ WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's stu
 }
 
 
-def without_files(work: blocks.Work, one: blocks.Task, place: Callable[[], Any]) -> blocks.Report:
+def without_files(work: task.Work, one: task.Task, place: Callable[[], Any]) -> task.Report:
     """Simulate a task's seeds and leave it at that."""
     with place() as device:
-        made = blocks.simulated(work, one, device)[2]
-    return blocks.Report(one.runs, ("", 0), made.compile_seconds, 0.0, machine.versions())
+        made = task.simulated(work, one, device)[2]
+    return task.Report(one.runs, ("", 0), made.compile_seconds, 0.0, provenance.versions())
 
 
 def timed(study: dict[str, Any], execute: executors.Executor, block: int | None = None) -> tuple[float, float]:
@@ -52,17 +55,15 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
 
     Exits with a sentence where other runs were done than asked for.
     """
-    with tempfile.TemporaryDirectory() as out, machine.float64():
+    with tempfile.TemporaryDirectory() as out, process.float64():
         place, began = store.target(out), []
-        claimed = folder.claim(place, study_file.study_of(study, {}, []))
+        claimed = ownership.claim(place, read.study_of(study, {}, []))
 
         def tell(event: str, value: float) -> None:
             if event == "planned":
                 began.append(time.perf_counter())
 
-        effort = campaign.fill(
-            place, claimed, [], execute, campaign.everything(claimed, []), campaign.Options(block), tell
-        )
+        effort = fill.fill(place, claimed, [], execute, fill.everything(claimed, []), fill.Options(block), tell)
         took, asked = time.perf_counter() - began[0], study["seeds"] * len(study["observers"])
         if effort.runs != asked:
             raise SystemExit(f"studies: got {effort.runs} runs, expected {asked}.")
@@ -71,7 +72,7 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
 
 def writing(turns: int, small: bool) -> None:
     """Print what files cost of studies of about a minute."""
-    whole = blocks.compute
+    whole = task.compute
     for scenario, (seeds, block, observers) in WRITTEN.items():
         seeds, block = (32, 16) if small else (seeds, block)
         study = {"name": "cost", "scenarios": [scenario], "observers": observers}
@@ -79,12 +80,12 @@ def writing(turns: int, small: bool) -> None:
             timed(study | {"seeds": 16 if small else 2048}, execute)
             longer, share, base = [], [], []
             for _ in range(turns):
-                blocks.compute = without_files
+                task.compute = without_files
                 base.append(timed(study | {"seeds": seeds}, execute, block)[0])
-                blocks.compute = whole
+                task.compute = whole
                 took, wrote = timed(study | {"seeds": seeds}, execute, block)
                 longer.append(took / base[-1] - 1)
-                share.append(wrote / (took * len(ensemble.places())))
+                share.append(wrote / (took * len(batch.places())))
         each = ", ".join(f"{100 * more:+.1f}" for more in longer)
         print(
             f"writing: {scenario}: {100 * statistics.median(share):.2f} % of {base[0]:.0f} s; longer by {each} %",
@@ -99,7 +100,7 @@ def workers(turns: int, small: bool) -> None:
     seconds: dict[str, list[float]] = {}
     with ExitStack() as stack:
         clusters = [stack.enter_context(executors.dask("local", count)) for count in (1, 2)]
-        pool = stack.enter_context(ProcessPoolExecutor(2, get_context("spawn"), machine.setup))
+        pool = stack.enter_context(ProcessPoolExecutor(2, get_context("spawn"), process.setup))
         ways = {f"{n} bare": partial(bare, pool, study, n) for n in (2, 1)}
         ways |= {f"{n} Dask": partial(timed, study, clusters[n - 1], 512) for n in (2, 1)}
         for turn in range(turns + 1):
@@ -124,7 +125,7 @@ def bare(pool: ProcessPoolExecutor, study: dict[str, Any], count: int) -> tuple[
     return max(took.result() for took in each)
 
 
-def simulating(work: partial[Any], tasks: Iterable[blocks.Task]) -> Iterator[blocks.Report]:
+def simulating(work: partial[Any], tasks: Iterable[task.Task]) -> Iterator[task.Report]:
     """Simulate tasks one after the other, and write nothing."""
     for one in tasks:
         yield partial(without_files, *work.args)(one, nullcontext)
@@ -151,9 +152,9 @@ def memory(turns: int, small: bool) -> None:
 
 def peak(study: dict[str, Any]) -> None:
     """Run a study and print the most memory that this process held."""
-    machine.setup()
+    process.setup()
     with tempfile.TemporaryDirectory() as out:
-        bench.run(study, out=out)
+        api.run(study, out=out)
     status = Path(
         "/proc/self/status"
     )  # the most of this program alone; of what started it too, where that is not there
@@ -163,7 +164,7 @@ def peak(study: dict[str, Any]) -> None:
 
 def main() -> None:
     """Print the figures."""
-    machine.setup()
+    process.setup()
     parts: dict[str, Callable[[int, bool], None]] = {"writing": writing, "workers": workers, "memory": memory}
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=parts)

@@ -30,8 +30,12 @@ from rich.console import Console
 from rich.table import Table
 from turns import Row, Timed, take
 
-from pcbench import draws, ensemble, machine, planning, shapes, study_file
-from pcbench.problem import Layout, Outcome, Problem
+from pcbench import planning
+from pcbench.machine import process
+from pcbench.planning import padding
+from pcbench.simulation import batch, draws
+from pcbench.simulation.problem import Layout, Outcome, Problem
+from pcbench.study import read
 
 SCENARIO, OBSERVERS = "cart/white", ["pccebo", "kfbo"]
 TOLERANCE = 1e-9
@@ -73,12 +77,12 @@ def pcbench_rows(
     rows, sums, width = [], {}, layout.width
     for kind, (watch, random) in KINDS.items():
         for devices in counts:
-            jobs = [ensemble.Job(problems[random], 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
+            jobs = [batch.Job(problems[random], 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
             mine = layout._replace(watch=watch, random_start=random)
-            made = ensemble.program(mine, jobs[0])
-            got = sums_of(next(ensemble.serial(made, jobs[:1]))[1])
+            made = batch.program(mine, jobs[0])
+            got = sums_of(next(batch.serial(made, jobs[:1]))[1])
             agree(kind, got, sums.setdefault(random, got), ticks)
-            work = lambda mine=mine, jobs=jobs, n=devices: [None for _ in ensemble.run(mine, jobs, n)]  # noqa: E731
+            work = lambda mine=mine, jobs=jobs, n=devices: [None for _ in batch.run(mine, jobs, n)]  # noqa: E731
             rows.append(Row(kind, devices, width * devices, width * len(jobs), work, made.compile_seconds, False))
     return rows, sums
 
@@ -175,20 +179,20 @@ def main() -> None:
     parser.add_argument("--small", action="store_true", help="few ticks and one turn; every row and check")
     parser.add_argument("--json", action="store_true", help="print JSON for a program instead of the table")
     options = parser.parse_args()
-    machine.setup()
+    process.setup()
     jax.config.update("jax_platforms", "cpu")
     if not options.small:
         jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
     problems: dict[bool, Problem] = {}
     for random in (False, True):
         given = {"observers": OBSERVERS, "options": {"scenario": {"random_start": random}}}
-        (planned,) = planning.plan(study_file.study_of(study_file.load(SCENARIO, []), given, []))
-        ticks = 500 if options.small else shapes.ticks(planned.cell)
+        (planned,) = planning.plan(read.study_of(read.load(SCENARIO, []), given, []))
+        ticks = 500 if options.small else padding.ticks(planned.cell)
         windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
         problems[random] = planned.problem._replace(windows=windows)
         layout = planned.layout._replace(width=FEW) if options.small else planned.layout
     case = prepare(problems[False], ticks)
-    every = list(dict.fromkeys((1, ensemble.cores())))
+    every = list(dict.fromkeys((1, batch.cores())))
     rows, sums = pcbench_rows(layout, problems, every, ticks)
     others = baseline_rows(case, problems[False], layout.width)
     check_baselines(case, problems, sums)

@@ -23,7 +23,7 @@ _LAZY = {
     "lti": "interop",
     "to_scipy": "interop",
     "to_control": "interop",
-    "setup": "machine",
+    "setup": "machine.process",
     "UserError": "errors",
     "Observer": "types",
     "Plant": "types",

@@ -6,7 +6,10 @@ import jax
 import numpy as np
 from reference import chain as ref
 
-from pcbench import machine, planning, recording, study_file
+from pcbench import planning
+from pcbench.machine import process
+from pcbench.simulation import trace
+from pcbench.study import read
 
 DELAYS = [[2, 5, 7], [7, 2, 5], [3, 3, 6], [4, 4, 4], [0, 2, 5], [1, 9, 1]]
 SLOW = [[7, 2, 5], [4, 4, 4], [1, 9, 1]]  # by default an order, a tie and a zero are enough
@@ -42,17 +45,17 @@ def study(plant, xhat0=None):
     lti |= {"prior_std": np.abs(x0).tolist()}
     axes = {"delay": [[float(d * dt) for d in delays] for delays in DELAYS]}
     raw = {"name": plant, "lti": lti, "observers": list(OUTPUTS), "options": OPTIONS[plant], "axes": axes}
-    return study_file.parse(raw, plant)
+    return read.parse(raw, plant)
 
 
 @cache
 def recorded(plant, perfect=False):
     """Every cell, planned and recorded; one program serves them all."""
-    with machine.float64():
+    with process.float64():
         cells = planning.plan(study(plant, START[plant] if perfect else None))
-        before = recording.compiled()._cache_size()
-        runs = [recording.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(3)) for p in cells]
-        assert recording.compiled()._cache_size() - before <= 1
+        before = trace.compiled()._cache_size()
+        runs = [trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(3)) for p in cells]
+        assert trace.compiled()._cache_size() - before <= 1
     return cells, jax.tree.map(np.asarray, runs)
 
 

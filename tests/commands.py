@@ -14,10 +14,12 @@ from pathlib import Path
 
 SERVER = """
 import json, os, sys, traceback
-from pcbench import bench, cli, machine, study_file, tables
+from pcbench import api, cli
 from pcbench.cli import catalogue, commands
 from pcbench.cli.screen import results
-from pcbench.dataset import store
+from pcbench.dataset import columns, store
+from pcbench.machine import process
+from pcbench.study import read
 
 for line in sys.stdin:
     words, cwd, outputs = json.loads(line)

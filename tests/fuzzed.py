@@ -5,10 +5,10 @@ from copy import deepcopy
 
 from hypothesis import strategies as st
 
-from pcbench.axes import AXES
 from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import STUDIES, Choices, Study
+from pcbench.study.axes import AXES
 
 ARM = {
     "A": [[0.0, 1, 0, 0], [-3.75, -0.0015, 3.75, 0], [0, 0, 0, 1], [3.75, 0, -3.75, -0.00125]],

@@ -9,11 +9,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from pcbench import draws, recording, rollout, sampling
+from pcbench.dynamics import linear
 from pcbench.observers import OBSERVERS
-from pcbench.synthesis import linear
+from pcbench.protocols import Plant
+from pcbench.simulation import draws, steps
+from pcbench.simulation.schedule import shared
+from pcbench.simulation.trace import Recording, compiled
 from pcbench.synthesis.certificate import Setting
-from pcbench.types import Plant
 
 RING, SLOTS = 512, 2  # room for a sample at every tick with a delay of 400: one shape for every test
 
@@ -94,7 +96,7 @@ def setting(case: Case) -> Setting:
     )  # fmt: skip
 
 
-def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[rollout.Layout, rollout.Problem]:
+def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[steps.Layout, steps.Problem]:
     """Observers are name -> options."""
     q, n = case.model.C.shape
     known = setting(case)
@@ -106,21 +108,21 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[rollout.L
         case.model.C,
     )
     x0, xhat0 = starts(case)
-    plan = sampling.pad_slots(sampling.periodic([case.te] * q, [case.d] * q, case.ticks), SLOTS)
+    plan = shared.pad_slots(shared.periodic([case.te] * q, [case.d] * q, case.ticks), SLOTS)
     gains = {o: OBSERVERS[o].design(known, OBSERVERS[o].options(**given)).gains for o, given in observers.items()}
     n_ticks = case.ticks
-    p = rollout.Problem(
+    p = steps.Problem(
         params, gains, plan, inputs(case), np.asarray(case.h), x0, xhat0, np.eye(n), np.full(q, case.noise_std),
         np.ones(n), np.full(n, 1e9), np.array([[0, n_ticks // 2], [n_ticks // 2, n_ticks - 1], [n_ticks - 1, n_ticks]]),
     )  # fmt: skip
-    layout = rollout.Layout(LINEAR, tuple((o, OBSERVERS[o].observer) for o in observers), 8, RING, False)
+    layout = steps.Layout(LINEAR, tuple((o, OBSERVERS[o].observer) for o in observers), 8, RING, False)
     return layout, jax.tree.map(np.asarray, p)
 
 
-recorder = recording.compiled
+recorder = compiled
 
 
-def trace(case: Case, observers: dict[str, dict[str, Any]]) -> recording.Recording:
+def trace(case: Case, observers: dict[str, dict[str, Any]]) -> Recording:
     """Run one seed; arrays [N+1, ...]."""
     layout, p = problem(case, observers)
     return jax.tree.map(np.asarray, recorder()(layout, p, np.asarray(0), np.asarray(case.seed)))

@@ -7,14 +7,17 @@ import numpy as np
 from reference import helicopter as reference
 from reference import helicopter_ekf, high_gain
 
-from pcbench import closed_loop, draws, planning, recording, sampling, shapes
-from pcbench.cells import Cell
+from pcbench import planning
 from pcbench.observers import entry_of
+from pcbench.planning import controller, padding
+from pcbench.planning.padding import Planned
 from pcbench.scenarios import SCENARIOS
-from pcbench.shapes import Planned
+from pcbench.simulation import draws, trace
+from pcbench.simulation.schedule import shared
 from pcbench.study import Choices, Study, options_of
+from pcbench.study.cells import Cell
 
-REACH = closed_loop.Reach(1024, 256)  # room for every test's delays and periods
+REACH = controller.Reach(1024, 256)  # room for every test's delays and periods
 EARLY, SLOTS = 64, 2
 TRUTH = (0.8, 0.318)
 OBSERVERS = {
@@ -32,26 +35,26 @@ def planned(
     s = s._replace(**{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()})
     study = Study(name="t", scenarios=[s.name], seeds=1)
     cell = Cell(s, 0, {}, parameters or {}, Choices(**(choices or {})))
-    (p,) = shapes.fit([planning.draft(cell, {observer: options_of(study, s, observer)})])
-    law, line = closed_loop.close(cell, REACH, shapes.ticks(cell))
-    plan = sampling.pad_early(sampling.pad_slots(p.problem.schedule, SLOTS), EARLY)
+    (p,) = padding.fit([planning.draft(cell, {observer: options_of(study, s, observer)})])
+    law, line = controller.close(cell, REACH, padding.ticks(cell))
+    plan = shared.pad_early(shared.pad_slots(p.problem.schedule, SLOTS), EARLY)
     layout = p.layout._replace(ring=EARLY, commands=REACH.back)
     return p._replace(problem=p.problem._replace(control=law, line=line, schedule=plan), layout=layout)
 
 
-def record(p: Planned, seed: int = 0) -> recording.Recording:
+def record(p: Planned, seed: int = 0) -> trace.Recording:
     """Run one seed; arrays [N+1, ...]."""
-    return jax.tree.map(np.asarray, recording.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(seed)))
+    return jax.tree.map(np.asarray, trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(seed)))
 
 
-def estimate(got: recording.Recording) -> np.ndarray:
+def estimate(got: trace.Recording) -> np.ndarray:
     """Return what the loop's one observer estimated, [N+1, 6]."""
     return next(iter(got.estimates.values()))
 
 
 def expected(p: Planned, observer: Any = None, seed: int = 0) -> reference.Trace:
     """Return the reference's run of the same case, [N+1, 4], [N+1, 6], [N+1, 2]."""
-    s, choices, N = p.cell.scenario, p.cell.choices, shapes.ticks(p.cell)
+    s, choices, N = p.cell.scenario, p.cell.choices, padding.ticks(p.cell)
     delay, (swing, pace), a = s.delay[0], s.delay_swing, s.drift
     period = round(s.sampling_period[0] / s.dt)
     case = reference.Scenario(

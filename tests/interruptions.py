@@ -1,11 +1,11 @@
 """A tuning that is stopped by Ctrl-C in the middle."""
 
-from pcbench.tuning import effort
+from pcbench.gains import tune
 
 
 def stop_tuning_at(number, monkeypatch):
     """Raise KeyboardInterrupt when a tuning evaluates its `number`-th point; return the list that counts evaluations."""
-    real, count = effort._evaluate, [0]
+    real, count = tune._evaluate, [0]
 
     def interrupted(*given):
         evaluate = real(*given)
@@ -18,6 +18,6 @@ def stop_tuning_at(number, monkeypatch):
 
         return at
 
-    monkeypatch.setattr(effort, "_evaluate", interrupted)
-    monkeypatch.setattr("pcbench.tuning.record.PAUSE", 0.0)
+    monkeypatch.setattr(tune, "_evaluate", interrupted)
+    monkeypatch.setattr("pcbench.gains.history.PAUSE", 0.0)
     return count

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from pydantic import BaseModel
 
 import pcbench
+from pcbench.dynamics.linear import one_tick
 from pcbench.synthesis.certificate import Certificate, Design
-from pcbench.synthesis.linear import one_tick
 
 
 class Gains(NamedTuple):

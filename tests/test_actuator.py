@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcbench import actuator
+from pcbench.simulation import actuator
 
 DT, N = 1e-3, 400
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pcbench import axes
 from pcbench.errors import UserError
-from pcbench.sampling import Clock
 from pcbench.scenarios import SCENARIOS
+from pcbench.simulation.schedule.shared import Clock
+from pcbench.study import axes
 
 CART, TANK, LOOP = (SCENARIOS[name] for name in ("cart/white", "csth/10s", "helicopter/varying"))
 

@@ -5,9 +5,12 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench import ensemble, planning, study_file, sweep
-from pcbench.draws import measurement_noise, normals, run_keys
+from pcbench import planning
+from pcbench.planning import in_memory
 from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import batch
+from pcbench.simulation.draws import measurement_noise, normals, run_keys
+from pcbench.study import read
 
 EVERYONE = ["pccebo", "kfbo", "dkf", "open-loop"]
 SEVEN = np.array([7])
@@ -15,8 +18,8 @@ SEVEN = np.array([7])
 
 def results(seeds, observers=EVERYONE, scenarios=("cart/gaussian-fast",), devices=2, random_start=True, axes=None):
     raw = {"name": "bits", "scenarios": list(scenarios), "observers": observers, "axes": axes or {}}
-    chosen = study_file.parse(raw | {"options": {"scenario": {"random_start": random_start}}}, "bits")
-    done = list(sweep.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
+    chosen = read.parse(raw | {"options": {"scenario": {"random_start": random_start}}}, "bits")
+    done = list(in_memory.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
     return {d.planned.cell.scenario.name + str(d.planned.cell.number): d.results for d in done}
 
 
@@ -39,9 +42,9 @@ def test_alone_equals_in_a_block(alone):
 
 
 def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
-    block = results(np.concatenate([np.arange(100, 100 + ensemble.WIDTH), SEVEN]))["cart/gaussian-fast0"]
-    same(alone, block, ensemble.WIDTH)
-    same(alone, results(np.concatenate([np.arange(100, 99 + ensemble.WIDTH), SEVEN]))["cart/gaussian-fast0"], -1)
+    block = results(np.concatenate([np.arange(100, 100 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"]
+    same(alone, block, batch.WIDTH)
+    same(alone, results(np.concatenate([np.arange(100, 99 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"], -1)
 
 
 def test_one_device_equals_two(alone):
@@ -75,7 +78,7 @@ def test_on_the_arm_with_drift_too(monkeypatch):
     def found(seeds, devices=2):
         return results(seeds, three, ("arm/sampled",), devices, False, {"drift": [0.05]})["arm/sampled0"]
 
-    alone, width = found(SEVEN), ensemble.HEAVY
+    alone, width = found(SEVEN), batch.HEAVY
     same(alone, found(np.arange(20)), 7, three)
     same(alone, found(np.concatenate([np.arange(100, 100 + width), SEVEN])), width, three)
     same(alone, found(SEVEN, devices=1), 0, three)

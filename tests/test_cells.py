@@ -4,12 +4,12 @@ import tomllib
 
 import pytest
 
-from pcbench import study_file
-from pcbench.cells import cells, cells_of, digest, identity, numbering, to_toml
+from pcbench.study import read
+from pcbench.study.cells import cells, cells_of, digest, identity, numbering, to_toml
 
 
 def study(scenario="cart/white", **changes):
-    return study_file.parse({"name": "t", "scenarios": [scenario]} | changes, "t")
+    return read.parse({"name": "t", "scenarios": [scenario]} | changes, "t")
 
 
 def places(found):

@@ -10,12 +10,14 @@ from chains import DELAYS, OUTPUTS, PLANTS, START, links_of, recorded, slow
 from reference import chain as ref
 
 import pcbench
-from pcbench import machine, planning, study_file
-from pcbench.cells import cells
+from pcbench import planning
 from pcbench.errors import UserError
+from pcbench.machine import process
 from pcbench.observers import chain
+from pcbench.study import read
+from pcbench.study.cells import cells
 from pcbench.synthesis import chain as synthesis
-from pcbench.synthesis import shared_lyapunov
+from pcbench.synthesis import chain_lyapunov
 
 
 @pytest.mark.parametrize("case", range(len(DELAYS)), ids=lambda i: str(DELAYS[i]))
@@ -25,7 +27,7 @@ def test_its_map_of_one_sample_is_the_certificates_and_the_references(case, labe
     cells, _ = recorded("odd")
     p, delays = cells[case], DELAYS[case]
     gains, theta, n, k = jax.tree.map(jnp.asarray, p.problem.gains[label]), max(delays), 4, 50
-    with machine.float64():
+    with process.float64():
         start = chain.init(gains, jnp.zeros(n))
         ring = len(start.past) - 1
         place = start.place._replace(tick=jnp.asarray(k), sample=jnp.asarray(k))
@@ -36,7 +38,7 @@ def test_its_map_of_one_sample_is_the_certificates_and_the_references(case, labe
         def step(errors):
             slots = (k - 1 - np.arange(theta)) % ring
             memory = start._replace(past=start.past.at[slots].set(errors.reshape(theta, n)))
-            now = pcbench.types.Now(
+            now = pcbench.protocols.Now(
                 jnp.asarray(0.0), jnp.asarray(k), jnp.asarray(1.0), jnp.zeros(2), lambda age: jnp.zeros(2)
             )
             return chain.flow(gains, memory, now).past[(k - np.arange(theta)) % ring].reshape(-1)
@@ -116,9 +118,9 @@ def test_the_papers_condition_is_not_needed():
     )
     links = [link._replace(seen=np.array([0.0])), link]
     assert synthesis.certify(links, np.eye(1), "test").margin == pytest.approx(0.1, abs=1e-6)
-    assert shared_lyapunov.check(links, np.ones(1))["shared_margin"] <= 0
+    assert chain_lyapunov.check(links, np.ones(1))["shared_margin"] <= 0
     loose = [each._replace(K=each.K / 100, W=each.W / 100) for each in links]
-    assert shared_lyapunov.check(loose, np.ones(1))["shared_margin"] > 0, "with a weak coupling there is one"
+    assert chain_lyapunov.check(loose, np.ones(1))["shared_margin"] > 0, "with a weak coupling there is one"
 
 
 def test_vanishing_poles_over_long_delays_are_certified():
@@ -145,7 +147,7 @@ def test_vanishing_poles_over_long_delays_are_certified():
 def test_a_model_that_outgrows_its_delay_is_refused():
     """By the design itself: a study's own plant is refused before, where it outgrows its horizon."""
     study, _, _ = slow(delay=[0.1, 3.9], tail=0.5)
-    (cell,) = cells(study_file.parse(study, "slow"), "lti")
+    (cell,) = cells(read.parse(study, "slow"), "lti")
     known = planning.setting(cell)
     faster = known._replace(model=known.model._replace(A=np.array([[60.0, 1.0], [0.0, -1.0]])))
     with pytest.raises(UserError, match=r"grows by \d+ a sample over a delay of 39 samples.*shorten the delay"):

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from harness import LINEAR, ODD, Case, noise, problem
 
-from pcbench import lanes, rollout, sampling, shared_events
-from pcbench.types import Observer
+from pcbench.protocols import Observer
+from pcbench.simulation import events_shared, lanes, steps
+from pcbench.simulation.schedule import shared
 
 SHAPE = (2,)
 
@@ -51,13 +52,13 @@ def test_each_channel_gets_its_own_samples(period, delay):
     ticks = 120
     case = Case(ODD, 1, 0, ticks=ticks, h=0.01, noise_std=0.4)
     _, p = problem(case, {"open-loop": {}})
-    plan = sampling.periodic(list(period), list(delay), ticks)
+    plan = shared.periodic(list(period), list(delay), ticks)
     p = jax.tree.map(jnp.asarray, p._replace(schedule=plan, gains={"spy": ()}))
-    layout = rollout.Layout(LINEAR, (("spy", SPY),), 1, sampling.in_flight(plan), False)
-    events, state = shared_events.prepare(layout, p, jnp.asarray(0), jnp.asarray([0]))
+    layout = steps.Layout(LINEAR, (("spy", SPY),), 1, shared.in_flight(plan), False)
+    events, state = events_shared.prepare(layout, p, jnp.asarray(0), jnp.asarray([0]))
     v = np.stack(noise(case), -1)
     step = jax.jit(lambda s, k: events.happen(k, s)[0])
-    flow = jax.jit(lambda s, k: rollout.advance(layout, p, k, s, jnp.zeros(0)))
+    flow = jax.jit(lambda s, k: steps.advance(layout, p, k, s, jnp.zeros(0)))
     x, counts = [], np.zeros(2)
     arrivals = [int(a) for a in np.flatnonzero((plan.arrive >= 0).any(1))]
     for k in range(ticks + 1):

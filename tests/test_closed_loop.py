@@ -8,11 +8,14 @@ from rich.console import Console
 from scipy.stats import binomtest
 
 import pcbench
-from pcbench import closed_loop, draws, ensemble, machine, statistics, sweep
+from pcbench import statistics
 from pcbench.cli.screen import results
 from pcbench.errors import UserError
+from pcbench.machine import process
+from pcbench.planning import controller, in_memory
+from pcbench.planning.padding import tail_tick
 from pcbench.scenarios import SCENARIOS
-from pcbench.shapes import tail_tick
+from pcbench.simulation import batch, draws
 from pcbench.study import Study
 
 SECOND = 1.0
@@ -22,7 +25,7 @@ BOX = {"random_start": True}
 def swept(p, seeds=1):
     """Metrics of the only observer, by the program that sums up."""
     study = Study(name="t", scenarios=[p.cell.scenario.name], observers=list(p.labels), seeds=seeds)
-    (done,) = sweep.execute(study, [p], devices=1)
+    (done,) = in_memory.execute(study, [p], devices=1)
     return done.results[p.labels[0]]
 
 
@@ -96,11 +99,11 @@ def test_lanes_of_a_closed_loop_have_the_same_numbers_alone_and_in_a_block(obser
 
     def results(seeds, devices):
         study = Study(name="t", scenarios=[p.cell.scenario.name], observers=[observer], seeds=1)
-        with machine.float64():
-            (done,) = sweep.execute(study, [p], np.asarray(seeds), devices)
+        with process.float64():
+            (done,) = in_memory.execute(study, [p], np.asarray(seeds), devices)
         return done.results[observer]
 
-    alone, full = results([7], 1), ensemble.HEAVY
+    alone, full = results([7], 1), batch.HEAVY
     for seeds, place in ((range(20), 7), ([*range(100, 100 + full), 7], full), ([*range(100, 99 + full), 7], -1)):
         block = results(list(seeds), 1)
         for metric, values in alone.items():
@@ -131,9 +134,9 @@ def test_tables_of_a_study_hold_status_fractions_and_tracking(short, tmp_path):
         "name": "loops", "scenarios": ["helicopter/constant"], "observers": ["high-gain", "high-gain-robust"], "seeds": 6,
         "options": {"scenario": {"random_start": True, "path": "still"}},
     }  # fmt: skip
-    before = ensemble.compilations()
+    before = batch.compilations()
     done = pcbench.run(raw, out=tmp_path / "out")
-    assert ensemble.compilations() == before + 1, "labels of one observer share a program"
+    assert batch.compilations() == before + 1, "labels of one observer share a program"
     runs, stats = done.runs, done.stats
     assert len(runs) == 2 * 6 * 6
     assert set(runs.status) <= {"settled", "unsettled", "diverged"}
@@ -177,7 +180,7 @@ def test_a_ring_has_room_for_what_is_believed_to_be_older():
     """The filter goes back to where it believes the sample before to have been taken."""
     for error in (0.0, 0.05):
         cell = planned("ekf", SECOND, assumed_delay_error=error).cell
-        reach = closed_loop.reach(cell, 0, 1000)
+        reach = controller.reach(cell, 0, 1000)
         assert reach.back >= 200 + 25 + round(error * 1e3) + 26
 
 

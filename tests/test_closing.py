@@ -7,17 +7,17 @@ import pytest
 from small_study import rows
 
 from pcbench import statistics
-from pcbench.dataset import closing, folder, ledger, store
+from pcbench.dataset import block_files, ownership, store, summary
 
 
 def parts(out, cell=0, last=None):
     """The chunks of one cell, each observer's mean absolute errors of position with it."""
     place = store.target(out)
-    claimed, blocks = folder.opened(place), {}
-    for b in ledger.present(place):
+    claimed, blocks = ownership.opened(place), {}
+    for b in block_files.present(place):
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    found = closing.observed(place, claimed, claimed.cells[cell], blocks)
-    return list(closing.chunks(place, found, last))
+    found = summary.observed(place, claimed, claimed.cells[cell], blocks)
+    return list(summary.chunks(place, found, last))
 
 
 @pytest.mark.parametrize("size", [12, 16, 40, 7, 1000])

@@ -11,7 +11,7 @@ from scipy.stats import ttest_ind_from_stats
 from small_study import STUDY, sealed_again
 
 import pcbench
-from pcbench.dataset import comparing, merging, store
+from pcbench.dataset import compare, merge, store
 from pcbench.errors import UserError
 
 
@@ -46,7 +46,7 @@ def change(out, column, factor, rows):
 
 
 def test_a_result_equals_itself_bit_for_bit(whole, copy):
-    found = comparing.compare(whole, copy)
+    found = compare.compare(whole, copy)
     assert len(found.rows) == len(pd.read_parquet(whole / "stats.parquet"))
     assert (found.changed, found.only, found.made_by) == (0, (0, 0), [])
     assert found.identical
@@ -58,7 +58,7 @@ def test_a_result_equals_itself_bit_for_bit(whole, copy):
 
 def test_rounding_is_no_change_and_its_size_is_said(whole, copy):
     change(copy, "mean", 1 + 3e-13, "metric == 'mae' and signal == 'position'")
-    found = comparing.compare(whole, copy)
+    found = compare.compare(whole, copy)
     assert found.changed == 0
     assert not found.identical
     assert found.largest == pytest.approx(3e-13, rel=0.01, abs=0)
@@ -66,7 +66,7 @@ def test_rounding_is_no_change_and_its_size_is_said(whole, copy):
 
 
 def test_welch_and_holm_agree_with_scipy_on_other_draws(whole, elsewhere):
-    rows = comparing.compare(whole, elsewhere).rows
+    rows = compare.compare(whole, elsewhere).rows
     assert not rows.same_draws.any()
     tested = rows[rows.p_value.notna()]
     assert len(tested) >= 50
@@ -80,17 +80,17 @@ def test_welch_and_holm_agree_with_scipy_on_other_draws(whole, elsewhere):
 
 
 def test_unequal_numbers_of_runs_count_as_they_are():
-    p = comparing.welch(*(np.array([v]) for v in (1.0, 0.1, 20.0, 1.3, 0.05, 7.0)))
+    p = compare.welch(*(np.array([v]) for v in (1.0, 0.1, 20.0, 1.3, 0.05, 7.0)))
     expected = ttest_ind_from_stats(1.0, 0.1 * 20**0.5, 20, 1.3, 0.05 * 7**0.5, 7, equal_var=False).pvalue
     assert p[0] == pytest.approx(expected, rel=1e-12)
-    assert np.isnan(comparing.welch(*(np.array([v]) for v in (1.0, 0.1, 1.0, 1.3, 0.1, 7.0)))[0]), "one run"
+    assert np.isnan(compare.welch(*(np.array([v]) for v in (1.0, 0.1, 1.0, 1.3, 0.1, 7.0)))[0]), "one run"
 
 
 def test_what_changed_is_named_first_and_counted(whole, elsewhere, tmp_path):
     here = tmp_path / "here"
     pcbench.run(STUDY, out=here, first_seed=40)
     change(here, "mean", 1.5, "metric == 'mae' and signal == 'position' and observer == 'kfbo' and cell == 1")
-    found = comparing.compare(whole, here)
+    found = compare.compare(whole, here)
     first = found.rows.iloc[0]
     assert found.changed == 1
     assert (first.observer, first.signal, first.metric, first["where"]) == ("kfbo", "position", "mae", "noise_std=0.5")
@@ -112,7 +112,7 @@ def frame(**columns):
 
 def test_numbers_without_spread_change_by_more_than_rounding_and_in_existing():
     nan = float("nan")
-    rows = comparing.judged(
+    rows = compare.judged(
         frame(
             mean_a=[1.0, 1.0, 1e-15, 1.0, nan],
             mean_b=[1.0 + 1e-12, 1.001, 4e-15, nan, nan],
@@ -131,7 +131,7 @@ def test_numbers_without_spread_change_by_more_than_rounding_and_in_existing():
 
 
 def test_one_run_each_on_other_draws_decides_nothing():
-    rows = comparing.judged(
+    rows = compare.judged(
         frame(
             mean_a=[1.0],
             mean_b=[2.0],
@@ -147,8 +147,8 @@ def test_one_run_each_on_other_draws_decides_nothing():
 
 def test_where_only_some_draws_are_common_those_are_compared(whole, copy, elsewhere, tmp_path):
     """Welch's t supposes that no draws are common: over those that are, the same runs come out."""
-    merging.merge([whole, elsewhere], tmp_path / "both")
-    found = comparing.compare(whole, tmp_path / "both")
+    merge.merge([whole, elsewhere], tmp_path / "both")
+    found = compare.compare(whole, tmp_path / "both")
     assert len(found.rows) == len(pd.read_parquet(whole / "stats.parquet"))
     assert found.rows.same_draws.all()
     assert found.rows.narrowed.all()
@@ -156,7 +156,7 @@ def test_where_only_some_draws_are_common_those_are_compared(whole, copy, elsewh
     said = call("compare", whole, tmp_path / "both").stdout
     assert "bit for bit equal" in said
     assert f"{len(found.rows)} of them over the seeds that both hold" in " ".join(said.split())
-    one = comparing.compare(elsewhere, tmp_path / "both").rows
+    one = compare.compare(elsewhere, tmp_path / "both").rows
     assert one.identical.all(), "the later seeds too"
 
 
@@ -171,7 +171,7 @@ def test_a_damaged_block_is_no_equal_result(whole, copy):
 def test_cells_are_matched_by_what_they_are_and_not_by_number(whole, tmp_path):
     turned = tmp_path / "turned"
     pcbench.run(STUDY | {"axes": {"noise_std": [0.5, 0.1]}}, out=turned)
-    found = comparing.compare(whole, turned)
+    found = compare.compare(whole, turned)
     assert found.identical
     assert found.changed == 0
     assert len(found.rows) == len(pd.read_parquet(whole / "stats.parquet"))
@@ -179,7 +179,7 @@ def test_cells_are_matched_by_what_they_are_and_not_by_number(whole, tmp_path):
 
 def test_another_root_seed_is_other_draws_of_the_same_study(whole, tmp_path):
     pcbench.run(STUDY | {"root_seed": 1}, out=tmp_path / "r")
-    rows = comparing.compare(whole, tmp_path / "r").rows
+    rows = compare.compare(whole, tmp_path / "r").rows
     assert len(rows)
     assert not rows.same_draws.any()
 
@@ -187,7 +187,7 @@ def test_another_root_seed_is_other_draws_of_the_same_study(whole, tmp_path):
 def test_other_studies_and_unfinished_ones_are_refused_in_a_sentence(whole, copy, tmp_path):
     pcbench.run(STUDY | {"observers": ["pccebo", "dkf"]}, out=tmp_path / "o")
     with pytest.raises(UserError, match=r"is of another study than .*kfbo there, not here.*expected the same study"):
-        comparing.compare(whole, tmp_path / "o")
+        compare.compare(whole, tmp_path / "o")
     (copy / "stats.parquet").unlink()
     done = call("compare", whole, copy)
     assert done.returncode == 2
@@ -198,6 +198,6 @@ def test_other_studies_and_unfinished_ones_are_refused_in_a_sentence(whole, copy
 def test_releases_and_devices_that_differ_are_said(whole, copy):
     versions = json.loads((copy / "provenance.json").read_text())["versions"]
     sealed_again(copy, versions=versions | {"jax": "0.0.1"}, wall_seconds=-1.0)
-    (phrase,) = comparing.compare(whole, copy).made_by
+    (phrase,) = compare.compare(whole, copy).made_by
     assert phrase.startswith("versions.jax: ")
     assert phrase.endswith("there, 0.0.1 here")

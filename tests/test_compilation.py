@@ -5,23 +5,26 @@ import re
 import numpy as np
 import pytest
 
-from pcbench import ensemble, planning, study_file, sweep
+from pcbench import planning
+from pcbench.planning import in_memory
+from pcbench.simulation import batch
+from pcbench.study import read
 
 AXES = {"sampling_period": [0.1, 0.25], "delay": [0.0, 0.2, 0.7], "noise_std": [0.0, 0.5], "drift": [0.0, 1.0]}
 
 
 def planned(**axes):
     raw = {"name": "axes", "scenarios": ["cart/white"], "axes": axes, "seeds": 3}
-    chosen = study_file.parse(raw, "axes")
+    chosen = read.parse(raw, "axes")
     return chosen, planning.plan(chosen)
 
 
 def test_one_compilation_for_every_period_delay_noise_and_drift():
-    before = ensemble.compilations()
+    before = batch.compilations()
     chosen, cells = planned(**AXES)
-    done = list(sweep.execute(chosen, cells))
+    done = list(in_memory.execute(chosen, cells))
     assert len(done) == 24
-    assert ensemble.compilations() - before == 1
+    assert batch.compilations() - before == 1
     mae = [d.results["kfbo"]["mae"][0, 0] for d in done]
     assert len(set(mae)) == 24, "every cell has its own numbers"
 
@@ -31,9 +34,9 @@ def test_gains_are_traced():
     counts = []
     for R in (0.1, 3.0):
         raw = {"name": "gains", "scenarios": ["cart/white"], "options": {"kfbo": {"R": R}}, "seeds": 2}
-        chosen = study_file.parse(raw, "gains")
-        list(sweep.execute(chosen, planning.plan(chosen)))
-        counts.append(ensemble.compilations())
+        chosen = read.parse(raw, "gains")
+        list(in_memory.execute(chosen, planning.plan(chosen)))
+        counts.append(batch.compilations())
     assert counts[0] == counts[1]
 
 
@@ -44,7 +47,7 @@ def loops(request):
     """The text of every computation that the compiled loops run."""
     _, (cell,) = planned()
     layout = cell.layout._replace(random_start=request.param)
-    made = ensemble.program(layout, ensemble.Job(cell.problem, 0, np.arange(2)))
+    made = batch.program(layout, batch.Job(cell.problem, 0, np.arange(2)))
     text = made.compiled.as_text()
     bodies = set(re.findall(r"body=%?([\w.]+)", text))
     blocks = re.split(r"\n(?=%|ENTRY)", text)
@@ -54,20 +57,20 @@ def loops(request):
 def wide(body):
     """(dimensions, layout) of every array of floats that holds lanes."""
     shapes = re.findall(r"f64\[([\d,]+)\]\{([\d,]+)\}", body)
-    return [(d.split(","), order.split(",")) for d, order in shapes if str(ensemble.WIDTH) in d.split(",")]
+    return [(d.split(","), order.split(",")) for d, order in shapes if str(batch.WIDTH) in d.split(",")]
 
 
 def test_the_loop_carries_lanes_minor(loops):
     assert len(loops) >= 4, "windows, segments, pairs of ticks, single ticks"
     for body in loops:
         for dims, order in wide(body):
-            assert dims[-1] == str(ensemble.WIDTH), f"lanes are not the last axis of {dims}"
+            assert dims[-1] == str(batch.WIDTH), f"lanes are not the last axis of {dims}"
             assert order[0] == str(len(dims) - 1), f"lanes are not minor in {dims} {order}"
 
 
 def test_the_loop_transposes_nothing(loops):
     for body in loops:
-        assert not re.search(rf"f64\[[\d,]*{ensemble.WIDTH}[\d,]*\]\S* transpose\(", body)
+        assert not re.search(rf"f64\[[\d,]*{batch.WIDTH}[\d,]*\]\S* transpose\(", body)
 
 
 def test_lanes_differ_only_where_they_must():
@@ -75,11 +78,11 @@ def test_lanes_differ_only_where_they_must():
     import jax
     import jax.numpy as jnp
 
-    from pcbench import lanes, rollout
+    from pcbench.simulation import lanes, steps
 
     _, (cell,) = planned()
     layout = cell.layout._replace(width=4)
-    state = jax.eval_shape(lambda p: rollout.begin(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem)
+    state = jax.eval_shape(lambda p: steps.begin(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem)
     assert not lanes.is_lanes(state.x)
     assert not lanes.is_lanes(state.memories["pccebo"].g)
     assert not lanes.is_lanes(state.memories["open-loop"])

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pcbench import machine
 from pcbench.controllers import pd
-from pcbench.signals import PATHS
-from pcbench.types import Now
+from pcbench.machine import process
+from pcbench.protocols import Now
+from pcbench.scenarios.signals import PATHS
 
 DT, ROWS, TICKS = 0.01, 20, 400
 GIVEN = {"Kp": (3.0, 1.5), "Kd": (0.7, 0.4), "limit": (4.0, 1.2), "path": "circle"}
@@ -36,7 +36,7 @@ def params_of(**changes):
 
 def command(options, params, k, estimate, coming=None):
     now = Now(jnp.asarray(k * DT), jnp.asarray(k), jnp.asarray(DT), jnp.zeros(2), lambda age: age)
-    with machine.float64():
+    with process.float64():
         return np.asarray(pd.controller(options).command(params, now, jnp.asarray(estimate), coming))
 
 

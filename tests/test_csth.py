@@ -6,10 +6,11 @@ from reference import chain
 from scipy.linalg import solve_discrete_are
 
 import pcbench
-from pcbench import draws, machine
+from pcbench.dynamics import linear
+from pcbench.machine import process
 from pcbench.plants import csth
 from pcbench.scenarios import SCENARIOS
-from pcbench.synthesis import linear
+from pcbench.simulation import draws
 
 STATES = [name for name, _ in csth.SIGNALS]
 KINDS = {"csth/literal": "literal", "csth/1s": "1s", "csth/10s": "10s"}
@@ -55,7 +56,7 @@ def noisy():
     """A run of seed 3 with its own process and measurement noise."""
     d = pcbench.trace("csth/10s-noise", "dkf", seed=3)
     s, N = SCENARIOS["csth/10s-noise"], len(d) - 1
-    with machine.float64():
+    with process.float64():
         v = np.asarray(draws.measurement_noise(0, 3, N + 1, 3)).T * s.noise_std
         keys = draws.run_keys(np.asarray(0), np.array([3]), "process", 3)
         w = np.stack([np.asarray(draws.normals(keys, [k] * 3))[:, 0] for k in range(N + 1)]) * s.process_std

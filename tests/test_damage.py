@@ -9,9 +9,9 @@ from commands import call
 from small_study import STUDY, same, tables
 
 import pcbench
-from pcbench import examples
-from pcbench.dataset import inspection, ledger, store
+from pcbench.dataset import block_files, store, verify
 from pcbench.errors import UserError
+from pcbench.plots import one_run
 
 
 def told(done, code=2):
@@ -27,12 +27,12 @@ def test_a_provenance_that_is_none_is_seen_and_made_anew(whole, copy, text):
     (copy / "provenance.json").write_text(text)
     assert "compare" not in told(call("report", copy))
     told(call("compare", whole, copy))
-    found = inspection.status(copy)
+    found = verify.status(copy)
     assert not found.closed
     assert found.damaged == ["provenance.json"]
     assert call("status", copy).returncode == 1
     pcbench.run(STUDY, out=copy)
-    assert inspection.status(copy).damaged == []
+    assert verify.status(copy).damaged == []
     same(whole, copy)
 
 
@@ -46,13 +46,13 @@ def test_a_flipped_bit_anywhere_in_a_closing_file_is_seen(copy, name):
         if name.endswith(".json") and _alike(spoilt, content):
             continue  # blanks
         (copy / name).write_bytes(bytes(spoilt))
-        assert inspection.status(copy).damaged == [name], at
+        assert verify.status(copy).damaged == [name], at
         with pytest.raises(UserError):
             pcbench.opened(copy)
-    (wrong,) = inspection.verify(copy, 0, 0, lambda *a: None).wrong
+    (wrong,) = verify.verify(copy, 0, 0, lambda *a: None).wrong
     assert name in wrong
     pcbench.run(STUDY, out=copy)
-    assert inspection.verify(copy, 0, 0, lambda *a: None).wrong == []
+    assert verify.verify(copy, 0, 0, lambda *a: None).wrong == []
 
 
 def _alike(spoilt, content):
@@ -64,16 +64,16 @@ def _alike(spoilt, content):
 
 def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     study = pcbench.opened(copy).study
-    made = examples.of(study, "cart/slow", copy)
+    made = one_run.of(study, "cart/slow", copy)
     (path,) = (copy / "examples").iterdir()
     content, table = path.read_bytes(), store.parsed(store.get(store.target(copy), f"examples/{path.name}"))
     values = table["value"].to_numpy().copy()
     values[3] += 1.0
     changed = table.set_column(table.schema.get_field_index("value"), "value", [values])
     store.put_table(store.target(copy), f"examples/{path.name}", changed)  # the pages' checksums are right
-    (wrong,) = inspection.verify(copy, 0, 0, lambda *a: None).wrong
+    (wrong,) = verify.verify(copy, 0, 0, lambda *a: None).wrong
     assert wrong.startswith("examples/")
-    assert examples.of(study, "cart/slow", copy).equals(made)
+    assert one_run.of(study, "cart/slow", copy).equals(made)
     assert path.read_bytes() == content
 
 
@@ -106,7 +106,7 @@ def test_a_block_of_more_seeds_than_there_can_be_is_none(copy, last):
     folder = copy / "runs" / "scenario=cart%2Fslow" / "observer=kfbo"
     (folder / f"cell-00000-seeds-0000000000-{last}.parquet").write_bytes(b"PAR1")
     assert "is no block of a study" in told(call("status", copy))
-    assert ledger.block_of(f"runs/scenario=s/observer=o/cell-00000-seeds-0000000009-{3:010d}.parquet") is None
+    assert block_files.block_of(f"runs/scenario=s/observer=o/cell-00000-seeds-0000000009-{3:010d}.parquet") is None
 
 
 @pytest.mark.parametrize("damage", ["gone", "one byte", "empty"])
@@ -124,7 +124,7 @@ def test_a_lost_study_text_is_written_anew_by_the_study_itself(whole, copy, dama
         with pytest.raises(UserError, match=r"is gone or damaged, and .* is not of the study given \(.+\)"):
             pcbench.run(STUDY | other, out=copy)
     with pytest.raises(UserError, match=r"study.toml"):
-        inspection.status(copy)
+        verify.status(copy)
     done = pcbench.run(STUDY, out=copy)
     assert done.effort.runs == 0
     assert path.read_text() == text
@@ -147,7 +147,7 @@ def test_a_lost_study_text_keeps_the_numbers_of_its_cells(tmp_path):
 def test_verify_says_where_the_study_is_not_the_one_that_was_run(copy):
     path = copy / "study.toml"
     path.write_text(path.read_text().replace("seeds = 40", "seeds = 41"))
-    assert any("is not of the study that was run" in w for w in inspection.verify(copy, 0, 0, lambda *a: None).wrong)
+    assert any("is not of the study that was run" in w for w in verify.verify(copy, 0, 0, lambda *a: None).wrong)
 
 
 def test_a_pipe_is_no_study(tmp_path):

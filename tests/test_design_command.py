@@ -10,9 +10,11 @@ import pytest
 from commands import call
 
 import pcbench
-from pcbench import designing, machine, study_file
 from pcbench.errors import UserError
+from pcbench.gains import design
+from pcbench.machine import process
 from pcbench.observers import OBSERVERS
+from pcbench.study import read
 
 IN = {
     "chain": "csth/10s-noise",
@@ -34,9 +36,9 @@ PROMISES = {
 
 
 def written(observer, scenario, **how):
-    with machine.float64():
-        study, cell, found = designing.design(scenario, observer, **how)
-        return designing.as_study(study, cell, observer, found), found
+    with process.float64():
+        study, cell, found = design.design(scenario, observer, **how)
+        return design.as_study(study, cell, observer, found), found
 
 
 @pytest.mark.parametrize("observer", OBSERVERS)
@@ -47,7 +49,7 @@ def test_every_design_says_what_it_promises_and_can_be_read_back(observer, tmp_p
     assert bool(np.isfinite(found.certificate.rate)) == (observer in PROMISES)
     assert found.certificate.rate > 0 or not np.isfinite(found.certificate.rate)
     path = tmp_path / "design.toml"
-    path.write_text(designing.to_toml(table))
+    path.write_text(design.to_toml(table))
     proof = tomllib.loads(path.read_text())["resolved"]["certificate"]
     assert set(proof) == {"inequality", "margin", "solver", "status", "fallback", "decay_rate"}
     again = pcbench.design(path, observer)
@@ -156,7 +158,7 @@ TRADES = {
 @pytest.mark.parametrize("observer", TRADES)
 def test_a_faster_promise_costs_something(observer):
     scenario, option, values, options, cost = TRADES[observer]
-    study = study_file.study_of(scenario, {"options": {observer: options}}, [])
+    study = read.study_of(scenario, {"options": {observer: options}}, [])
     table = pcbench.trade_off(study, observer, option, values)
     assert table.rate[1] > table.rate[0]
     assert table[cost][1] > table[cost][0]

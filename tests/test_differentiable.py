@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from harness import ODD, Case, problem, recorder
 
-from pcbench import cells, differentiable, machine, metrics, planning, shapes, simulation, study_file
+from pcbench import planning
+from pcbench.gains import gradient, parameters
+from pcbench.gains.objective import goal
+from pcbench.machine import process
 from pcbench.observers import OBSERVERS, entry_of
-from pcbench.study import options_of
-from pcbench.tuning import free, gradient
-from pcbench.tuning.goal import goal
+from pcbench.planning import padding
+from pcbench.simulation import differentiable, loop, metrics
+from pcbench.study import cells, options_of, read
 
 SEEDS = np.arange(3, 7)
 SHORT = {
@@ -27,17 +30,17 @@ CASES = {
     "arm/sampled": ["smo"],
 }
 METRICS = jax.jit(differentiable.metrics, static_argnums=(0, 2, 3))
-SIMULATE = jax.jit(simulation.simulate, static_argnums=0)
+SIMULATE = jax.jit(loop.simulate, static_argnums=0)
 
 
 @cache
 def planned(scenario, observers):
     """A cell with a short horizon, as few lanes as seeds."""
-    study = study_file.study_of(scenario, {"observers": list(observers)}, [])
+    study = read.study_of(scenario, {"observers": list(observers)}, [])
     cell = cells.cells(study, scenario)[0]
     horizon, tail = SHORT[scenario]
     cell = cell._replace(scenario=cell.scenario._replace(horizon=horizon, tail=tail))
-    (p,) = shapes.fit([planning.draft(cell, {o: options_of(study, cell.scenario, o) for o in observers})])
+    (p,) = padding.fit([planning.draft(cell, {o: options_of(study, cell.scenario, o) for o in observers})])
     return study, p._replace(layout=p.layout._replace(width=len(SEEDS)))
 
 
@@ -45,7 +48,7 @@ def planned(scenario, observers):
 @pytest.mark.parametrize("scenario", CASES)
 def test_they_are_the_metrics_of_the_tables(scenario):
     study, p = planned(scenario, tuple(CASES[scenario]))
-    n, tail = shapes.ticks(p.cell), shapes.tail_tick(p.cell)
+    n, tail = padding.ticks(p.cell), padding.tail_tick(p.cell)
     got = METRICS(p.layout, p.problem, n, tail, study.root_seed, SEEDS)
     out = jax.tree.map(np.asarray, SIMULATE(p.layout, p.problem, study.root_seed, SEEDS))
     for label in p.labels:
@@ -59,7 +62,7 @@ def test_they_are_sums_over_the_ticks_of_a_recorded_run(ticks, tail):
     """Whatever is left of the last chunk; every error differs from all others."""
     case = Case(ODD, 7, 12, ticks=ticks, h=0.02, noise_std=0.3, seed=4)
     layout, p = problem(case, {"open-loop": {}, "pccebo": {}})
-    with machine.float64():
+    with process.float64():
         run = recorder()(layout, p, np.asarray(0), np.asarray(case.seed))
         found = METRICS(layout._replace(width=1), p, ticks, tail, 0, np.array([case.seed]))
     for label, got in found.items():
@@ -86,7 +89,7 @@ IN_A_CLOSED_LOOP = {"high-gain"}
 
 
 def test_every_smooth_observer_has_its_gradient_checked():
-    with_options = {name for name, entry in OBSERVERS.items() if entry.smooth and free.tunable(name)}
+    with_options = {name for name, entry in OBSERVERS.items() if entry.smooth and parameters.tunable(name)}
     assert with_options - IN_A_CLOSED_LOOP == set(SLOPES)
 
 
@@ -96,13 +99,13 @@ def test_every_smooth_observer_has_its_gradient_checked():
 def test_gradients_are_those_of_finite_differences(observer):
     scenario, given, metric = SLOPES[observer]
     study, p = planned(scenario, (observer,))
-    study = study_file.study_of(scenario, {"observers": [observer], "options": {observer: given}}, [])
+    study = read.study_of(scenario, {"observers": [observer], "options": {observer: given}}, [])
     known, options = planning.setting(p.cell), options_of(study, p.cell.scenario, observer)
-    every, at = free.start(observer, options, {}, list(set(given) & set(free.tunable(observer))), "test")
+    every, at = parameters.start(observer, options, {}, list(set(given) & set(parameters.tunable(observer))), "test")
     aim = goal(metric, p.cell.scenario, None, "test")
 
     def design(at):
-        return entry_of(observer).design(known, free.put(options, every, at)).gains
+        return entry_of(observer).design(known, parameters.put(options, every, at)).gains
 
     back = gradient.backwards(p, aim, study.root_seed, SEEDS)
     mean, slopes, lost = back(design(at))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from reference import threefry
 
-from pcbench import draws
+from pcbench.simulation import draws
 
 FIRST = [-1.7061004185596214, 0.18934652660389156, 0.6437741189481501]  # of root seed 0, seed 0, channel 0
 ADDRESSES = [(0, 0, 0), (7, 5, 2), (2**32 - 1, 3_999_999_999, 1)]

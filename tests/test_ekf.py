@@ -6,11 +6,13 @@ import pytest
 from reference import ekf as reference
 
 import pcbench
-from pcbench import draws, planning, recording, shapes
-from pcbench.cells import Cell
+from pcbench import planning
 from pcbench.observers import ekf
+from pcbench.planning import padding
 from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import draws, trace
 from pcbench.study import Choices, Study, options_of
+from pcbench.study.cells import Cell
 
 SECONDS = 0.4
 
@@ -31,9 +33,9 @@ def test_on_the_arm_it_equals_the_reference(period, delay):
     s = base._replace(horizon=SECONDS, tail=SECONDS / 2, input="sine", noise_std=(1e-3, 2e-3),
                       sampling_period=(period * base.dt,) * 2, delay=(delay * base.dt,) * 2)  # fmt: skip
     options = options_of(Study(name="t", scenarios=[s.name]), s, "ekf")
-    (p,) = shapes.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), {"ekf": options})])
-    got = jax.tree.map(np.asarray, recording.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)))
-    N = shapes.ticks(p.cell)
+    (p,) = padding.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), {"ekf": options})])
+    got = jax.tree.map(np.asarray, trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)))
+    N = padding.ticks(p.cell)
     noise = np.asarray(draws.measurement_noise(0, 0, N // period + 1, 2)).T * s.noise_std
     arrivals = {
         i * period + delay: [(i * period, got.x[i * period, 1:3] + noise[i])] for i in range((N - delay) // period + 1)

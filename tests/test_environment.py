@@ -8,9 +8,9 @@ import pytest
 from small_study import sealed_again, tables
 
 import pcbench
-from pcbench.dataset import inspection, ledger, store
+from pcbench.dataset import block_files, store, verify
 
-PCBENCH = [sys.executable, "-m", "pcbench.cli"]
+PCBENCH = [sys.executable, "-m", "pcbench"]
 RUN = ["run", "cart/slow", "--observers", "open-loop,kfbo", "--seeds", "3"]
 
 
@@ -62,24 +62,24 @@ def test_what_the_compiler_was_told_is_said(tmp_path):
     said = {name: pcbench.opened(tmp_path / name).provenance["compiler"] for name in ("plain", "fast")}
     assert said == {"plain": "defaults", "fast": "--xla_cpu_enable_fast_math=true"}
     place = store.target(tmp_path / "plain")
-    for b in ledger.present(place):
-        table = ledger.read(place, b)
-        assert ledger.about(table)["versions"]["compiler"] == "defaults"
+    for b in block_files.present(place):
+        table = block_files.read(place, b)
+        assert block_files.about(table)["versions"]["compiler"] == "defaults"
         i = table.schema.get_field_index("mae")
         changed = table.set_column(i, table.schema.field(i), [table["mae"].to_numpy() * (1 + 3e-15)])
-        about = ledger.about(table)
+        about = block_files.about(table)
         about["versions"]["compiler"] = "--xla_cpu_max_isa=SSE4_2"
-        store.put_table(place, b.name, ledger.sealed(changed, about))
-    for sentence in inspection.verify(tmp_path / "plain", None, 0, lambda *a: None).differing:
+        store.put_table(place, b.name, block_files.sealed(changed, about))
+    for sentence in verify.verify(tmp_path / "plain", None, 0, lambda *a: None).differing:
         assert "made with compiler --xla_cpu_max_isa=SSE4_2, now defaults; numbers differ by 3" in sentence
         assert sentence.endswith("(rounding).")
 
 
 def test_other_flags_are_among_what_compare_says(whole, copy):
     sealed_again(copy, compiler="--xla_cpu_max_isa=SSE4_2")
-    from pcbench.dataset import comparing
+    from pcbench.dataset import compare
 
-    assert comparing.compare(whole, copy).made_by == ["compiler: defaults there, --xla_cpu_max_isa=SSE4_2 here"]
+    assert compare.compare(whole, copy).made_by == ["compiler: defaults there, --xla_cpu_max_isa=SSE4_2 here"]
 
 
 LOADS = """

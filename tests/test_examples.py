@@ -4,22 +4,24 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench import examples, machine, study_file
+from pcbench.machine import process
+from pcbench.plots import one_run
+from pcbench.study import read
 
 
 @pytest.fixture(scope="module")
 def shown():
     raw = {"name": "t", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 3, "first_seed": 6}
-    made = study_file.parse(raw | {"axes": {"noise_std": [0.3, 0.5], "delay": [0.1]}}, "t")
-    with machine.float64():
+    made = read.parse(raw | {"axes": {"noise_std": [0.3, 0.5], "delay": [0.1]}}, "t")
+    with process.float64():
         trace = pcbench.trace("cart/white", "pccebo", seed=6, overrides=["axes.noise_std=0.3", "axes.delay=0.1"])
-        return examples.of(made, "cart/white", None), trace
+        return one_run.of(made, "cart/white", None), trace
 
 
 def test_it_is_thinned_evenly_from_the_start_to_the_end(shown):
     frame, trace = shown
     for _, mine in frame.groupby(["signal", "series"]):
-        assert len(mine) <= examples.POINTS
+        assert len(mine) <= one_run.POINTS
         t = mine.t.to_numpy()
         assert t[0] == 0
         assert t[-1] > 0.99 * trace.t.iloc[-1]

@@ -6,13 +6,13 @@ import pytest
 from small_study import STUDY, tables
 
 import pcbench
-from pcbench.dataset import blocks, inspection, store
+from pcbench.dataset import store, task, verify
 from pcbench.errors import UserError
 
 
 def test_a_folder_removed_while_running_is_one_sentence(tmp_path, monkeypatch):
-    out, before = tmp_path / "out", blocks.compute
-    monkeypatch.setattr(blocks, "compute", lambda *a: (shutil.rmtree(out, ignore_errors=True), before(*a))[1])
+    out, before = tmp_path / "out", task.compute
+    monkeypatch.setattr(task, "compute", lambda *a: (shutil.rmtree(out, ignore_errors=True), before(*a))[1])
     with pytest.raises(UserError, match=r"cannot be written \(No such file or directory\)"):
         pcbench.run(STUDY, out=out)
     assert not out.exists()
@@ -36,6 +36,6 @@ def test_a_disk_that_fills_up_keeps_every_finished_block(whole, tmp_path, monkey
     finished = tables(tmp_path / "out")
     assert 0 < len(finished) < 12
     assert all(tables(whole)[name] == content for name, content in finished.items())
-    assert not inspection.status(tmp_path / "out").closed
+    assert not verify.status(tmp_path / "out").closed
     pcbench.run(STUDY, out=tmp_path / "out", block=16)
     assert tables(tmp_path / "out") == tables(whole)

@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench import machine, planning, study_file
+from pcbench import planning
+from pcbench.gains import tune
+from pcbench.gains.objective import goal
+from pcbench.machine import process
 from pcbench.observers import entry_of
-from pcbench.study import options_of
-from pcbench.tuning import effort
-from pcbench.tuning.goal import goal
+from pcbench.study import options_of, read
 
 pytestmark = pytest.mark.slow
 HALF = {"training": (3_000_000_000, 256), "judges": (3_500_000_000, 256)}
@@ -16,8 +17,8 @@ HALF = {"training": (3_000_000_000, 256), "judges": (3_500_000_000, 256)}
 
 def brute_force(grid):
     """The least tail RMSE in cart/gaussian over a grid of gains L, on the training seeds."""
-    with machine.float64():
-        study, cell = study_file.one_cell("cart/gaussian", ["pccebo"], [])
+    with process.float64():
+        study, cell = read.one_cell("cart/gaussian", ["pccebo"], [])
         known, options = planning.setting(cell), options_of(study, cell.scenario, "pccebo")
 
         def gains(L):
@@ -25,7 +26,7 @@ def brute_force(grid):
 
         (p,) = planning.plan(study)
         seeds = np.arange(HALF["training"][0], sum(HALF["training"]))
-        value = effort._evaluate("search", p, goal("tail_rmse", cell.scenario, None, "test"), 0, seeds, gains)
+        value = tune._evaluate("search", p, goal("tail_rmse", cell.scenario, None, "test"), 0, seeds, gains)
         return min((value(np.array(L))[0], L) for L in grid)
 
 

@@ -11,11 +11,11 @@ from commands import call
 from interruptions import stop_tuning_at
 
 import pcbench
-from pcbench import machine, study_file
 from pcbench.errors import UserError
+from pcbench.gains import tune, versions
+from pcbench.machine import process
 from pcbench.observers import OBSERVERS, entry_of
-from pcbench.study import STUDIES, TUNINGS, observers_of
-from pcbench.tuning import effort, fairness
+from pcbench.study import STUDIES, TUNINGS, observers_of, read
 
 README = (Path(__file__).parent.parent / "README.md").read_text()
 FAIR = {
@@ -30,13 +30,13 @@ FAIR = {
 
 
 def prepared(**changes):
-    with machine.float64():
-        return fairness.prepare(study_file.study_of(FAIR | changes, {}, []), None, False)
+    with process.float64():
+        return versions.prepare(read.study_of(FAIR | changes, {}, []), None, False)
 
 
 def test_paper_is_what_stands_there():
-    study = study_file.study_of(FAIR | {"tuning": "paper"}, {}, [])
-    assert fairness.prepare(study, None, False) == (study, [], None)
+    study = read.study_of(FAIR | {"tuning": "paper"}, {}, [])
+    assert versions.prepare(study, None, False) == (study, [], None)
 
 
 def test_two_versions_of_every_observer_that_has_a_design_of_its_own():
@@ -69,7 +69,7 @@ def test_a_design_of_its_own_is_made_of_options_that_there_are(observer):
 
 
 def test_kfbo_by_design_has_the_noise_of_the_scenario():
-    with machine.float64():
+    with process.float64():
         numbers = pcbench.design("cart/white", "kfbo", overrides=["options.kfbo.R=noise"]).certificate.numbers
     assert numbers["R"] == pytest.approx(0.07, rel=1e-12)  # power: variance of a sample times the period
 
@@ -116,7 +116,7 @@ def test_versions_are_compared_on_two_ranges_of_seeds_and_against_the_bound(tmp_
         assert fair.training[label] == trained[label]
         assert fair.gap[label] == held[label] - trained[label]
     runs = pd.read_parquet(tmp_path / "out" / "training" / "runs")
-    assert set(runs.seed) == set(range(effort.TRAINING[0], effort.TRAINING[0] + 16))
+    assert set(runs.seed) == set(range(tune.TRAINING[0], tune.TRAINING[0] + 16))
     assert fair.efficiency["pccebo-paper"] > 3 * fair.efficiency["open-loop-paper"] > 0
     stored = pd.read_parquet(tmp_path / "out" / "fair.parquet")
     pd.testing.assert_frame_equal(stored, result.fair)

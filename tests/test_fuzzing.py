@@ -11,10 +11,11 @@ from hanging import in_time
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from pcbench import bench, machine, planning, study_file
-from pcbench.cells import cells
+from pcbench import api, planning
 from pcbench.errors import UserError
-from pcbench.study import observers_of
+from pcbench.machine import process
+from pcbench.study import observers_of, read
+from pcbench.study.cells import cells
 
 FEW = {"derandomize": True, "suppress_health_check": list(HealthCheck), "print_blob": True}
 MANY = FEW | {"derandomize": False}
@@ -34,9 +35,9 @@ def outcome(path, changes=(), most=0):
     with in_time(), warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:
-            study = study_file.load(str(path), list(changes))
+            study = read.load(str(path), list(changes))
             if ticks_of(study) <= most:
-                with machine.float64():
+                with process.float64():
                     planning.plan(study)
         except UserError as error:
             one_sentence(str(error))
@@ -110,7 +111,7 @@ def tables_hold_numbers(path):
     with in_time(), warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:
-            stats = bench.run(path).stats
+            stats = api.run(path).stats
         except UserError as error:
             one_sentence(str(error))
             return

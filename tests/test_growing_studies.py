@@ -7,7 +7,7 @@ import pytest
 from small_study import STUDY, rows, same, tables
 
 import pcbench
-from pcbench.dataset import executors, inspection
+from pcbench.dataset import executors, verify
 from pcbench.dataset.changes import changes
 from pcbench.errors import UserError
 
@@ -108,7 +108,7 @@ def test_a_study_text_that_is_not_ours_is_one_sentence(copy, text):
     with pytest.raises(
         UserError, match=r"is not as pcbench run has written it.*run its study again.*blocks .* are kept"
     ):
-        inspection.status(copy)
+        verify.status(copy)
 
 
 @pytest.mark.parametrize("text", NOT_OURS)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from reference import high_gain as forms
 
 from pcbench.plants import helicopter
-from pcbench.types import Arrival, Now
+from pcbench.protocols import Arrival, Now
 
 PAGE = {  # scenario, observer, t [s]: pitch, yaw, rates; estimates
     ("constant", "high-gain", 0.2): (

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pcbench.observers import in_order
-from pcbench.observers.in_order import Sample
+from pcbench.observers.parts import reordering
+from pcbench.observers.parts.reordering import Sample
 
 BASE = 7.0  # a state is the numbers of all samples used, in their order, as digits
 
@@ -17,8 +17,8 @@ def digits(state, sample):
 
 def replayed(arrivals, places):
     """The state after each arrival, where an arrival is (tick taken, number)."""
-    line, out = in_order.start(jnp.asarray(0.0), np.zeros(places), 1, 0), []
-    step = jax.jit(lambda line, sample: in_order.replay(digits, line, sample))
+    line, out = reordering.start(jnp.asarray(0.0), np.zeros(places), 1, 0), []
+    step = jax.jit(lambda line, sample: reordering.replay(digits, line, sample))
     for taken, number in arrivals:
         sample = Sample(jnp.asarray(taken), jnp.array([float(number)]), jnp.array([True]), jnp.zeros(0))
         line, state = step(line, sample)

@@ -8,10 +8,13 @@ import pytest
 from rich.console import Console
 
 import pcbench
-from pcbench import ensemble, metrics, planning, study_file, sweep
+from pcbench import planning
 from pcbench.cli.screen import results
-from pcbench.reproduce import arm_table, unknown_input
+from pcbench.planning import in_memory
+from pcbench.reproduce import arm, arm_table
 from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import batch, metrics
+from pcbench.study import read
 
 STATES = {"link_angle", "link_velocity", "motor_angle", "motor_velocity"}
 NAMES = ["smo", "smo-reconstruct", "open-loop"]
@@ -89,12 +92,12 @@ def test_recovery_is_the_longest_time_from_a_jump_to_the_last_exit_before_the_ne
 @pytest.mark.slow
 def test_one_compilation_for_every_period_delay_and_noise_and_one_more_for_drift():
     axes = {"sampling_period": [0.005, 0.1], "delay": [0.0, 0.1], "noise_std": [0.0, 1e-3], "drift": [0.0, 0.05]}
-    chosen = study_file.parse({"name": "arm", "scenarios": ["arm/sampled"], "observers": ["smo"], "axes": axes}, "arm")
+    chosen = read.parse({"name": "arm", "scenarios": ["arm/sampled"], "observers": ["smo"], "axes": axes}, "arm")
     short = [p._replace(problem=p.problem._replace(windows=np.array([[0, 600], [600, 900], [900, 901]])))
              for p in planning.plan(chosen)]  # fmt: skip
-    before = ensemble.compilations()
-    results = [d.results["smo"]["tail_peak"] for d in sweep.execute(chosen, short, seeds=np.arange(2))]
-    assert ensemble.compilations() - before == 2, "with drift every run draws its plant's numbers"
+    before = batch.compilations()
+    results = [d.results["smo"]["tail_peak"] for d in in_memory.execute(chosen, short, seeds=np.arange(2))]
+    assert batch.compilations() - before == 2, "with drift every run draws its plant's numbers"
     assert len({r[0, 0].item() for r in results}) == 16, "every cell has its own numbers"
 
 
@@ -108,7 +111,7 @@ def test_a_verdict_is_what_the_page_defines():
 
 @pytest.mark.slow
 def test_reproduce_arm_prints_forty_entries_of_which_two_differ():
-    rows = unknown_input.claims()
+    rows = arm.claims()
     table = {row.claim.removeprefix("Table 2, "): row.verdict for row in rows if row.claim.startswith("Table 2")}
     assert len(table) == 40
     assert [claim for claim, verdict in table.items() if verdict == "does not hold"] == [

@@ -5,11 +5,11 @@ import pyarrow as pa
 import pytest
 from commands import call
 
-from pcbench.dataset import inspection, ledger, store
+from pcbench.dataset import block_files, store, verify
 
 
 def test_status_says_how_far_a_study_is(copy):
-    found = inspection.status(copy)
+    found = verify.status(copy)
     assert found.closed
     assert [(s.observer, s.cells, s.seeds, s.wanted) for s in found.shares] == [
         ("pccebo", 2, 80, 80),
@@ -18,24 +18,24 @@ def test_status_says_how_far_a_study_is(copy):
     files = sorted((copy / "runs").rglob("*.parquet"))
     files[0].unlink()
     files[1].write_bytes(b"PAR1")
-    found = inspection.status(copy)
+    found = verify.status(copy)
     assert not found.closed
     assert len(found.damaged) == 1
     assert sum(s.seeds for s in found.shares) == 160 - 16
 
 
 def test_verify_finds_a_number_that_was_changed_and_nothing_else(copy):
-    found = inspection.verify(copy, None, 0, lambda *a: None)
+    found = verify.verify(copy, None, 0, lambda *a: None)
     assert (found.files, len(found.recomputed), found.wrong, found.differing) == (12, 12, [], [])
     place = store.target(copy)
-    b = ledger.present(place)[5]
-    table = ledger.read(place, b)
+    b = block_files.present(place)[5]
+    table = block_files.read(place, b)
     i = table.schema.get_field_index("rmse")
     values = table["rmse"].to_numpy().copy()
     values[7] = np.nextafter(values[7], 1e9)
     changed = table.set_column(i, table.schema.field(i), [values])
-    store.put_table(place, b.name, ledger.sealed(changed, ledger.about(table)))
-    found = inspection.verify(copy, None, 0, lambda *a: None)
+    store.put_table(place, b.name, block_files.sealed(changed, block_files.about(table)))
+    found = verify.verify(copy, None, 0, lambda *a: None)
     assert len(found.differing) == 1
     assert b.name in found.differing[0]
     assert "rounding" in found.differing[0]
@@ -69,10 +69,10 @@ def errors(**columns):
     ("metric", "part"), [("rmse", 1e-10), ("tail_rmse", 1e-10), ("mse", 1e-13), ("tail_mse", 1e-13)]
 )
 def test_what_is_left_of_zero_is_a_part_of_the_largest_error_and_of_a_square_of_its_square(metric, part):
-    found = inspection.difference(errors(**{metric: [1.0, 1e-7]}), errors(**{metric: [1.0, 2e-7]}))
+    found = verify.difference(errors(**{metric: [1.0, 1e-7]}), errors(**{metric: [1.0, 2e-7]}))
     assert found == pytest.approx((0.5, part), rel=1e-12)
 
 
 def test_a_number_that_is_missing_on_one_side_is_no_matter_of_size():
-    assert inspection.difference(errors(rmse=[1.0, 2.0]), errors(rmse=[1.0, None])) is None
-    assert inspection.difference(errors(rmse=[1.0, None]), errors(rmse=[1.0, None])) == (0, 0)
+    assert verify.difference(errors(rmse=[1.0, 2.0]), errors(rmse=[1.0, None])) is None
+    assert verify.difference(errors(rmse=[1.0, None]), errors(rmse=[1.0, None])) == (0, 0)

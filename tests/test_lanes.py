@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from jax import lax
 
-from pcbench import entrywise, lanes, packing, primitives
-from pcbench.entrywise import over
 from pcbench.errors import UserError
+from pcbench.simulation import lanes
+from pcbench.simulation.lanes import entrywise, packed, primitives
+from pcbench.simulation.lanes.entrywise import over
 
 L, RNG = 5, np.random.default_rng(0)
 M = RNG.normal(size=(3, 3))
@@ -158,7 +159,7 @@ def test_a_table_keeps_its_rows_together_and_is_the_same_array():
 def test_a_packed_memory_with_a_table_is_the_memory():
     memory = {"ring": lanes.table(lanes.split(jnp.arange(24.0).reshape(3, 2, 4))), "flag": lanes.split(jnp.ones((2, 4), bool)),
               "moved": lanes.split(jnp.zeros((1, 4)))}  # fmt: skip
-    form = packing.packing(lambda m: m | {"moved": over(lambda v: v + 1)(m["moved"])}, memory)
+    form = packed.packing(lambda m: m | {"moved": over(lambda v: v + 1)(m["moved"])}, memory)
     back = form.whole(form.pack(memory))
     assert back["ring"].rows == 3
     for name in memory:
@@ -174,7 +175,7 @@ def test_a_packed_memory_keeps_the_kind_and_the_place_of_every_entry():
         "d": lanes.split(jnp.arange(4.0).reshape(1, 4) - 50),
         "moved": lanes.split(jnp.zeros((1, 4))),
     }
-    form = packing.packing(lambda m: m | {"moved": over(lambda v: v + 1)(m["moved"])}, memory)
+    form = packed.packing(lambda m: m | {"moved": over(lambda v: v + 1)(m["moved"])}, memory)
     kept = form.pack(memory)
     assert kept.still.shape == (2 + 6 + 2 + 1, 4)
     assert len(kept.moving) == 1

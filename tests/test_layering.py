@@ -1,6 +1,7 @@
 """The shape of the house: imports go down only, and what must not import jax does not."""
 
 import ast
+import graphlib
 import re
 import subprocess
 import sys
@@ -11,114 +12,61 @@ import pytest
 import pcbench
 
 ROOT = Path(pcbench.__file__).parent
-LAYERS = [  # top to bottom; a module may import its own layer and those below
-    {"__main__"},
-    {"cli"},
-    {"cli.commands"},
-    {
-        "cli.lists",
-        "cli.observers",
-        "cli.runs",
-        "cli.datasets",
-        "cli.tuning",
-        "cli.reports",
-        "cli.papers",
-        "cli.checking",
-    },
-    {"cli.screen", "cli.catalogue"},
-    {"cli.shared", "cli.stopping"},
-    {"report", "report.page"},
-    {"report.lines", "report.maps", "report.headline", "report.figures"},
-    {"report.chart"},
-    {"reproduce"},
-    {"plots"},
-    {"plots.lines", "plots.maps", "plots.tuning"},
-    {"examples"},
-    {"plots.frames"},
-    {"plots.sheet"},
-    {"plots.palette"},
-    {"bench", "interop"},
-    {"designing", "checking"},
-    {"tuning.gap"},
-    {"tuning.fairness"},
-    {"tuning.effort"},
-    {"tuning.judging"},
-    {"running"},
-    {"result"},
-    {"tuning.gradient", "tuning.record"},
-    {"tuning.goal", "tuning.ways", "tuning"},
-    {"tuning.free"},
-    {"dataset.merging", "dataset.comparing"},
-    {"dataset.inspection", "dataset.until"},
-    {"dataset.campaign"},
-    {"dataset.blocks", "dataset.closing"},
-    {"dataset.folder"},
-    {"dataset.mending"},
-    {"study_file", "dataset.changes"},
-    {"dataset.as_file", "dataset.executors", "dataset.ledger", "dataset.growing", "differentiable"},
-    {"sweep", "planning", "dataset.parcel"},
-    {"shapes"},
-    {"closed_loop"},
-    {"tables", "cells"},
-    {"study", "dataset.store", "dataset"},
-    {"statistics"},
-    {"statistics.winning", "statistics.wording"},
-    {"statistics.description", "statistics.pairing"},
-    {"statistics.comparison"},
-    {"statistics.stack", "statistics.estimates", "statistics.order_statistics", "statistics.selection"},
-    {"statistics.moments"},
-    {"own_plant"},
-    {"axes"},
-    {"limits"},
-    {"ensemble", "recording", "conformance"},
-    {"simulation"},
-    {"own_events"},
-    {"shared_events"},
-    {"rollout"},
-    {"feedback"},
-    {"problem"},
-    {"irregular"},
-    {"packing", "entrywise"},
-    {"lanes", "metrics", "sampling", "draws"},
-    {"plants", "observers", "controllers"},
-    {"integrate", "signals", "actuator"},
-    {"machine"},
-    {"synthesis"},
-    {"scenarios"},
-    {"quoting", "primitives"},
-    {"types", "errors"},
-]
-NO_JAX = ["synthesis.linear", "synthesis.chain", "synthesis.shared_lyapunov", "synthesis.sampled", "synthesis.late",
+TABLE = (ROOT.parent / "CONTRIBUTING.md").read_text()
+FLOORS = [re.findall(r"`pcbench/(\w+)(?:\.py)?`", row) for row in re.findall(r"^\| (`pcbench/.*?) \|", TABLE, re.M)]  # top to bottom
+FLOOR = {room: i for i, rooms in enumerate(FLOORS) for room in rooms}
+NO_JAX = ["errors", "synthesis", "synthesis.chain", "synthesis.chain_lyapunov", "synthesis.sampled", "synthesis.late",
           "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "synthesis.unknown_input",
-          "synthesis.sliding_mode", "synthesis.pi_lmi", "statistics", "tables", "dataset.store",
-          "dataset.ledger", "scenarios", "sampling", "signals", "errors"]  # fmt: skip
+          "synthesis.sliding_mode", "synthesis.pi_lmi", "dynamics.linear", "dynamics.observability", "statistics",
+          "dataset.columns", "dataset.store", "dataset.block_files", "scenarios", "simulation.schedule.shared",
+          "machine.cache", "machine.memory"]  # fmt: skip
 
 
-def layer(module):
-    """The layer of a module, or else of the package that it is in."""
-    for name in (".".join(module.split(".")[:2]), module.split(".")[0]):
-        for i, names in enumerate(LAYERS):
-            if name in names:
-                return i
-    raise AssertionError(f"{module} is in no layer")
+def modules():
+    """The files of the package by the names of their modules."""
+    names = {".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in ROOT.rglob("*.py")}
+    return {name: p for name, p in names.items() if name not in ("__init__", "__main__")}
 
 
-def imports(path):
+def imported(path):
+    """The modules of pcbench that a file imports, wherever in it."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "pcbench":
             inner = node.module.removeprefix("pcbench").lstrip(".")
             for alias in node.names:
                 below = f"{inner}.{alias.name}".lstrip(".")
-                yield below if (ROOT / (below.replace(".", "/") + ".py")).exists() or not inner else inner
+                yield below if below in MODULES else inner
 
 
-@pytest.mark.parametrize("path", sorted(ROOT.rglob("*.py")), ids=lambda p: str(p.relative_to(ROOT)))
-def test_imports_go_down_only(path):
-    module = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-    if module == "__init__":
-        return
-    for other in imports(path):
-        assert layer(other) >= layer(module), f"{module} imports {other}, which stands above it"
+MODULES = modules()
+
+
+def room(module):
+    return module.split(".")[0]
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_a_folder_imports_folders_below_it_only(module):
+    for other in filter(None, imported(MODULES[module])):
+        assert room(other) == room(module) or FLOOR[room(other)] > FLOOR[room(module)], f"{module} imports {other}"
+
+
+def test_inside_a_folder_no_imports_go_in_a_circle():
+    inside = {m: {o for o in imported(p) if o != m and room(o or m) == room(m)} for m, p in MODULES.items()}
+    graphlib.TopologicalSorter(inside).prepare()
+
+
+def test_every_folder_has_its_floor_and_says_what_it_is():
+    assert len(FLOORS) == 12
+    assert {room(m) for m in MODULES} == set(FLOOR)
+    for name in FLOOR:
+        assert ast.get_docstring(ast.parse(MODULES[name].read_text())), name
+
+
+def test_no_file_is_too_long():
+    lengths = sorted(len(p.read_text().splitlines()) for p in MODULES.values())
+    assert lengths[-1] <= 250
+    assert lengths[len(lengths) // 2] <= 100
 
 
 @pytest.mark.parametrize("module", NO_JAX)
@@ -144,7 +92,7 @@ def test_the_insides_of_jax_are_taken_in_one_file_only():
         for p in ROOT.rglob("*.py")
         if re.search(r"jax\.(extend|_src|core|interpreters)\b|[.]params[.[]", p.read_text())
     ]
-    assert users == ["primitives.py"]
+    assert users == ["simulation/lanes/primitives.py"]
 
 
 def test_cvxpy_is_imported_by_synthesis_only():

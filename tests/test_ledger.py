@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pcbench
-from pcbench.dataset import ledger, store
-from pcbench.dataset.ledger import Block
+from pcbench.dataset import block_files, store
+from pcbench.dataset.block_files import Block
 from pcbench.errors import UserError
 
 
@@ -23,7 +23,7 @@ def block(first, last, observer="o"):
 @given(st.text(min_size=1), st.text(min_size=1), st.integers(0, 10**6), st.integers(0, 10**9), st.integers(1, 10**6))
 def test_a_name_says_its_block(scenario, observer, cell, first, many):
     made = Block(scenario, observer, cell, first, first + many)
-    assert ledger.block_of(made.name) == made
+    assert block_files.block_of(made.name) == made
     assert made.name.count("/") == 3
 
 
@@ -34,9 +34,9 @@ RANGES = st.lists(st.tuples(st.integers(0, 200), st.integers(1, 60)), max_size=8
 @given(RANGES, st.integers(0, 100), st.integers(1, 200), st.integers(1, 70))
 def test_gaps_and_blocks_hold_every_seed_once(ranges, first, many, size):
     """Whatever stands, what is settled and the gaps between hold each wanted seed exactly once, in pieces of the grid."""
-    kept, doubled = ledger.settle(block(a, a + n) for a, n in ranges)
+    kept, doubled = block_files.settle(block(a, a + n) for a, n in ranges)
     assert sorted(kept + doubled) == sorted(block(a, a + n) for a, n in ranges)
-    gaps = ledger.gaps(kept, first, first + many, size)
+    gaps = block_files.gaps(kept, first, first + many, size)
     count = np.zeros(600, int)
     for a, b in [*((k.first, k.last) for k in kept), *gaps]:
         count[a:b] += 1
@@ -52,13 +52,13 @@ def test_gaps_and_blocks_hold_every_seed_once(ranges, first, many, size):
 @given(RANGES)
 def test_what_is_settled_depends_on_no_order(ranges):
     blocks = [block(a, a + n) for a, n in ranges]
-    assert ledger.settle(blocks) == ledger.settle(blocks[::-1])
+    assert block_files.settle(blocks) == block_files.settle(blocks[::-1])
 
 
 def test_blocks_that_follow_one_another_double_nothing():
     row = [block(0, 8), block(8, 12), block(12, 20), block(30, 31)]
-    assert ledger.settle(row) == (row, [])
-    assert ledger.settle([*row, block(19, 20)]) == (row, [block(19, 20)])
+    assert block_files.settle(row) == (row, [])
+    assert block_files.settle([*row, block(19, 20)]) == (row, [block(19, 20)])
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +70,13 @@ def dataset(tmp_path_factory):
 
 def damaged(dataset, tmp_path, change):
     """What is found wrong with a block that was changed."""
-    place, b = store.target(dataset), ledger.present(store.target(dataset))[0]
-    cell = ledger.about(ledger.read(place, b))["cell"]
-    assert ledger.damage(place, b, cell) is None
+    place, b = store.target(dataset), block_files.present(store.target(dataset))[0]
+    cell = block_files.about(block_files.read(place, b))["cell"]
+    assert block_files.damage(place, b, cell) is None
     path = tmp_path / b.name
     path.parent.mkdir(parents=True)
     path.write_bytes(change((dataset / b.name).read_bytes()))
-    found = ledger.damage(store.target(tmp_path), b, cell)
+    found = block_files.damage(store.target(tmp_path), b, cell)
     if found is not None:
         assert "\n" not in found
     return found
@@ -99,10 +99,10 @@ def test_a_flipped_bit_is_seen_or_changes_nothing(dataset, tmp_path_factory, whe
         return bytes(changed)
 
     if damaged(dataset, tmp_path, flip) is None:
-        b = ledger.present(store.target(tmp_path))[0]
-        found, want = ledger.read(store.target(tmp_path), b), pq.read_table(dataset / b.name, partitioning=None)
+        b = block_files.present(store.target(tmp_path))[0]
+        found, want = block_files.read(store.target(tmp_path), b), pq.read_table(dataset / b.name, partitioning=None)
         assert found.equals(want)
-        assert ledger.about(found) == ledger.about(want)
+        assert block_files.about(found) == block_files.about(want)
 
 
 def rewritten(change):
@@ -110,8 +110,8 @@ def rewritten(change):
 
     def rewrite(content):
         table = pq.read_table(pa.BufferReader(content))
-        said = ledger.about(table)
-        return store.encoded(ledger.sealed(change(table, said), said)).to_pybytes()
+        said = block_files.about(table)
+        return store.encoded(block_files.sealed(change(table, said), said)).to_pybytes()
 
     return rewrite
 
@@ -147,4 +147,4 @@ def test_a_table_that_is_no_block_is_named(dataset, tmp_path):
     stray.parent.mkdir(parents=True)
     stray.write_bytes(Path(next((dataset / "runs").rglob("*.parquet"))).read_bytes())
     with pytest.raises(UserError, match=r"mine.parquet: is no block"):
-        ledger.present(store.target(tmp_path))
+        block_files.present(store.target(tmp_path))

@@ -2,9 +2,9 @@
 
 import pytest
 
-from pcbench import limits
 from pcbench.errors import UserError
-from pcbench.sampling import Clock
+from pcbench.simulation.schedule.shared import Clock
+from pcbench.study import limits
 
 
 def test_a_horizon_has_at_most_so_many_ticks_and_at_least_two():

@@ -7,7 +7,7 @@ from scipy import signal
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.own_plant import Lti
+from pcbench.study.lti import Lti
 
 MOTOR = {
     "A": [[0.0, 1.0, 0.0], [0.0, -0.1, 2.0], [0.0, -0.5, -20.0]],

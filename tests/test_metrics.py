@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench import metrics
 from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import metrics
 
 SCENARIO, SEED, TAIL = "cart/gaussian-fast", 5, 3000
 NAMES = ["pccebo", "kfbo", "dkf", "open-loop"]

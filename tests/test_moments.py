@@ -9,8 +9,8 @@ from harness import CART, ODD, Case, noise, trace
 from reference import cart, linear, moments
 
 import pcbench
+from pcbench.dynamics import linear as synthesis
 from pcbench.scenarios import SCENARIOS
-from pcbench.synthesis import linear as synthesis
 from pcbench.synthesis import riccati
 
 OBSERVED = ["pccebo", "kfbo", "dkf"]

@@ -9,8 +9,9 @@ import pytest
 from harness import ODD, SLOTS, Case, problem, recorder
 from scipy.linalg import expm
 
-from pcbench import machine, sampling
-from pcbench.sampling import Clock
+from pcbench.machine import process
+from pcbench.simulation.schedule import shared
+from pcbench.simulation.schedule.shared import Clock
 
 INITIAL, MEASUREMENT, PROCESS = 0, 1, 5  # numbers of streams
 SEED, LATE, EVERY = 5, 37, 20
@@ -30,11 +31,11 @@ def drawn(draw, stream, channel, index, *shape):
 def run():
     """One run with all of it, and its inputs; measuring began before tick 0."""
     layout, p = problem(CASE, {"open-loop": {}})
-    found = sampling.samples([Clock((0, 1), EVERY, LATE, early=True)], CASE.ticks)
-    plan = sampling.pad_slots(sampling.schedule(found, CASE.ticks, 2), SLOTS)
+    found = shared.samples([Clock((0, 1), EVERY, LATE, early=True)], CASE.ticks)
+    plan = shared.pad_slots(shared.schedule(found, CASE.ticks, 2), SLOTS)
     p = p._replace(schedule=plan, process_std=STD, spread0=ROOT, scatter=SCATTER)
     layout = layout._replace(random_start=True, scattered=True)
-    with machine.float64():
+    with process.float64():
         return jax.tree.map(np.asarray, recorder()(layout, p, np.asarray(0), np.asarray(SEED))), p
 
 

@@ -1,6 +1,6 @@
 """Lanes on schedules of their own: each gets its own samples, has the reference's numbers, and the same bits among any others.
 
-Of forty lanes sixteen are taken out at once here (`own_events.CHUNK`), so events of one tick come in up to three parts.
+Of forty lanes sixteen are taken out at once here (`events_per_lane.CHUNK`), so events of one tick come in up to three parts.
 """
 
 from functools import cache, partial
@@ -13,35 +13,36 @@ from harness import CART, LINEAR, Case, inputs, problem, setting, starts
 from reference import irregular as reference
 from reference import linear as by_hand
 
-from pcbench import draws, ensemble, irregular, own_events, rollout, simulation
 from pcbench.observers import OBSERVERS
-from pcbench.sampling import NEVER, Clock
-from pcbench.types import Observer, Plant
+from pcbench.protocols import Observer, Plant
+from pcbench.simulation import batch, draws, events_per_lane, loop, steps
+from pcbench.simulation.schedule import per_lane
+from pcbench.simulation.schedule.shared import NEVER, Clock
 
 WIDE = 40
 QUICK = {"xla_backend_optimization_level": 0}  # where numbers come out whole: compiled several times as fast
-CLOCK_TIMES = jax.jit(irregular.clock_times, compiler_options=QUICK)
-TIMES = irregular.times
+CLOCK_TIMES = jax.jit(per_lane.clock_times, compiler_options=QUICK)
+TIMES = per_lane.times
 
 
 @pytest.fixture(scope="module", autouse=True)
 def small_chunks():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(own_events, "CHUNK", 16)
+        patch.setattr(events_per_lane, "CHUNK", 16)
         yield
 
 
 def times_of(clocks, ticks, channels, error):
     """One shape for every period."""
-    return irregular.padded(TIMES(clocks, ticks, channels, error), ticks + 20)
+    return per_lane.padded(TIMES(clocks, ticks, channels, error), ticks + 20)
 
 
 def samples_of(clocks, ticks, channels, seed):
-    """`irregular.realised`, compiled once."""
+    """`per_lane.realised`, compiled once."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(irregular, "times", times_of)
-        patch.setattr(irregular, "clock_times", CLOCK_TIMES)
-        return irregular.realised(clocks, ticks, channels, 0, seed)
+        patch.setattr(per_lane, "times", times_of)
+        patch.setattr(per_lane, "clock_times", CLOCK_TIMES)
+        return per_lane.realised(clocks, ticks, channels, 0, seed)
 
 
 # an observer that keeps accounts
@@ -122,8 +123,8 @@ def expected(clocks, ticks, error, seed):
 
 @cache
 def spying(width):
-    layout = rollout.Layout(CLOCKWORK, (("spy", SPY),), width, 128, False, False)
-    run = lambda p, seeds: simulation.simulate(layout, p, jnp.asarray(0), seeds).final["spy"]  # noqa: E731
+    layout = steps.Layout(CLOCKWORK, (("spy", SPY),), width, 128, False, False)
+    run = lambda p, seeds: loop.simulate(layout, p, jnp.asarray(0), seeds).final["spy"]  # noqa: E731
     return jax.jit(run, compiler_options=QUICK)
 
 
@@ -134,9 +135,9 @@ def test_every_run_is_delivered_exactly_its_own_samples(width, name, error):
     ticks, clocks = 90, PAIRS[name]
     if error < 0:  # no age may fall below 0
         clocks = [clock._replace(delay=(clock.delay or 0) + 1) for clock in clocks]
-    assert irregular.room(clocks, ticks, error) <= 128
+    assert per_lane.room(clocks, ticks, error) <= 128
     zero = np.zeros(STATES)
-    p = rollout.Problem(
+    p = steps.Problem(
         (), {"spy": ()}, times_of(clocks, ticks, 3, error), np.zeros((ticks + 1, 1)), np.asarray(1.0),
         zero, zero, np.eye(STATES), NOISE, zero, np.asarray(np.inf),
         np.array([[0, 30], [30, ticks - 1], [ticks - 1, ticks]]),
@@ -165,7 +166,7 @@ PROGRAMS = {2: ("pi-pco", "dkf"), 1: ("pccebo", "pi-pco")}  # devices: who runs 
 @cache
 def gains_of():
     """One design for all clocks: for their mean interval, with room for the most disorder of them."""
-    most = max(irregular.overtaking([clock], CASE.ticks) for clock in CLOCKS.values())
+    most = max(per_lane.overtaking([clock], CASE.ticks) for clock in CLOCKS.values())
     known = setting(CASE)._replace(overtaking=most)
     return {o: OBSERVERS[o].design(known, OBSERVERS[o].options(**given)).gains for o, given in OPTIONS.items()}
 
@@ -176,16 +177,16 @@ def job(clock, seeds, error=0, swap=False, **numbers):
     gains = {o: gains_of()["pco" if swap and o == "pi-pco" else o] for o in RUN}
     times = times_of([CLOCKS[clock]], CASE.ticks, 1, error)
     p = p._replace(gains=gains, schedule=times, **{k: np.asarray(v) for k, v in numbers.items()})
-    return ensemble.Job(jax.tree.map(np.asarray, p), 0, np.asarray(seeds))
+    return batch.Job(jax.tree.map(np.asarray, p), 0, np.asarray(seeds))
 
 
 def outcomes(jobs, devices, observers=None):
     """What each job leaves: by observer, streams and last error with arrays [..., L]."""
     names = observers or PROGRAMS[devices]
     each = tuple((o, OBSERVERS[o].observer) for o in names)
-    layout = rollout.Layout(LINEAR, each, WIDE, 32, False, False)
+    layout = steps.Layout(LINEAR, each, WIDE, 32, False, False)
     jobs = [j._replace(problem=j.problem._replace(gains={o: j.problem.gains[o] for o in names})) for j in jobs]
-    done = ensemble.run(layout, jobs, devices)
+    done = batch.run(layout, jobs, devices)
     return [{o: (out.streams[o], out.final[o]) for o in names} for _, out in done]
 
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from pcbench import study_file
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
+from pcbench.study import read
 
 PLANT = {
     "A": [[-1.0, 2.0], [0.0, -0.5]],
@@ -17,7 +17,7 @@ PLANT = {
 
 
 def scenario(**changes):
-    made = study_file.parse({"name": "own", "lti": PLANT | changes}, "own")
+    made = read.parse({"name": "own", "lti": PLANT | changes}, "own")
     return made.lti.scenario("lti", "own: lti")
 
 

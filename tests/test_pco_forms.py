@@ -15,16 +15,17 @@ from reference import irregular as reference
 from reference import linear
 from scipy.linalg import solve_discrete_lyapunov
 
-from pcbench import sampling, simulation
 from pcbench.errors import DesignError
 from pcbench.observers import OBSERVERS, pco
-from pcbench.observers.free_response import Motion, Point
-from pcbench.observers.in_order import Sample
-from pcbench.sampling import NEVER, Clock
+from pcbench.observers.parts.prediction import Motion, Point
+from pcbench.observers.parts.reordering import Sample
+from pcbench.simulation import loop
+from pcbench.simulation.schedule import shared
+from pcbench.simulation.schedule.shared import NEVER, Clock
 from pcbench.synthesis import reduced_order
 
 SCHEDULES = {  # ticks: intervals in turn; the least and the largest age (None: one interval); the share that is lost
-    "sine": ([sampling.interval(Clock((0,), 60, None, "sine"), i) for i in range(1, 20)], None, 0.0),
+    "sine": ([shared.interval(Clock((0,), 60, None, "sine"), i) for i in range(1, 20)], None, 0.0),
     "any intervals": ([33, 89, 41, 60, 77, 30, 52], None, 0.0),
     "one age": ([70, 25, 40], (80, 80), 0.0),
     "jitter and loss": ([50, 31, 69, 48], (40, 60), 0.4),
@@ -67,10 +68,10 @@ def run(plant, schedule):
     """The case, pcbench's recording of pco and pi-pco, and the reference's samples."""
     case = case_of(plant)
     q, times = len(case.model.C), times_of(schedule, case.ticks)
-    found = [sampling.Sample(j, i, a, NEVER if b is None else b) for i, (a, b) in enumerate(times) for j in range(q)]
+    found = [shared.Sample(j, i, a, NEVER if b is None else b) for i, (a, b) in enumerate(times) for j in range(q)]
     layout, p = problem(case, {})
     layout = layout._replace(observers=tuple((name, OBSERVERS[name].observer) for name in GIVEN[plant]))
-    plan = sampling.pad_slots(sampling.schedule(found, case.ticks, q), SLOTS)
+    plan = shared.pad_slots(shared.schedule(found, case.ticks, q), SLOTS)
     p = p._replace(schedule=plan, gains=found_gains(plant))
     got = recorder()(layout, jax.tree.map(np.asarray, p), np.asarray(0), np.asarray(case.seed))
     model = linear.Model(case.model.A, case.model.B, case.model.C, case.h)
@@ -226,7 +227,7 @@ def test_the_closed_form_is_what_many_runs_leave():
     """Position on the cart over intervals of 0.2 s, start known: within four standard errors of 1024 runs."""
     case = Case(CART, 20, 20, ticks=3000, h=0.01, noise_std=0.3, x0=[5.0, 10.0], xhat0=[5.0, 10.0])
     layout, p = problem(case, GIVEN["cart"])
-    run = jax.jit(simulation.simulate, static_argnums=0)
+    run = jax.jit(loop.simulate, static_argnums=0)
     out = run(layout._replace(width=1024), p, jnp.asarray(0), jnp.arange(1024))
     for name, want in (("pco", 1 / 3), ("pi-pco", 14 / 31)):  # F = 0.5, k = 0.1
         square = np.asarray(out.streams[name].square)[1:, 0].sum(0) / (case.ticks - case.ticks // 2) / case.noise_std**2

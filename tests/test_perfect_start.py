@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcbench.observers import OBSERVERS
-from pcbench.types import Plant
+from pcbench.protocols import Plant
 
 KNOWING = {name: {} for name, entry in OBSERVERS.items() if entry.knows_schedule and name not in ELSEWHERE}
 del KNOWING[

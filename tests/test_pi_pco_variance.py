@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from pcbench import machine
+from pcbench.machine import process
 from pcbench.reproduce import pi_pco
 
 
 @pytest.fixture(scope="module")
 def found():
-    with machine.float64():
+    with process.float64():
         return list(pi_pco.monte_carlo(pi_pco.GRID, 1024))
 
 
@@ -28,7 +28,7 @@ def test_the_sign_of_the_integrals_effect_changes_where_the_theorem_says(found):
 
 
 def test_the_printed_ordering_holds_for_an_amplifying_gain_only():
-    with machine.float64():
+    with process.float64():
         claims = pi_pco._ordering()
     assert [c.verdict for c in claims] == ["does not hold", "does not hold", "reproduced", "does not hold"]
 

@@ -6,11 +6,11 @@ from reference import chain, linear, moments
 
 import pcbench
 from pcbench import planning
-from pcbench.cells import Cell
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import Choices
+from pcbench.study.cells import Cell
 
 
 def cell(name, parameters=None, **changes):

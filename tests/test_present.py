@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pcbench import actuator
-from pcbench.problem import Problem, present
+from pcbench.simulation import actuator
+from pcbench.simulation.problem import Problem, present
 
 INPUTS = np.array([[3.0, -1.0], [4.0, -1.5], [5.0, 9.0], [2.0, 6.0], [-7.0, 8.0]])
 

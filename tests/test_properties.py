@@ -6,8 +6,8 @@ from harness import CART, ELSEWHERE, ODD, Case, inputs, noise, setting, starts, 
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pcbench.dynamics import linear
 from pcbench.observers import OBSERVERS
-from pcbench.synthesis import linear
 
 
 @settings(max_examples=10)

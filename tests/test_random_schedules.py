@@ -15,31 +15,33 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pcbench import axes, draws, irregular, sampling
 from pcbench.errors import UserError
-from pcbench.sampling import NEVER, Clock, Sample
 from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import draws
+from pcbench.simulation.schedule import per_lane, shared
+from pcbench.simulation.schedule.shared import NEVER, Clock, Sample
+from pcbench.study import axes
 
 ROOM = 128  # samples a clock: one shape for every example
 SEEDS = 8
 LONGEST = 100  # ticks
 QUICK = {"xla_backend_optimization_level": 0}  # whole numbers come out the same, compiled five times as fast
-AGENDA = jax.jit(irregular.agenda, compiler_options=QUICK)
-CLOCK_TIMES = jax.jit(irregular.clock_times, compiler_options=QUICK)
-TIMES = irregular.times
+AGENDA = jax.jit(per_lane.agenda, compiler_options=QUICK)
+CLOCK_TIMES = jax.jit(per_lane.clock_times, compiler_options=QUICK)
+TIMES = per_lane.times
 
 
 def roomy(*given):
-    """`irregular.times` in one shape for every horizon and period; that it changes nothing is tested below."""
-    return irregular.padded(TIMES(*given), ROOM + 1)
+    """`per_lane.times` in one shape for every horizon and period; that it changes nothing is tested below."""
+    return per_lane.padded(TIMES(*given), ROOM + 1)
 
 
 def realised(clocks, ticks, seed, root=0, times=roomy):
-    """`irregular.realised`, compiled once for each number of clocks and channels."""
+    """`per_lane.realised`, compiled once for each number of clocks and channels."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(irregular, "times", times)
-        patch.setattr(irregular, "clock_times", CLOCK_TIMES)
-        return irregular.realised(clocks, ticks, width(clocks), root, seed)
+        patch.setattr(per_lane, "times", times)
+        patch.setattr(per_lane, "clock_times", CLOCK_TIMES)
+        return per_lane.realised(clocks, ticks, width(clocks), root, seed)
 
 
 def width(clocks):
@@ -66,7 +68,7 @@ def shortest(clock):
     if isinstance(clock.profile, tuple):
         return min(clock.profile)
     if clock.profile == "sine":
-        return min(sampling.interval(clock, i) for i in range(1, ROOM + 1))
+        return min(shared.interval(clock, i) for i in range(1, ROOM + 1))
     return max(1, (clock.period + 1) // 2) if clock.profile == "uniform" else clock.period
 
 
@@ -148,7 +150,7 @@ def test_a_runs_samples_are_those_its_draws_say(clocks, ticks, root, seed):
 def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(data, clocks, ticks, seed):
     q, error = width(clocks), misjudged(data, clocks)
     found = every_sample(clocks, ticks, 0, seed)
-    plan = sampling.schedule(realised(clocks, ticks, seed), ticks, q, error)
+    plan = shared.schedule(realised(clocks, ticks, seed), ticks, q, error)
     instants = sorted({s.taken for s in found})
     coming = {(s.arrives, s.taken) for s in found if s.arrives <= ticks}
     slots = plan.arrive.shape[1]
@@ -181,7 +183,7 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
 
 
 def packets(clocks, ticks, seed):
-    """(taken, clock, number, arrives) of every packet of a run, as `irregular` counts them: one for each clock."""
+    """(taken, clock, number, arrives) of every packet of a run, as `per_lane` counts them: one for each clock."""
     each = [
         (c, i, *times) for c, clock in enumerate(clocks) for i, times in enumerate(one_clock(clock, ticks, 0, seed))
     ]
@@ -193,10 +195,10 @@ def packets(clocks, ticks, seed):
 @example(clocks=[Clock((0,), 20, None, (20, 20, 3), 1)], ticks=39, seed=2)  # the third is taken at 39, not at 40
 def test_intervals_and_ages_are_whole_ticks_in_the_ranges_that_are_claimed(clocks, ticks, seed):
     for clock in clocks:
-        claimed = sampling.intervals(clock, ticks)
+        claimed = shared.intervals(clock, ticks)
         assert claimed == sorted(set(claimed))
         assert claimed[0] >= 1
-        least, most = sampling.ages(clock, ticks)
+        least, most = shared.ages(clock, ticks)
         found = one_clock(clock, ticks, 0, seed)
         beyond = one_clock(clock, ticks + 100, 0, seed)
         assert {b - a for (a, _), (b, _) in pairwise(beyond) if a <= ticks} <= set(claimed)
@@ -220,9 +222,9 @@ def test_every_claimed_interval_and_both_ends_of_the_ages_occur(clock):
     ticks = LONGEST if clock.random else 3 * LONGEST
     runs = [one_clock(clock, ticks, 0, seed) for seed in range(40)]
     gaps = {b - a for run in runs for (a, _), (b, _) in pairwise(run)}
-    assert gaps == set(sampling.intervals(clock, ticks))
+    assert gaps == set(shared.intervals(clock, ticks))
     ages = {arrives - taken for run in runs for taken, arrives in run if arrives < NEVER}
-    assert (min(ages), max(ages)) == sampling.ages(clock, ticks)
+    assert (min(ages), max(ages)) == shared.ages(clock, ticks)
 
 
 @settings(max_examples=60)
@@ -230,9 +232,9 @@ def test_every_claimed_interval_and_both_ends_of_the_ages_occur(clock):
 def test_overtaking_is_counted_and_never_more_than_is_claimed_beforehand(clocks, ticks, seed):
     found = every_sample(clocks, ticks, 0, seed)
     arriving = {(s.taken, s.arrives) for s in found if s.arrives < NEVER}
-    assert sampling.overtaking(found) == most_ahead(arriving)
+    assert shared.overtaking(found) == most_ahead(arriving)
     each = [(taken, arrives) for taken, _, _, arrives in packets(clocks, ticks, seed) if arrives <= ticks]
-    assert most_ahead(each) <= irregular.overtaking(clocks, ticks)
+    assert most_ahead(each) <= per_lane.overtaking(clocks, ticks)
 
 
 def most_ahead(times):
@@ -265,7 +267,7 @@ def test_no_packet_is_overwritten_in_the_room_that_is_claimed_beforehand(data, c
     error = misjudged(data, clocks)
     noted = packets(clocks, ticks + max(error, 0), seed)
     rows = [(a, b) for a, c, _, b in noted if a <= ticks or clocks[c].profile == "uniform"]
-    assert not overwritten(rows, irregular.room(clocks, ticks, error), ticks, error)
+    assert not overwritten(rows, per_lane.room(clocks, ticks, error), ticks, error)
 
 
 @pytest.mark.parametrize(
@@ -279,13 +281,13 @@ def test_no_packet_is_overwritten_in_the_room_that_is_claimed_beforehand(data, c
 )
 def test_the_overtaking_that_is_claimed_beforehand_occurs(clocks, most):
     runs = [[(a, b) for a, _, _, b in packets(clocks, LONGEST, seed)] for seed in range(40)]
-    assert max(map(most_ahead, runs)) == irregular.overtaking(clocks, LONGEST) == most
+    assert max(map(most_ahead, runs)) == per_lane.overtaking(clocks, LONGEST) == most
 
 
 @pytest.mark.parametrize("error", [0, 9])
 def test_the_room_that_is_claimed_beforehand_is_needed(error):
     clock = Clock((0,), 4, 2, "periodic", 0, 13)
-    room = irregular.room([clock], LONGEST, error)
+    room = per_lane.room([clock], LONGEST, error)
     runs = [[(a, b) for a, _, _, b in packets([clock], LONGEST, seed)] for seed in range(40)]
     assert any(overwritten(rows, room - 1, LONGEST, error) for rows in runs)
     assert not any(overwritten(rows, room, LONGEST, error) for rows in runs)
@@ -295,8 +297,8 @@ def test_the_room_that_is_claimed_beforehand_is_needed(error):
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_a_schedule_says_the_least_room_in_which_no_packet_is_overwritten(data, clocks, ticks, seed):
     error, q = misjudged(data, clocks), width(clocks)
-    plan = sampling.schedule(every_sample(clocks, ticks, 0, seed), ticks, q, error)
-    size = sampling.in_flight(plan)
+    plan = shared.schedule(every_sample(clocks, ticks, 0, seed), ticks, q, error)
+    size = shared.in_flight(plan)
     assert not loses_a_packet(plan, size)
     assert size == 1 or loses_a_packet(plan, size - 1)
 

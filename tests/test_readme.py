@@ -11,10 +11,10 @@ from commands import call
 from harness import CART, Case, trace
 
 import pcbench
-from pcbench import cells, study_file
 from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
 from pcbench.statistics import wording
+from pcbench.study import cells, read
 
 RANKED = "scenario == 'cart/white' and signal == 'position' and metric == 'tail_rmse'"
 ROOT = Path(__file__).parent.parent
@@ -38,7 +38,7 @@ def test_the_study_runs_as_written(tmp_path):
     (text,) = [b for b in blocks("toml") if "noise-map" in b]
     path = tmp_path / "noise-map.toml"
     path.write_text(text)
-    found = study_file.load(str(path))
+    found = read.load(str(path))
     assert len(pcbench.run(str(path), seeds=2).stats.cell.unique()) == 16
     assert len(cells.cells(found, "cart/gaussian")) == 16
     assert tomllib.loads(text)["name"] == "noise-map"

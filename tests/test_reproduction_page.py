@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 from commands import call
 
-from pcbench import machine
-from pcbench.reproduce import PAPERS, arm_gains, cart_print, chain_design, pi_pco_print
+from pcbench.machine import process
+from pcbench.reproduce import PAPERS, arm_gains, cart_theorem, chain_design, pi_pco_equations
 from pcbench.reproduce.claim import FINDING, VERDICTS, Claim, counts, digits, rounds_to, statement
 from pcbench.reproduce.page import _cell, page
 
@@ -52,11 +52,11 @@ def test_the_pages_counts_are_those_of_its_rows():
 
 def test_what_is_quickly_computed_stands_in_the_page_as_it_comes_out():
     there = parts(PAGE.read_text())
-    with machine.float64():
+    with process.float64():
         quick = {
-            "cart": cart_print.theorem(),
+            "cart": cart_theorem.theorem(),
             "chain": chain_design.claims(),
-            "pi-pco": pi_pco_print.claims(),
+            "pi-pco": pi_pco_equations.claims(),
             "arm": arm_gains._printed_parts(),
         }
     for paper, rows in quick.items():

@@ -12,8 +12,11 @@ from chains import DELAYS, SLOW, START
 from reference import chain as ref
 
 import pcbench
-from pcbench import machine, planning, recording, study_file
+from pcbench import planning
+from pcbench.machine import process
 from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import trace
+from pcbench.study import read
 
 NAMES = ["volume", "enthalpy", "jacket_temperature"]
 TANK, ZERO = ref.csth("10s"), np.zeros(3)
@@ -45,9 +48,9 @@ def recorded():
         "axes": axes,
         "observers": [*LABELS, "chain"],
     }
-    with machine.float64():
-        cells = planning.plan(study_file.parse(raw, "rivals"))
-        runs = [recording.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)) for p in cells]
+    with process.float64():
+        cells = planning.plan(read.parse(raw, "rivals"))
+        runs = [trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)) for p in cells]
     found = [jax.tree.map(np.asarray, run.estimates) for run in runs]
     return {tuple(d): (p.problem.inputs, run) for d, p, run in zip(VECTORS, cells, found, strict=True)}
 

@@ -7,7 +7,7 @@ from scipy.linalg import expm, solve_discrete_are
 
 from pcbench.errors import DesignError, UserError
 from pcbench.observers import OBSERVERS
-from pcbench.synthesis import common_lyapunov, current_estimator, current_gains, promises, ranges, robust, solvers
+from pcbench.synthesis import common_lyapunov, current_estimator, current_gains, error_bounds, ranges, robust, solvers
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.ranges import Maps
 
@@ -254,7 +254,7 @@ def test_the_fastest_decay_over_a_range_leaves_little_to_gain():
     t = robust.Task(maps, ODD.C, 0.09 * np.eye(2), np.eye(3), np.ones(3))
     found, proof = robust.design(t, "decay", None, "test")
     assert proof.rate > 0.5
-    F = promises.errors(np.asarray(found.L), ODD.C, maps.Phi)
+    F = error_bounds.errors(np.asarray(found.L), ODD.C, maps.Phi)
     assert proof.rate <= (-np.log(np.abs(np.linalg.eigvals(F)).max(1)) / maps.seconds).min() * (1 + 1e-9)
     with pytest.raises(DesignError):
         robust.design(t, "decay", 1.1 * proof.rate, "test", solvers.SOLVERS[:1])

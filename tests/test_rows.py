@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pcbench
-from pcbench import running, tables
+from pcbench.dataset import columns, run_study
 from pcbench.errors import UserError
 from pcbench.statistics import RUN_METRICS
 
@@ -23,7 +23,7 @@ def results():
 
 def test_a_row_is_of_one_seed_and_one_signal():
     found, given = (
-        tables.runs_table({"study": "t", "scenario": "s", "cell": 4}, results(), SEEDS, SIGNALS, True),
+        columns.runs_table({"study": "t", "scenario": "s", "cell": 4}, results(), SEEDS, SIGNALS, True),
         results(),
     )
     rows = found.to_pylist()
@@ -48,7 +48,7 @@ def test_a_row_is_of_one_seed_and_one_signal():
      ("unsettled", "1"), ("final", "N m")],
 )  # fmt: skip
 def test_a_metric_has_its_unit(metric, unit):
-    assert tables.unit_of(metric, "N m") == unit
+    assert columns.unit_of(metric, "N m") == unit
 
 
 def test_runs_stand_by_seed_with_their_signals_in_the_order_of_the_plant():
@@ -64,4 +64,4 @@ def test_runs_stand_by_seed_with_their_signals_in_the_order_of_the_plant():
 )  # fmt: skip
 def test_how_a_study_is_run_is_checked_before_any_work(how, sentence):
     with pytest.raises(UserError, match=sentence):
-        running.How(**how).checked()
+        run_study.How(**how).checked()

@@ -15,12 +15,14 @@ from hypothesis import strategies as st
 from reference import unknown_input as ui
 
 import pcbench
-from pcbench import draws, planning, recording, shapes, sweep
-from pcbench.cells import Cell
+from pcbench import planning
 from pcbench.observers import entry_of
+from pcbench.planning import in_memory, padding
 from pcbench.scenarios import SCENARIOS
-from pcbench.signals import SIGNALS
+from pcbench.scenarios.signals import SIGNALS
+from pcbench.simulation import draws, trace
 from pcbench.study import Choices, Study
+from pcbench.study.cells import Cell
 
 OBSERVERS = ("smo", "pio", "dkf")
 FINDERS = {"smo": ui.SMO, "pio": ui.PIO}
@@ -44,14 +46,14 @@ def planned(te, d, option=None, others=None, **changes):
 
 @cache
 def layout():
-    (p,) = shapes.fit([planned(1, 400, drift=0.05)])
+    (p,) = padding.fit([planned(1, 400, drift=0.05)])
     return p.layout
 
 
 def recorded(p, seed=0):
     """One run, arrays [N+1, ...]."""
     problem = jax.tree.map(np.asarray, p.problem)
-    return jax.tree.map(np.asarray, recording.compiled()(layout(), problem, np.asarray(0), np.asarray(seed)))
+    return jax.tree.map(np.asarray, trace.compiled()(layout(), problem, np.asarray(0), np.asarray(seed)))
 
 
 @cache
@@ -137,8 +139,8 @@ def test_a_drifting_arm_is_the_references_and_all_observers_see_its_samples(seed
 def test_runs_that_drift_are_their_traces():
     """Each lane has its own drift and noise: what the tables say of a seed is what its trace shows. Compiles for 15 s."""
     p = planned(20, 40, drift=0.05, noise_std=(1e-3, 1e-3))
-    (fitted,) = shapes.fit([p])
-    (done,) = sweep.execute(Study(name="drift", scenarios=["arm/sampled"]), [fitted], np.array([3, 0, 4]))
+    (fitted,) = padding.fit([p])
+    (done,) = in_memory.execute(Study(name="drift", scenarios=["arm/sampled"]), [fitted], np.array([3, 0, 4]))
     for column, seed in enumerate([3, 0, 4]):
         got = recorded(p, seed)
         for name in OBSERVERS:

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcbench import sampling
-from pcbench.sampling import Sample, in_flight, pad_slots, periodic, schedule
+from pcbench.simulation.schedule import shared
+from pcbench.simulation.schedule.shared import Sample, in_flight, pad_slots, periodic, schedule
 
 channels = st.integers(1, 3)
 
@@ -111,22 +111,22 @@ def test_padding_adds_only_empty_slots():
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
-    fast, slow = sampling.at_every_tick(50, channels), sampling.periodic([1] * channels, [0] * channels, 50)
+    fast, slow = shared.at_every_tick(50, channels), shared.periodic([1] * channels, [0] * channels, 50)
     for name, a, b in zip(fast._fields, fast, slow, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name)
         assert a.dtype == b.dtype, name
-    assert sampling.in_flight(slow) == 1
+    assert shared.in_flight(slow) == 1
 
 
 def test_intervals_in_turn_come_in_their_turn_and_a_sine_as_it_swings():
-    turn, sine = sampling.Clock((0,), 9, 3, (5, 8, 6)), sampling.Clock((0,), 20, 3, "sine")
-    assert sampling.instants(turn, 40) == [0, 5, 13, 19, 24, 32, 38, 43]
+    turn, sine = shared.Clock((0,), 9, 3, (5, 8, 6)), shared.Clock((0,), 20, 3, "sine")
+    assert shared.instants(turn, 40) == [0, 5, 13, 19, 24, 32, 38, 43]
     intervals = [round(20 * (1 + 0.5 * np.sin(0.6 * i))) for i in range(1, 6)]
-    assert sampling.instants(sine, 200)[:6] == [0, *np.cumsum(intervals)]
-    assert sampling.intervals(turn, 40) == [5, 6, 8]
+    assert shared.instants(sine, 200)[:6] == [0, *np.cumsum(intervals)]
+    assert shared.intervals(turn, 40) == [5, 6, 8]
 
 
 @pytest.mark.parametrize("period", [1, 7, 50, 80])
 def test_intervals_of_a_periodic_clock_are_its_period(period):
-    clock = sampling.Clock((0,), period, 3)
-    assert sampling.intervals(clock, 50) == sorted(set(np.diff(sampling.instants(clock, 50)).tolist()))
+    clock = shared.Clock((0,), period, 3)
+    assert shared.intervals(clock, 50) == sorted(set(np.diff(shared.instants(clock, 50)).tolist()))

@@ -5,7 +5,7 @@ import json
 
 import pytest
 
-from pcbench import errors, quoting
+from pcbench import errors
 from pcbench.errors import UserError
 
 
@@ -38,11 +38,11 @@ def test_the_line_that_is_quoted_is_the_one_that_raised():
     with pytest.raises(ZeroDivisionError) as caught:
         inner()
     line = inspect.getsourcelines(inner)[1] + 1
-    assert quoting.raised(caught.value) == f"ZeroDivisionError: by nothing, test_sentences.py line {line}"
+    assert errors.raised(caught.value) == f"ZeroDivisionError: by nothing, test_sentences.py line {line}"
 
 
 def test_lines_of_libraries_are_not_the_users():
     with pytest.raises(ValueError, match="Expecting") as caught:
         json.loads("{")
     assert "decoder.py" in str(caught.traceback[-1].path), "it was raised there"
-    assert quoting.line_of(caught.value).startswith("test_sentences.py line ")
+    assert errors.line_of(caught.value).startswith("test_sentences.py line ")

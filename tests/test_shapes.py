@@ -4,16 +4,19 @@ import jax
 import numpy as np
 import pytest
 
-from pcbench import irregular, machine, planning, sampling, shapes, study_file
-from pcbench.cells import Cell
+from pcbench import planning
+from pcbench.machine import process
+from pcbench.planning import padding
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import Choices
+from pcbench.simulation.schedule import per_lane, shared
+from pcbench.study import Choices, read
+from pcbench.study.cells import Cell
 
 
 def drafts(axes, observers=("pccebo", "dkf"), scenario="cart/white"):
     raw = {"name": "t", "scenarios": [scenario], "observers": list(observers), "axes": axes}
-    study = study_file.parse(raw, "t")
-    with machine.float64():
+    study = read.parse(raw, "t")
+    with process.float64():
         return list(planning.drafts(study, planning.cells_of(study)))
 
 
@@ -28,10 +31,10 @@ def drafts(axes, observers=("pccebo", "dkf"), scenario="cart/white"):
 )
 def test_every_cell_of_a_study_has_room_for_its_own_packets_and_the_shape_of_all(axes):
     before = drafts(axes, ("dkf", "open-loop"))
-    after = shapes.fit(before)
+    after = padding.fit(before)
     assert len({(p.layout, *map(np.shape, jax.tree.leaves(p.problem))) for p in after}) == 1
     for small, p in zip(before, after, strict=True):
-        assert p.layout.ring >= sampling.in_flight(p.problem.schedule)
+        assert p.layout.ring >= shared.in_flight(p.problem.schedule)
         slots = small.problem.schedule.arrive.shape[1]
         np.testing.assert_array_equal(p.problem.schedule.arrive[:, :slots], small.problem.schedule.arrive)
         assert (p.problem.schedule.arrive[:, slots:] == -1).all()
@@ -41,27 +44,27 @@ def test_every_cell_of_a_study_has_room_for_its_own_packets_and_the_shape_of_all
 
 def test_cells_whose_runs_have_times_of_their_own_have_room_for_the_most_samples():
     before = drafts({"loss": [0.1], "sampling_period": [0.1, 0.4], "delay_jitter": [0.0, 0.3]}, ("open-loop",))
-    after = shapes.fit(before)
+    after = padding.fit(before)
     assert len({p.problem.schedule.due.shape for p in after}) == 1
     for small, p in zip(before, after, strict=True):
         many = small.problem.schedule.due.shape[1]
         np.testing.assert_array_equal(p.problem.schedule.due[:, :many], small.problem.schedule.due)
-        assert (p.problem.schedule.due[:, many:] == sampling.NEVER).all()
-        assert p.layout.ring >= irregular.room(planning.axes.clocks(p.cell.scenario), shapes.ticks(p.cell), 0)
+        assert (p.problem.schedule.due[:, many:] == shared.NEVER).all()
+        assert p.layout.ring >= per_lane.room(planning.axes.clocks(p.cell.scenario), padding.ticks(p.cell), 0)
 
 
 def test_falls_of_an_unknown_input_that_fill_a_list_never_come():
     """A square falls or rises every second, a sine never: in the tail from 1 s on, at 1, 2 and 3 s."""
     arm = SCENARIOS["arm/sampled"]._replace(horizon=3.5, tail=1.0, input="zero")
     cells = [Cell(arm._replace(unknown_input=name), 0, {}, {}, Choices()) for name in ("square", "arm-sine")]
-    square, sine = shapes.fit([planning.draft(cell, {}) for cell in cells])
+    square, sine = padding.fit([planning.draft(cell, {}) for cell in cells])
     assert square.problem.jumps.tolist() == [2000, 4000, 6000]
-    assert sine.problem.jumps.tolist() == [sampling.NEVER] * 3
+    assert sine.problem.jumps.tolist() == [shared.NEVER] * 3
 
 
 def test_room_is_the_larger_of_each():
-    a = shapes.Room(1, 20, 3, 4, 50, 6, 7, ((("cart", 0), 1), (("arm", 1), 9)))
-    b = shapes.Room(2, 10, 8, 1, 60, 5, 0, ((("cart", 0), 5),))
-    for one in (shapes.larger(a, b), shapes.larger(b, a)):
+    a = padding.Room(1, 20, 3, 4, 50, 6, 7, ((("cart", 0), 1), (("arm", 1), 9)))
+    b = padding.Room(2, 10, 8, 1, 60, 5, 0, ((("cart", 0), 5),))
+    for one in (padding.larger(a, b), padding.larger(b, a)):
         assert one[:-1] == (2, 20, 8, 4, 60, 6, 7)
         assert dict(one.rows) == {("cart", 0): 5, ("arm", 1): 9}

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pcbench import signals
+from pcbench.scenarios import signals
 
 T = np.array([0.0, 0.3, 1.0, 1.2, 2.5, 4.1])
 

@@ -11,8 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pcbench import actuator, draws, machine, metrics, rollout, sampling, simulation
-from pcbench.types import Controller, Observer, Plant
+from pcbench.machine import process
+from pcbench.protocols import Controller, Observer, Plant
+from pcbench.simulation import actuator, draws, loop, metrics, steps
+from pcbench.simulation.schedule import shared
 
 DT, N, TAIL, EVERY, LATE, BACK = 0.1, 60, 25, 4, 3, 16
 AGE = 2.3  # ticks that a command is on its way
@@ -62,14 +64,14 @@ def late(t):
 def outcome():
     """What the three runs leave, arrays [..., 3]."""
     law = Law(K, path(np.arange(-BACK, N + 1)))
-    p = rollout.Problem(
-        (), {"o": L}, sampling.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
+    p = steps.Problem(
+        (), {"o": L}, shared.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([NOISE]), BAND, BOUND, np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]), control=law,
         line=actuator.line(late, DT, BACK, N + 4),
     )  # fmt: skip
-    layout = rollout.Layout(PLANT, (("o", OBSERVER),), 3, 4, True, controller=CONTROLLER, commands=BACK)
-    with machine.float64():
-        run = jax.jit(lambda p, seeds: simulation.simulate(layout, p, jnp.asarray(0), seeds))
+    layout = steps.Layout(PLANT, (("o", OBSERVER),), 3, 4, True, controller=CONTROLLER, commands=BACK)
+    with process.float64():
+        run = jax.jit(lambda p, seeds: loop.simulate(layout, p, jnp.asarray(0), seeds))
         return jax.tree.map(np.asarray, run(p, SEEDS))
 
 
@@ -83,7 +85,7 @@ def applied(commands, n, newest):
 
 def written_out(seed):
     """Errors and set point less state [N, ...] of one run, and when it was lost (-1: never)."""
-    with machine.float64():
+    with process.float64():
         keys = draws.run_keys(jnp.asarray(0), jnp.asarray([seed]), "initial", 2)
         start = np.asarray(draws.normals(keys, np.zeros(2, int)))[:, 0]
         noise = NOISE * np.asarray(draws.measurement_noise(0, seed, N // EVERY + 1))[0]

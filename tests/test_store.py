@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import pcbench
-from pcbench.dataset import inspection, merging, store
+from pcbench.dataset import merge, store, verify
 from pcbench.errors import UserError
 
 TABLE = pa.table({"seed": list(range(1000)), "mae": [0.1 * i for i in range(1000)]})
@@ -64,9 +64,9 @@ def test_a_study_in_a_bucket_is_that_in_a_folder(s3, tmp_path):
     there = pcbench.run(study, out=s3("far"), block=4)
     pd.testing.assert_frame_equal(here.runs, there.runs)
     pd.testing.assert_frame_equal(here.stats, there.stats)
-    assert inspection.status(s3("far")).closed
-    assert not inspection.verify(s3("far"), None, 0, lambda *a: None).differing
-    assert merging.merge([s3("far"), tmp_path / "out"], s3("both")).doubled == 6
+    assert verify.status(s3("far")).closed
+    assert not verify.verify(s3("far"), None, 0, lambda *a: None).differing
+    assert merge.merge([s3("far"), tmp_path / "out"], s3("both")).doubled == 6
 
 
 def test_equal_tables_give_equal_bytes():

@@ -8,14 +8,14 @@ import pytest
 from small_study import STUDY, rows, same, tables
 
 import pcbench
-from pcbench.dataset import blocks, executors, inspection
+from pcbench.dataset import executors, task, verify
 from pcbench.errors import UserError
 
 
 def counted(monkeypatch):
     """Count the tasks that are done from now on."""
-    done, before = [], blocks.compute
-    monkeypatch.setattr(blocks, "compute", lambda *a: done.append(a[1]) or before(*a))
+    done, before = [], task.compute
+    monkeypatch.setattr(task, "compute", lambda *a: done.append(a[1]) or before(*a))
     return done
 
 
@@ -104,7 +104,7 @@ def test_a_damaged_block_does_not_stand_when_a_study_grows_over_it(copy, tmp_pat
 def test_a_damaged_closing_table_is_made_anew(copy):
     want = tables(copy)
     (copy / "stats.parquet").write_bytes(want["stats.parquet"][:-9])
-    assert inspection.verify(copy, 0, 0, lambda *a: None).wrong
+    assert verify.verify(copy, 0, 0, lambda *a: None).wrong
     pcbench.run(STUDY, out=copy)
     assert tables(copy) == want
 
@@ -113,19 +113,19 @@ def test_more_seeds_that_never_ran_bind_nobody(copy, monkeypatch):
     def refuse(*args):
         raise UserError("disk: is full, expected room; make some.")
 
-    monkeypatch.setattr(blocks, "compute", refuse)
+    monkeypatch.setattr(task, "compute", refuse)
     with pytest.raises(UserError, match="disk"):
         pcbench.run(STUDY, out=copy, seeds=4000)
     monkeypatch.undo()
     pcbench.run(STUDY, out=copy)
-    assert inspection.status(copy).closed
+    assert verify.status(copy).closed
 
 
 def test_files_that_other_systems_leave_are_passed_over(copy):
     for name in (".DS_Store", ".nfs000001", "_SUCCESS"):
         (next((copy / "runs").rglob("cell-*")).parent / name).write_text("")
     pcbench.run(STUDY, out=copy)
-    assert inspection.status(copy).closed
+    assert verify.status(copy).closed
 
 
 def test_a_cell_has_the_same_bits_alone_and_among_others(whole, tmp_path):

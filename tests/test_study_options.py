@@ -2,13 +2,12 @@
 
 import pytest
 
-from pcbench import study_file
 from pcbench.errors import UserError
-from pcbench.study import choices_of, given, observers_of, options_of, scenarios_of
+from pcbench.study import choices_of, given, observers_of, options_of, read, scenarios_of
 
 
 def study(scenario="cart/variable", **changes):
-    return study_file.parse({"name": "t", "scenarios": [scenario]} | changes, "t")
+    return read.parse({"name": "t", "scenarios": [scenario]} | changes, "t")
 
 
 def options(made, observer):
@@ -43,16 +42,16 @@ def test_a_random_start_is_drawn_in_one_way():
 
 
 def test_changes_and_overrides_are_both_put_in():
-    made = study_file.study_of({"name": "t", "scenarios": ["cart/white"], "seeds": 5}, {"seeds": 3}, ["first_seed=7"])
+    made = read.study_of({"name": "t", "scenarios": ["cart/white"], "seeds": 5}, {"seeds": 3}, ["first_seed=7"])
     assert (made.seeds, made.first_seed) == (3, 7)
-    named = study_file.study_of("cart/white", {"seeds": 3}, ["first_seed=7", "axes.noise_std=0.5"])
+    named = read.study_of("cart/white", {"seeds": 3}, ["first_seed=7", "axes.noise_std=0.5"])
     assert (named.seeds, named.first_seed, named.axes) == (3, 7, {"noise_std": [0.5]})
 
 
 def test_one_cell_is_one_cell():
     with pytest.raises(UserError, match="got 2 cells, expected one"):
-        study_file.one_cell("cart/white", ["dkf"], ["axes.noise_std=[0.1, 0.5]"])
-    made, cell = study_file.one_cell("cart/white", ["dkf"], ["axes.noise_std=0.5"])
+        read.one_cell("cart/white", ["dkf"], ["axes.noise_std=[0.1, 0.5]"])
+    made, cell = read.one_cell("cart/white", ["dkf"], ["axes.noise_std=0.5"])
     assert (made.observers, cell.values["noise_std"]) == (["dkf"], 0.5)
 
 

@@ -9,9 +9,11 @@ from harness import CART, ODD, Case, setting
 from reference import cart as reference_cart
 from scipy.linalg import expm, solve_discrete_are
 
+from pcbench.dynamics import linear, observability
 from pcbench.errors import DesignError, UserError
+from pcbench.machine import cache
 from pcbench.observers import OBSERVERS
-from pcbench.synthesis import cache, common_lyapunov, current_estimator, linear, observability, promises, riccati
+from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, remembered, riccati
 from pcbench.synthesis.certificate import Certificate, certified
 
 PERIODS = [0.05, 0.2, 0.6, 1.0]
@@ -103,7 +105,7 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
     slow = np.array([[0.9, 5.0, 0.0], [0.0, 0.8, 3.0], [0.0, 0.0, 0.7]])
     C = np.array([[1.0, 0.0, 0.0]])
     kept = [
-        cache.remembered(
+        remembered.remembered(
             current_estimator.Solution, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C, "test")
         ).L
         for Phi in (slow, 0.9 * slow, slow)
@@ -117,7 +119,7 @@ def test_matrices_of_the_same_numbers_in_another_shape_are_another_problem(tmp_p
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
     kind, shapes = current_estimator.Solution, [(2, 3), (3, 2), (1, 6)]
     for shape in shapes:
-        found = cache.remembered(
+        found = remembered.remembered(
             kind, "shape", (np.ones(shape),), partial(kind, np.eye(2), np.ones(shape), 0.0, "", "")
         )
         assert found.L.shape == shape
@@ -212,12 +214,14 @@ def test_a_model_with_an_input_bias_moves_and_measures_as_one_under_that_much_mo
 
 def test_a_rate_is_of_seconds_and_not_of_samples():
     """A factor of e^{-0.6} a sample of 0.2 s is a decay of 3 a second."""
-    assert promises.rate_of(np.exp(-0.6), 0.2) == pytest.approx(3.0)
+    assert error_bounds.rate_of(np.exp(-0.6), 0.2) == pytest.approx(3.0)
     F = np.exp(-0.6) * np.array([[[0.0, 1.0], [-1.0, 0.0]]])
-    assert promises.rate(F, np.eye(2), np.array([0.2])) == pytest.approx(3.0)
-    assert promises.rate(F[[0, 0]], np.eye(2), np.array([0.2, 0.5])) == pytest.approx(0.6 / 0.5), "the slowest counts"
+    assert error_bounds.rate(F, np.eye(2), np.array([0.2])) == pytest.approx(3.0)
+    assert error_bounds.rate(F[[0, 0]], np.eye(2), np.array([0.2, 0.5])) == pytest.approx(0.6 / 0.5), (
+        "the slowest counts"
+    )
     with pytest.raises(UserError, match=r"expected 24 at most over intervals of 0\.5 s"):
-        promises.require_slower(25.0, np.array([0.2, 0.5]), "test")
+        error_bounds.require_slower(25.0, np.array([0.2, 0.5]), "test")
 
 
 @pytest.mark.parametrize("ticks", [1, 2, 3, 200, 600, 1000])

@@ -11,7 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import pcbench
-from pcbench import cells, study, study_file, tables
+from pcbench import study
+from pcbench.dataset import columns
+from pcbench.study import cells, read
 
 AXES = [
     "sampling_period",
@@ -67,7 +69,7 @@ def test_columns_are_the_contracts(done):
 def test_every_column_says_what_it_means_and_the_schema_its_version(done):
     for path in [done.out / "stats.parquet", done.out / "pairs.parquet", next((done.out / "runs").rglob("*.parquet"))]:
         schema = pq.read_schema(path)
-        assert schema.metadata[b"pcbench.schema"] == tables.SCHEMA.encode()
+        assert schema.metadata[b"pcbench.schema"] == columns.SCHEMA.encode()
         assert all(field.metadata[b"meaning"] for field in schema)
         if "delay" in schema.names:
             assert schema.field("delay").metadata[b"unit"] == b"s"
@@ -131,7 +133,7 @@ def test_every_metric_has_its_own_unit(done):
 
 
 def test_the_study_on_disk_can_be_run_again(done):
-    again = study_file.load(str(done.out / "study.toml"))
+    again = read.load(str(done.out / "study.toml"))
     assert cells.digest(again) == cells.digest(done.study)
     assert tomllib.loads((done.out / "study.toml").read_text())["resolved"]["options"]["cart/slow"]["kfbo"]["R"] == 0.3
 
@@ -145,15 +147,16 @@ def test_provenance_says_what_made_the_numbers(done):
 
 def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     """sampled-innovation at te = d = 3 s and R = 0.004 grows past a bound of 20 m: every lane, at the same tick as a trace."""
-    from pcbench import planning, shapes, sweep
-    from pcbench.cells import Cell
+    from pcbench import planning
+    from pcbench.planning import in_memory, padding
     from pcbench.scenarios import SCENARIOS
     from pcbench.study import Choices
+    from pcbench.study.cells import Cell
 
     s = SCENARIOS["cart/slow"]._replace(bound=20.0)
     options = {
         "kfbo": study.options_of(
-            study_file.parse(
+            read.parse(
                 {
                     "name": "x",
                     "scenarios": ["cart/slow"],
@@ -165,8 +168,8 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
             "kfbo",
         )
     }
-    (p,) = shapes.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
-    (done,) = sweep.execute(study_file.parse({"name": "x", "scenarios": ["cart/slow"], "seeds": 3}, "x"), [p])
+    (p,) = padding.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
+    (done,) = in_memory.execute(read.parse({"name": "x", "scenarios": ["cart/slow"], "seeds": 3}, "x"), [p])
     found = done.results["kfbo"]
     trace = pcbench.trace(
         "cart/slow", "kfbo", overrides=["options.kfbo.sampled-innovation=true", "options.kfbo.R=0.0001"]

@@ -12,11 +12,11 @@ from interruptions import stop_tuning_at
 
 import pcbench
 from pcbench.errors import UserError
+from pcbench.gains import gradient, minimise, parameters, tune
+from pcbench.gains.held_out import against
+from pcbench.gains.history import Judged
+from pcbench.gains.objective import Goal
 from pcbench.observers import OBSERVERS, entry_of
-from pcbench.tuning import effort, free, gradient, ways
-from pcbench.tuning.goal import Goal
-from pcbench.tuning.judging import against
-from pcbench.tuning.record import Judged
 
 SMALL = {"budget": 6, "training": (0, 16), "judges": (100, 40), "objective": "tail_rmse"}
 START = {"pccebo": {"L": [[0.9], [0.0]]}, "pco": {"Kp": -3.0}, "pi-pco": {"Kp": -3.0, "Ki": 0.5}}
@@ -26,14 +26,14 @@ def options(observer):
     return entry_of(observer).options.model_validate(START.get(observer, {}))
 
 
-@pytest.mark.parametrize("observer", [name for name in OBSERVERS if free.tunable(name) and name != "open-loop"])
+@pytest.mark.parametrize("observer", [name for name in OBSERVERS if parameters.tunable(name) and name != "open-loop"])
 @given(data=st.data())
 def test_every_vector_of_numbers_is_an_option(observer, data):
     numbers = {"R": 0.3, "q": 0.0}
-    found, at = free.start(observer, options(observer), numbers, None, "test")
+    found, at = parameters.start(observer, options(observer), numbers, None, "test")
     there = np.array(data.draw(st.lists(st.floats(-20, 20), min_size=len(at), max_size=len(at))))
-    made = free.put(options(observer), found, there)
-    again, back = free.start(observer, made, numbers, [f.name for f in found], "test")
+    made = parameters.put(options(observer), found, there)
+    again, back = parameters.start(observer, made, numbers, [f.name for f in found], "test")
     for f, g in zip(found, again, strict=True):
         mine, its = there[f.first : f.first + f.size], back[g.first : g.first + g.size]
         if f.kind == "real":
@@ -104,7 +104,7 @@ def asked(way, start, budget, value_only=False):
 
 @pytest.mark.parametrize("start", [(0.0, 0.0), (2.9, -4.0), (-3.0, 2.9)])
 def test_both_ways_go_down_past_what_is_refused_and_keep_to_their_budget(start):
-    for way, alone, budget in ((ways.descent, False, 60), (ways.search, True, 150)):
+    for way, alone, budget in ((minimise.descent, False, 60), (minimise.search, True, 150)):
         points = asked(way, start, budget, alone)
         assert len(points) <= budget
         assert min(value for _, value in points) < 1e-5, way
@@ -160,8 +160,8 @@ def test_what_is_found_runs_as_a_study_and_gives_the_numbers_it_was_judged_by(tm
 @pytest.mark.slow
 def test_a_start_that_cannot_be_bettered_is_kept_and_said(monkeypatch, tmp_path):
     """What was found is made worse than it is: nothing that is worse on other seeds is handed out."""
-    real = effort.judge
-    monkeypatch.setattr(effort, "judge", lambda study, o, found, *how: real(study, o, {"L": [[1.9], [0.0]]}, *how))
+    real = tune.judge
+    monkeypatch.setattr(tune, "judge", lambda study, o, found, *how: real(study, o, {"L": [[1.9], [0.0]]}, *how))
     found = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
     assert "worse than its start on the judging runs" in found.kept_start
     assert "L" not in (tmp_path / "out" / "tuned.toml").read_text().partition("options")[2]

@@ -9,10 +9,11 @@ from commands import call
 from reference import chain as ref
 
 import pcbench
-from pcbench import cells, ensemble, study_file
 from pcbench.errors import UserError
-from pcbench.reproduce import chain_design, unequal_delays
+from pcbench.reproduce import chain, chain_design
 from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import batch
+from pcbench.study import cells, read
 
 MISPRINTS = {
     "chain 2: |L(1,2)|", "chain 2: |L(1,3)|", "chain 2: |H1(1,2)|",
@@ -95,7 +96,7 @@ def test_the_printed_design_its_misprints_and_what_cannot_be_derived():
 
 
 def test_remark_2_certifies_what_grows():
-    (row,) = unequal_delays._remark_2()
+    (row,) = chain._remark_2()
     assert row.verdict == "does not hold"
     assert "grows by 1.0759" in row.reproduced
 
@@ -138,7 +139,7 @@ def test_the_pages_stationary_errors_come_out_by_monte_carlo_and_in_the_pages_or
         del SCENARIOS["late"]
     rows = stats[stats.metric == "tail_pooled_rmse"].set_index(["observer", "signal"])
     for label, values in SD.items():
-        for signal, want in zip(unequal_delays.STATES, values, strict=True):
+        for signal, want in zip(chain.STATES, values, strict=True):
             found = rows.loc[(label, signal)]
             assert abs(found["mean"] - want) < 4 * found["se"], (label, signal)
     order = ["dkf", "chain-riccati", "chain-updated", "chain-slow", "chain", "equal-delay"]
@@ -151,9 +152,9 @@ def test_the_pages_stationary_errors_come_out_by_monte_carlo_and_in_the_pages_or
 
 @pytest.mark.slow
 def test_the_study_of_delay_vectors_takes_one_program():
-    before = ensemble.compilations()
+    before = batch.compilations()
     result = pcbench.run("unequal-delays", seeds=8)
-    assert ensemble.compilations() - before == 1
+    assert batch.compilations() - before == 1
     assert result.stats.cell.nunique() == 10
     assert result.stats.delay.map(len).eq(3).all()
 
@@ -166,7 +167,7 @@ def test_with_losses_a_run_among_many_is_the_run_alone():
     runs = pcbench.run(study, observers=names, seeds=3).runs.query("seed == 2").set_index(["observer", "signal"])
     trace = pcbench.trace(study, names, seed=2)
     for name in names:
-        for state in unequal_delays.STATES:
+        for state in chain.STATES:
             e = (trace[state] - trace[f"{name}.{state}"]).to_numpy()[:-1]
             assert runs.loc[(name, state)].mae == pytest.approx(np.abs(e).mean(), rel=1e-12)
 
@@ -210,12 +211,12 @@ def test_noise_free_designs_assume_the_noise_of_the_noisy_scenario():
 
 def test_where_channels_differ_in_one_cell_every_cell_of_the_study_holds_a_list():
     axes = {"delay": [[20.0, 20.0, 20.0], [10.0, 20.0, 40.0]]}
-    apart = study_file.parse({"name": "apart", "scenarios": ["csth/10s", "csth/10s-noise"], "axes": axes}, "apart")
+    apart = read.parse({"name": "apart", "scenarios": ["csth/10s", "csth/10s-noise"], "axes": axes}, "apart")
     values = [cell.values for name in apart.scenarios for cell in cells.cells(apart, name)]
     assert [v["delay"] for v in values] == [[20.0, 20.0, 20.0], [10.0, 20.0, 40.0]] * 2
     assert [v["noise_std"] for v in values] == [[0.0] * 3] * 2 + [[1.0, 0.1, 0.1]] * 2
     assert {v["sampling_period"] for v in values} == {10.0}, "channels that never differ are one number"
-    mixed = study_file.parse({"name": "mixed", "scenarios": ["cart/white", "csth/10s"]}, "mixed")
+    mixed = read.parse({"name": "mixed", "scenarios": ["cart/white", "csth/10s"]}, "mixed")
     assert [c.values["delay"] for name in mixed.scenarios for c in cells.cells(mixed, name)] == [
         [0.2],
         [20.0, 50.0, 70.0],

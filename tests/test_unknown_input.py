@@ -16,13 +16,16 @@ from reference import unknown_input as ui
 from scipy.linalg import expm
 
 import pcbench
-from pcbench import planning, recording, shapes
-from pcbench.cells import Cell
-from pcbench.observers import entry_of, unknown_input
+from pcbench import planning
+from pcbench.observers import entry_of
+from pcbench.observers.parts import unknown_input
+from pcbench.planning import padding
 from pcbench.plants import PLANTS, arm
 from pcbench.scenarios import SCENARIOS
-from pcbench.signals import SIGNALS
+from pcbench.scenarios.signals import SIGNALS
+from pcbench.simulation import trace
 from pcbench.study import Choices
+from pcbench.study.cells import Cell
 from pcbench.synthesis.unknown_input import injection, split
 
 SIGNAL_NAMES = ["link_angle", "link_velocity", "motor_angle", "motor_velocity", "input"]
@@ -50,13 +53,13 @@ def planned(scenario, observers, dt, ticks):
     s = SCENARIOS[scenario]
     s = s._replace(dt=dt, sampling_period=(dt, dt), horizon=ticks * dt, tail=ticks * dt / 2)
     options = {o: entry_of(o).options(**s.options.get(o, {})) for o in observers}
-    (p,) = shapes.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
+    (p,) = padding.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
     return p
 
 
 def recorded(p, problem=None):
     """One run, arrays [N+1, ...]."""
-    out = recording.compiled()(p.layout, problem or p.problem, np.asarray(0), np.asarray(0))
+    out = trace.compiled()(p.layout, problem or p.problem, np.asarray(0), np.asarray(0))
     return jax.tree.map(np.asarray, out)
 
 
@@ -130,7 +133,7 @@ def pushed(p, name, size):
     """The plant's numbers under another unknown input."""
     s = p.cell.scenario
     numbers = PLANTS["arm"].numbers._replace(unknown_input=name)
-    params = arm.prepare(numbers, s.dt, shapes.ticks(p.cell))
+    params = arm.prepare(numbers, s.dt, padding.ticks(p.cell))
     return params._replace(d=size * params.d)
 
 

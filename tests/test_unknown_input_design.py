@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import block_diag
 
+from pcbench.dynamics.linear import Model
 from pcbench.errors import DesignError, UserError
 from pcbench.synthesis import pi_lmi, sliding_mode
-from pcbench.synthesis.linear import Model
 from pcbench.synthesis.solvers import minimise
 from pcbench.synthesis.unknown_input import (
     injection,

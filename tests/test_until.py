@@ -9,7 +9,7 @@ import pytest
 
 import pcbench
 from pcbench import statistics
-from pcbench.dataset import until
+from pcbench.dataset import precision
 from pcbench.errors import UserError
 
 STUDY = {
@@ -106,24 +106,24 @@ def test_a_metric_that_a_scenario_lacks_is_one_sentence(done):
 @pytest.mark.parametrize(("has", "error", "goal"), [(64, 0.3, 0.1), (100, 0.11, 0.1), (256, 0.05, 0.013)])
 def test_so_many_seeds_are_asked_for_that_the_error_reaches_its_goal_by_its_root_with_a_margin(has, error, goal):
     """The error falls with the root of the seeds: with as many as are asked for it is 2.5 % below the goal, no more."""
-    then = error * np.sqrt(has / until.enough(has, error, goal))
+    then = error * np.sqrt(has / precision.enough(has, error, goal))
     assert 0.97 * goal < then < 0.98 * goal
-    assert until.enough(has, goal, goal) == has
-    assert until.enough(has, 0.9 * goal, goal) == has
-    assert until.enough(has, 100 * goal, goal) == until.GROWTH * has, "a round adds so much at most"
+    assert precision.enough(has, goal, goal) == has
+    assert precision.enough(has, 0.9 * goal, goal) == has
+    assert precision.enough(has, 100 * goal, goal) == precision.GROWTH * has, "a round adds so much at most"
 
 
 def test_one_seed_is_no_standard_error():
-    assert until.enough(1, np.inf, 0.1) == until.GROWTH
+    assert precision.enough(1, np.inf, 0.1) == precision.GROWTH
 
 
 def test_stopping_at_a_standard_error_hardly_narrows_the_intervals():
-    """The rule of `until` on a skewed metric: 95 % intervals hold the mean in 93.5 to 96.5 % of experiments."""
+    """The rule of `precision` on a skewed metric: 95 % intervals hold the mean in 93.5 to 96.5 % of experiments."""
     rng, held, repeats = np.random.default_rng(8), 0, 4000
     for _ in range(repeats):
         values = rng.gamma(4.0, size=256)
         row = statistics.size(values)
-        more = until.enough(len(values), row["se"], 0.07)
+        more = precision.enough(len(values), row["se"], 0.07)
         values = np.concatenate([values, rng.gamma(4.0, size=more - len(values))])
         row = statistics.size(values)
         held += row["ci_low"] <= 4.0 <= row["ci_high"]

@@ -8,11 +8,15 @@ from reference import irregular as reference
 from reference import linear
 
 import pcbench
-from pcbench import irregular, machine, planning, sampling, study_file, sweep
+from pcbench import planning
+from pcbench.dynamics import linear as synthesis
 from pcbench.errors import UserError
+from pcbench.machine import process
 from pcbench.observers import OBSERVERS
-from pcbench.sampling import Clock
-from pcbench.synthesis import linear as synthesis
+from pcbench.planning import in_memory
+from pcbench.simulation.schedule import per_lane, shared
+from pcbench.simulation.schedule.shared import Clock
+from pcbench.study import read
 
 PAGE = {  # t: (x1, pco, pi-pco), noise off
     500: (6.0888233710, 6.0068561578, 6.0068561578),
@@ -57,17 +61,17 @@ def wild(case, clock, observer, options):
     """Layout and problem of a case on one run's draw of a clock, with the reference's times of that run."""
     channels = len(case.model.C)
     clock = clock._replace(channels=tuple(range(channels)))
-    with machine.float64():
-        samples = irregular.realised([clock], case.ticks, channels, 0, case.seed)
-    plan = sampling.pad_slots(sampling.schedule(samples, case.ticks, channels), 4 if clock.spread else 1)
+    with process.float64():
+        samples = per_lane.realised([clock], case.ticks, channels, 0, case.seed)
+    plan = shared.pad_slots(shared.schedule(samples, case.ticks, channels), 4 if clock.spread else 1)
     known = setting(case)._replace(
-        overtaking=irregular.overtaking([clock], case.ticks), intervals=tuple(sampling.intervals(clock, case.ticks))
+        overtaking=per_lane.overtaking([clock], case.ticks), intervals=tuple(shared.intervals(clock, case.ticks))
     )
     design = OBSERVERS[observer].design(known, OBSERVERS[observer].options(**options))
     layout, p = problem(case, {})
     layout = layout._replace(observers=((observer, OBSERVERS[observer].observer),))
     times = [
-        [(s.taken, s.arrives if s.arrives < sampling.NEVER else None) for s in samples if s.channel == j]
+        [(s.taken, s.arrives if s.arrives < shared.NEVER else None) for s in samples if s.channel == j]
         for j in range(channels)
     ]
     return layout, jax.tree.map(np.asarray, p._replace(schedule=plan, gains={observer: design.gains})), design, times
@@ -126,13 +130,13 @@ def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, obse
 )
 @pytest.mark.slow
 def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
-    """`own_events` against `shared_events` through the recorded run on that seed's schedule."""
+    """`events_per_lane` against `events_shared` through the recorded run on that seed's schedule."""
     names = ["pccebo", "pi-pco", "dkf", "dkf-bias"]
-    with machine.float64():
-        chosen = study_file.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,
+    with process.float64():
+        chosen = read.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,
                               "options": {"dkf-bias": {"bias_variance": 1.0}}}, "t")  # fmt: skip
         (planned,) = planning.plan(chosen)
-        (done,) = sweep.execute(chosen, [planned], np.arange(3), 1)
+        (done,) = in_memory.execute(chosen, [planned], np.arange(3), 1)
         for seed in range(3):
             p = planning.alone(planned, 0, seed)
             out = recorder()(p.layout, jax.tree.map(np.asarray, p.problem), np.asarray(0), np.asarray(seed))
@@ -161,13 +165,13 @@ def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
 )
 def test_times_that_do_not_fit_are_one_sentence(axes, sentence):
     with pytest.raises(UserError, match=sentence):
-        study_file.parse({"name": "t", "scenarios": ["cart/variable"], "axes": axes}, "t")
+        read.parse({"name": "t", "scenarios": ["cart/variable"], "axes": axes}, "t")
 
 
 def test_an_observer_that_needs_a_constant_delay_is_refused_where_it_varies():
     with pytest.raises(UserError, match="kfbo in cart/variable got a delay of one varying interval"):
-        study_file.parse({"name": "t", "scenarios": ["cart/variable"], "observers": ["kfbo"]}, "t")
-    study_file.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
+        read.parse({"name": "t", "scenarios": ["cart/variable"], "observers": ["kfbo"]}, "t")
+    read.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
 
 
 @pytest.mark.parametrize("observer", ["dkf", "pccebo", "pco"])

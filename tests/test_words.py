@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from pcbench.cli.screen import claims, comparison, results
-from pcbench.dataset.comparing import Comparison
+from pcbench.dataset.compare import Comparison
 from pcbench.reproduce.claim import FINDING, VERDICTS, Claim
 from pcbench.statistics import wording
 from pcbench.study import STUDIES, Study

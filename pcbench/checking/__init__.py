@@ -6,17 +6,16 @@ The order is that of what can be asked: without a design nothing, without the ri
 from collections.abc import Callable
 from typing import Any
 
-from pcbench import machine
 from pcbench.checking.finding import FAILS, PASSES, SKIPPED, Finding, Skipped
 from pcbench.checking.lanes import lanes
 from pcbench.checking.loading import Found, load
 from pcbench.checking.programs import float64, gains, purity
 from pcbench.checking.schedules import after_the_jump, delay_0, no_peeking, perfect_start
 from pcbench.checking.trial import Trial, trial
-from pcbench.conformance import check as shapes_of
-from pcbench.errors import UserError, unknown
-from pcbench.quoting import raised
+from pcbench.errors import UserError, raised, unknown
+from pcbench.machine import process
 from pcbench.scenarios import SCENARIOS, Scenario
+from pcbench.simulation.conformance import check as shapes_of
 
 Check = Callable[[Trial, Any], str]
 
@@ -53,7 +52,7 @@ def check(
     """
     if scenario not in SCENARIOS:
         raise unknown("check --scenario", "scenario", scenario, SCENARIOS)
-    with machine.float64():
+    with process.float64():
         found = load(target, options)
         return found.label, findings(found, SCENARIOS[scenario])
 

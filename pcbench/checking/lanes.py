@@ -9,10 +9,9 @@ import numpy as np
 from pcbench.checking.finding import require
 from pcbench.checking.tracing import Asked, asked, given
 from pcbench.checking.trial import Trial
-from pcbench.entrywise import over
-from pcbench.errors import UserError
-from pcbench.lanes import is_lanes, join, split
-from pcbench.quoting import raised
+from pcbench.errors import UserError, raised
+from pcbench.simulation.lanes import is_lanes, join, split
+from pcbench.simulation.lanes.entrywise import over
 
 WIDTH, CLOSE = 3, 1e-11  # sums over lanes may be in another order
 

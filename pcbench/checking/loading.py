@@ -16,10 +16,9 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from pcbench.errors import UserError, short, unknown
+from pcbench.errors import UserError, raised, short, unknown
 from pcbench.observers import OBSERVERS, Entry
-from pcbench.quoting import raised
-from pcbench.types import Observer
+from pcbench.protocols import Observer
 
 WHERE = "check"
 

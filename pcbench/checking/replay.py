@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.problem import Problem, present
-from pcbench.types import Arrival, Leaf, Observer, Plant
+from pcbench.protocols import Arrival, Leaf, Observer, Plant
+from pcbench.simulation.problem import Problem, present
 
 
 class Shift(NamedTuple):

@@ -10,8 +10,8 @@ from pcbench.checking.finding import Skipped, require
 from pcbench.checking.replay import Shift, none, replay
 from pcbench.checking.tracing import AGE, TICK, given
 from pcbench.checking.trial import Case, Trial, called
-from pcbench.problem import present
-from pcbench.types import Arrival
+from pcbench.protocols import Arrival
+from pcbench.simulation.problem import present
 
 ROUNDING = 1e-9  # of the largest state: a tick of slip is more than 1e-5
 WRONG = 0.07  # part by which a start is wrong where one is needed

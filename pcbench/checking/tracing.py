@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.checking.trial import Case, Trial
-from pcbench.primitives import ClosedJaxpr, Literal, inner
-from pcbench.problem import present
-from pcbench.types import Arrival
+from pcbench.protocols import Arrival
+from pcbench.simulation.lanes.primitives import ClosedJaxpr, Literal, inner
+from pcbench.simulation.problem import present
 
 TICK, AGE = 5, 2  # where the functions are asked: a tick and an age that every schedule has
 

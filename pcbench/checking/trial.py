@@ -11,16 +11,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench import planning, sampling
-from pcbench.cells import Cell
+from pcbench import planning
 from pcbench.checking.loading import Found
-from pcbench.errors import UserError
-from pcbench.problem import Problem, present, truth
-from pcbench.quoting import raised
+from pcbench.errors import UserError, raised
+from pcbench.protocols import Observer, Plant
 from pcbench.scenarios import Scenario
+from pcbench.simulation.problem import Problem, present, truth
+from pcbench.simulation.schedule import shared
 from pcbench.study import Choices
+from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import Certificate, Design, Setting
-from pcbench.types import Observer, Plant
 
 SLOTS, SPAN = 3, 8  # arrivals a tick that there is room for; the horizon in sampling periods
 VARYING = ("one clock", "any schedule")
@@ -79,12 +79,12 @@ def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
     drafted = planning.draft(cell, {}, known)
     p, n, q = drafted.problem, known.ticks, len(scenario.delay)
     if overtaken is not None:
-        taken = sampling.samples(planning.axes.clocks(scenario), n)
+        taken = shared.samples(planning.axes.clocks(scenario), n)
         late = [s._replace(arrives=s.arrives + (3 * overtaken // 2 if s.number % 3 == 1 else 0)) for s in taken]
-        known = known._replace(overtaking=sampling.overtaking(late))
-        p = p._replace(schedule=sampling.schedule(late, n, q))
+        known = known._replace(overtaking=shared.overtaking(late))
+        p = p._replace(schedule=shared.schedule(late, n, q))
     u = np.random.default_rng(7).normal(size=p.inputs.shape) + 0.5
-    p = p._replace(schedule=sampling.pad_slots(p.schedule, SLOTS), inputs=u)
+    p = p._replace(schedule=shared.pad_slots(p.schedule, SLOTS), inputs=u)
     traced = jax.tree.map(jnp.asarray, p)
     own = np.asarray(truth(drafted.layout, traced.params, present(traced, jnp.asarray(0), True), traced.x0))[
         len(p.x0) :

@@ -5,16 +5,16 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from pcbench.axes import AXES
+from pcbench.dataset.columns import AXIS_UNITS, MEANING
 from pcbench.errors import unknown
 from pcbench.observers import OBSERVERS
-from pcbench.observers.options import TUNABLE, extra
+from pcbench.observers.parts.options import TUNABLE, extra
 from pcbench.plants import PLANTS, parameters_of
 from pcbench.plants import signals_of as signals_in
 from pcbench.scenarios import SCENARIOS
 from pcbench.statistics import POOLED, RUN_METRICS
 from pcbench.study import STUDIES, Choices
-from pcbench.tables import AXIS_UNITS, MEANING
+from pcbench.study.axes import AXES
 
 TAKES = {
     "any schedule": "of any age, in any order, from clocks of their own",

@@ -17,9 +17,9 @@ def status(
     Example: pcbench status results/quick
     """
     from pcbench.cli.screen import folder as screen
-    from pcbench.dataset import inspection
+    from pcbench.dataset import verify
 
-    found = inspection.status(folder)
+    found = verify.status(folder)
     if as_json:
         print(json.dumps(found._asdict() | {"shares": [s._asdict() for s in found.shares]}, indent=2))
     else:
@@ -40,10 +40,10 @@ def merge(
     Example: pcbench merge monday tuesday --out both
     """
     from pcbench.cli.screen.progress import counting
-    from pcbench.dataset import merging
+    from pcbench.dataset import merge
 
     with counting(quiet) as tell:
-        made = merging.merge(folders, into, tell)
+        made = merge.merge(folders, into, tell)
     again = f" {made.doubled:,} runs stood in more than one, all of them equal." if made.doubled else ""
     lack = (
         f" {made.missing:,} runs are missing: pcbench run {into}/study.toml --out {into} fills them."
@@ -68,10 +68,10 @@ def verify(
     setup()
     from pcbench.cli.screen import folder as screen
     from pcbench.cli.screen.progress import counting
-    from pcbench.dataset import inspection
+    from pcbench.dataset import verify
 
     with counting(quiet or as_json) as tell:
-        found = inspection.verify(folder, None if every else sample, seed, tell)
+        found = verify.verify(folder, None if every else sample, seed, tell)
     if as_json:
         print(json.dumps(found._asdict(), indent=2))
     elif not quiet:
@@ -90,15 +90,15 @@ def compare(
 
     Example: pcbench compare results/quick elsewhere/quick
     """
-    from pcbench import machine
-    from pcbench.dataset import comparing
+    from pcbench.cli.screen.json import readable
+    from pcbench.dataset import compare
 
-    found = comparing.compare(there, here)
+    found = compare.compare(there, here)
     if as_json:
         said = {"rows": len(found.rows), "changed": found.changed, "only": found.only, "made_by": found.made_by}
         drawn = {"same_draws": int(found.rows.same_draws.sum()), "identical": found.identical, "largest": found.largest}
         moved = found.rows[found.rows.changed].to_dict("records")
-        print(machine.as_json(said | drawn | {"moved": moved}))
+        print(readable(said | drawn | {"moved": moved}))
     elif not quiet:
         from pcbench.cli.screen.comparison import comparison
 

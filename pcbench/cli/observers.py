@@ -30,32 +30,34 @@ def design(
     Example: pcbench design cart/gaussian pccebo --method h2 --sweep decay=0.2,0.5,1,2
     """
     setup()
-    from pcbench import designing, machine
     from pcbench.cli.screen import gains
+    from pcbench.cli.screen.json import readable
     from pcbench.dataset import as_file, store
+    from pcbench.gains import design
+    from pcbench.machine import process
 
     if sweep is not None:
         if file is not None:
             as_file.kind_of(file)
-        table = designing.trade_off(scenario, observer, *_values(sweep), method=method, overrides=changes)
+        table = design.trade_off(scenario, observer, *_values(sweep), method=method, overrides=changes)
         if file is not None:
             as_file.put(file, gains.arrow(table))
         if as_json:
-            print(machine.as_json(table.to_dict("records")))
+            print(readable(table.to_dict("records")))
         else:
             gains.trade_off(f"{observer} in {scenario}", table, console())
         return
     if file is not None:
         _may_write(Path(file))
-    with machine.float64():
-        study, cell, found = designing.design(scenario, observer, method=method, overrides=changes)
-        text = designing.to_toml(designing.as_study(study, cell, observer, found)) if file is not None else ""
+    with process.float64():
+        study, cell, found = design.design(scenario, observer, method=method, overrides=changes)
+        text = design.to_toml(design.as_study(study, cell, observer, found)) if file is not None else ""
     if file is not None:
         place = store.target(Path(file).parent)
         store.make(place)
         store.put(place, Path(file).name, text.encode())
     if as_json:
-        print(machine.as_json({"scenario": scenario, "observer": observer} | found.certificate._asdict()))
+        print(readable({"scenario": scenario, "observer": observer} | found.certificate._asdict()))
     else:
         screen = console()
         screen.print(f"{observer} in {scenario}", style="bold", highlight=False)

@@ -23,16 +23,17 @@ def report(
     Example: pcbench report results/quick --metric tail_rmse --signal velocity
     """
     setup()
-    from pcbench import machine, statistics
+    from pcbench import statistics
     from pcbench.cli.screen.progress import counting
+    from pcbench.machine import process
 
     statistics.compared(metric, "--metric")
     where = f"{folder.rstrip('/')}/report.html" if file is None else file
-    with machine.float64(), counting(quiet) as draw:
+    with process.float64(), counting(quiet) as draw:
         tell = stoppable(draw)
         if figures is not None:
+            from pcbench.dataset.result import opened
             from pcbench.report import figures as pictures
-            from pcbench.result import opened
 
             tell("figures", 0.0)
             names = pictures.write(opened(folder), figures, tell, metric, chosen(signal))

@@ -44,16 +44,17 @@ def run(
     Example: pcbench run quick --seeds 512 --out first-look
     """
     setup()
-    from pcbench import bench, statistics, study_file
+    from pcbench import api, statistics
     from pcbench.cli.screen import gains, results
     from pcbench.cli.screen.progress import progress
+    from pcbench.study import read
 
     statistics.compared(metric, "--metric")
-    asked, where = study_file.load(study, changes), chosen(signal)
-    study_file.require_signals(asked, where, "--signal")
+    asked, where = read.load(study, changes), chosen(signal)
+    read.require_signals(asked, where, "--signal")
     place = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
     with progress(quiet or as_json) as draw:
-        result = bench.run(
+        result = api.run(
             asked,
             seeds=seeds,
             first_seed=first_seed,
@@ -98,11 +99,12 @@ def trace(
     Example: pcbench trace cart/white --observer kfbo --seed 3 --out trace.csv
     """
     setup()
-    from pcbench import bench, study_file, tables
-    from pcbench.dataset import as_file
+    from pcbench import api
+    from pcbench.dataset import as_file, columns
     from pcbench.plants import signals_of
+    from pcbench.study import read
 
     as_file.kind_of(file)
-    frame = bench.trace(scenario, names(observer), seed=seed, overrides=changes)
-    as_file.put(file, tables.trace_table(frame, signals_of(study_file.scenario_of(scenario, changes))))
+    frame = api.trace(scenario, names(observer), seed=seed, overrides=changes)
+    as_file.put(file, columns.trace_table(frame, signals_of(read.scenario_of(scenario, changes))))
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")

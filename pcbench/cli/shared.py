@@ -72,9 +72,9 @@ def console() -> Any:
 
 def setup() -> None:
     """Set jax up for a command that computes: float64, and where compiled programs are kept."""
-    from pcbench import machine
+    from pcbench.machine import process
 
-    machine.setup()
+    process.setup()
 
 
 def names(text: str) -> list[str]:

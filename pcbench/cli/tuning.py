@@ -33,19 +33,19 @@ def tune(
     """
     setup()
     from pcbench.cli.screen import gains, progress
-    from pcbench.tuning import effort
+    from pcbench.gains import tune
 
     with progress.tuning(quiet or as_json) as draw:
-        found = effort.tune(
+        found = tune.tune(
             scenario,
             observer,
-            budget=effort.BUDGET if budget is None else budget,
+            budget=tune.BUDGET if budget is None else budget,
             objective=objective,
             signal=signal,
             method=method,
             only=None if only is None else names(only),
-            training=_seeds(train, "--train", effort.TRAINING),
-            judges=_seeds(judge, "--judge", effort.JUDGES),
+            training=_seeds(train, "--train", tune.TRAINING),
+            judges=_seeds(judge, "--judge", tune.JUDGES),
             out=folder,
             overrides=changes,
             tell=stoppable(draw),

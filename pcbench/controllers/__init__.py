@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.controllers import pd
-from pcbench.types import Controller
+from pcbench.protocols import Controller
 
 
 class Entry(NamedTuple):

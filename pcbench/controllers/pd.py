@@ -23,10 +23,9 @@ from jax import Array, lax
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
-from pcbench.actuator import Delay
-from pcbench.integrate import rk4
-from pcbench.signals import PATHS
-from pcbench.types import Controller, Leaf, Now
+from pcbench.dynamics.integrate import rk4
+from pcbench.protocols import Controller, Delay, Leaf, Now
+from pcbench.scenarios.signals import PATHS
 
 
 class Options(BaseModel):

@@ -15,8 +15,10 @@ from queue import SimpleQueue
 from threading import Lock
 from typing import Any
 
-from pcbench import ensemble, machine
 from pcbench.errors import UserError
+from pcbench.machine import process
+from pcbench.machine.memory import allowed
+from pcbench.simulation import batch
 
 Executor = Callable[[Callable[..., Any], Iterable[Any]], Iterator[Any]]
 AHEAD = 3  # tasks a Dask worker has at hand: one computing, one writing, one waiting
@@ -33,9 +35,9 @@ def share(memory: str | int | None, address: str | None, workers: int | None, co
     if workers is not None and address != "local":
         raise UserError(f"--workers: got {workers} without --dask local, expected both; leave --workers out.")
     if address not in (None, "local"):
-        return SHARE if memory is None else machine.allowed(memory) / 2
-    at_once = (workers or ensemble.cores()) if address else len(ensemble.places(count))
-    return machine.allowed(memory) / (2 * max(at_once, 1))
+        return SHARE if memory is None else allowed(memory) / 2
+    at_once = (workers or batch.cores()) if address else len(batch.places(count))
+    return allowed(memory) / (2 * max(at_once, 1))
 
 
 @contextmanager
@@ -45,7 +47,7 @@ def here(count: int | None = None) -> Iterator[Executor]:
     There are twice as many tasks under way as places to compute: while one writes its files, another computes.
     """
     places: SimpleQueue[Any] = SimpleQueue()
-    for device in ensemble.places(count):
+    for device in batch.places(count):
         places.put(device)
     many = 2 * places.qsize()
     pool = ThreadPoolExecutor(many, "pcbench")
@@ -148,12 +150,12 @@ def _distributed() -> Any:
 
 def _local(distributed: Any, workers: int | None) -> Any:
     """A cluster of spawned processes on this machine, each with one device; of two threads one computes at a time."""
-    if ensemble.places()[0].platform != "cpu":
+    if batch.places()[0].platform != "cpu":
         raise UserError(
             "--dask: got 'local' on a machine with accelerators, all of which this process uses by itself; expected a "
             "scheduler's address; leave --dask out."
         )
-    count = workers or ensemble.cores()
+    count = workers or batch.cores()
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return distributed.LocalCluster(
         n_workers=count,
@@ -174,7 +176,7 @@ def _on_a_worker(work: Callable[..., Any], task: Any) -> Any:
 
 @cache
 def _set_up() -> None:
-    machine.setup()
+    process.setup()
 
 
 @contextmanager

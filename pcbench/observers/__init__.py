@@ -6,8 +6,8 @@ from typing import Any, Literal, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.observers import chain, dkf, ekf, equal_delay, high_gain, kfbo, no_delay, open_loop, pccebo, pco, pio, smo
+from pcbench.protocols import Observer
 from pcbench.synthesis.certificate import Design, Setting
-from pcbench.types import Observer
 
 LONGEST = 80  # characters of a label, which names a folder
 Takes = Literal["any schedule", "one clock", "one constant delay", "constant delays"]

@@ -7,7 +7,7 @@ stamp t = k - theta_(i-1), d_i samples; the links run from the latest sensor to 
     xhat_i(t) = F_i xhat_i(s) + K_i ybar_i(s) + response to the known input                  (26), F = inv(T) G T, K = inv(T) L
     yhat_i(t) = W_i xhat_i(s) + V_i ybar_i(s) + response to the known input                  (27)
 
-Here the known input is taken out at once (`sample_by_sample`): z = xhat - xbar, y - D u - C xbar. It is the same observer, and
+Here the known input is taken out at once (`parts/per_sample`): z = xhat - xbar, y - D u - C xbar. It is the same observer, and
 before a link's first source (s < 0) it is the model alone, as decided. A sample that never arrives is replaced by
 C xhat_i(s): no correction. Delays are data, so ties, zeros and any order are legal and delay vectors are an axis; one delay at
 least must be positive.
@@ -24,14 +24,14 @@ from jax import Array, lax
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
-from pcbench.observers import sample_by_sample
-from pcbench.observers.options import tunable, way
-from pcbench.observers.sample_by_sample import Model, Place, Pole, known_input, read, ring, write
-from pcbench.synthesis import chain, shared_lyapunov
+from pcbench.observers.parts import per_sample
+from pcbench.observers.parts.options import tunable, way
+from pcbench.observers.parts.per_sample import Model, Place, Pole, known_input, read, ring, write
+from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.synthesis import chain, chain_lyapunov
 from pcbench.synthesis.certificate import Design, Setting, certified
-from pcbench.synthesis.promises import rate_of
+from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.sampled import sampled
-from pcbench.types import Arrival, Leaf, Now, Observer
 
 
 class Link(NamedTuple):
@@ -91,7 +91,7 @@ def init(gains: Gains, xhat0: Array) -> Memory:
     arrived = (ring(room, jnp.zeros(())),) * q
     known = (ring(room, jnp.asarray(False)),) * q
     past = ring(room, jnp.zeros(n))
-    return Memory(sample_by_sample.start(xhat0), past, arrived, known, jnp.zeros(q), jnp.zeros(q, bool))
+    return Memory(per_sample.start(xhat0), past, arrived, known, jnp.zeros(q), jnp.zeros(q, bool))
 
 
 def note(gains: Gains, memory: Memory, now: Now) -> Array:
@@ -131,7 +131,7 @@ def _sample(gains: Gains, memory: Memory, j: int, age: Array, expected: Array) -
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Go one tick on; where a sample is due, what this one brought is put by."""
-    place, due = sample_by_sample.flow(gains.model, memory.place, now)
+    place, due = per_sample.flow(gains.model, memory.place, now)
     k, past = memory.place.sample, memory.past
     stamp, source = gains.links.stamp, gains.links.source
     for i, estimate in enumerate(links(gains, memory)):
@@ -169,9 +169,9 @@ def design(setting: Setting, options: Options) -> Design:
     certificate = certified(chain.certify(found, plant.C, options.gain), where)
     certificate = certificate._replace(rate=rate_of(1 - certificate.margin, plant.period * setting.dt))
     if options.shared:
-        extra = shared_lyapunov.check(found, plant.scale)
+        extra = chain_lyapunov.check(found, plant.scale)
         certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)
     latest_first, theta = found[::-1], np.array(chain.ages(plant.tau)[::-1])
     stacked = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}
     each, room = Link(theta[1:], theta[:-1], **stacked), np.zeros(max(setting.reach, *plant.tau))
-    return Design(Gains(sample_by_sample.model_of(setting), np.array(plant.tau), each, room), certificate)
+    return Design(Gains(per_sample.model_of(setting), np.array(plant.tau), each, room), certificate)

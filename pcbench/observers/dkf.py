@@ -13,7 +13,7 @@ Where a plant has an unknown input, x' = A x + B u + E f, f is estimated too, as
 estimate of the present carries it, and the signal is f less its part that is a known function of the state.
 Not claimed: that every unknown input can be found; its variance then grows.
 Time index: the estimate is of now, after the jump. Channels may have clocks and delays of their own; a sample that comes after
-a newer one is put in its place (`in_order`), so the estimate uses all that has arrived, as if it had come in order.
+a newer one is put in its place (`parts/reordering`), so the estimate uses all that has arrived, as if it had come in order.
 Source: Kalman 1960; cart.md and variable-sampling.md of the design pages for the numbers.
 """
 
@@ -24,16 +24,17 @@ import numpy as np
 from jax import Array
 from pydantic import BaseModel, ConfigDict, Field
 
-from pcbench.integrate import covariance_after
-from pcbench.observers import free_response
-from pcbench.observers.free_response import Memory, Motion, Point
-from pcbench.observers.in_order import Sample
-from pcbench.observers.options import tunable
-from pcbench.synthesis import linear, riccati
+from pcbench.dynamics import linear
+from pcbench.dynamics.integrate import covariance_after
+from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.observability import require_detectable
+from pcbench.observers.parts import prediction
+from pcbench.observers.parts.options import tunable
+from pcbench.observers.parts.prediction import Memory, Motion, Point
+from pcbench.observers.parts.reordering import Sample
+from pcbench.protocols import Leaf, Observer
+from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
-from pcbench.synthesis.linear import Matrix
-from pcbench.synthesis.observability import require_detectable
-from pcbench.types import Leaf, Observer
 
 
 class Gains(NamedTuple):
@@ -77,12 +78,12 @@ class Options(BaseModel):
 def init(gains: Gains, xhat0: Array) -> Memory:
     """Start from the prior N(xhat(0), P0), what is beside the state from 0."""
     whole = jnp.concatenate([xhat0, jnp.zeros(gains.P0.shape[0] - xhat0.shape[0])])
-    return free_response.start(whole, Filtered(free_response.origin(whole), gains.P0), gains.places, gains.C.shape[0])
+    return prediction.start(whole, Filtered(prediction.origin(whole), gains.P0), gains.places, gains.C.shape[0])
 
 
 def update(gains: Gains, before: Filtered, sample: Sample) -> Filtered:
     """Update at the sample's own time, channel by channel: with independent noise that is the joint update."""
-    free = free_response.at(gains.motion, before.mean, sample.taken)
+    free = prediction.at(gains.motion, before.mean, sample.taken)
     gap = sample.taken - before.mean.taken
     P = covariance_after(gains.motion.powers, gains.noise, gap, before.P)
     for channel in range(gains.C.shape[0]):
@@ -104,8 +105,8 @@ def estimate(gains: Gains, memory: Memory) -> Array:
     return jnp.append(xhat, f - gains.known(xhat) if gains.known else f)
 
 
-jump = free_response.jumping(update, lambda filtered: filtered.mean)
-OBSERVER = Observer(init, free_response.note, jump, free_response.flow, estimate)
+jump = prediction.jumping(update, lambda filtered: filtered.mean)
+OBSERVER = Observer(init, prediction.note, jump, prediction.flow, estimate)
 
 
 def design(setting: Setting, options: Options) -> Design:
@@ -123,7 +124,7 @@ def design(setting: Setting, options: Options) -> Design:
         model, inputs = linear.with_unknown_input(model), size
         P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
     R = setting.noise_variance if options.R is None else np.full(len(model.C), options.R)
-    moves = free_response.motion_of(model, setting)
+    moves = prediction.motion_of(model, setting)
     Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
     Q[:n, :n] += setting.process_noise
     noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)

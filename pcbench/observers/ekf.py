@@ -11,7 +11,7 @@ exact map, F its matrix, and the filter is `dkf` done tick by tick.
 
 R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
 and walk unknown_std^2 h for p. Time index: the estimate is of now, after the jump. A sample from before t = 0 has measured the
-start. One that comes after a newer one is put in its place (`in_order`).
+start. One that comes after a newer one is put in its place (`parts/reordering`).
 Not claimed: optimality, nor that a parameter can be found where the motion does not show it.
 Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
 """
@@ -25,13 +25,13 @@ from jax import Array, lax
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
-from pcbench.integrate import rk4
-from pcbench.observers import in_order
-from pcbench.observers.in_order import Line, Sample
-from pcbench.observers.options import tunable
-from pcbench.synthesis import linear
+from pcbench.dynamics import linear
+from pcbench.dynamics.integrate import rk4
+from pcbench.observers.parts import reordering
+from pcbench.observers.parts.options import tunable
+from pcbench.observers.parts.reordering import Line, Sample
+from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis.certificate import Certificate, Design, Setting
-from pcbench.types import Arrival, Leaf, Now, Observer
 
 
 class Gains(NamedTuple):
@@ -77,7 +77,7 @@ class Options(BaseModel):
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from the prior: xhat(0), p at its start, P0."""
     z, q = jnp.concatenate([xhat0, gains.start]), gains.C.shape[0]
-    return Memory(in_order.start(Filtered(z, gains.P0, jnp.asarray(0)), gains.places, q, 0), z)
+    return Memory(reordering.start(Filtered(z, gains.P0, jnp.asarray(0)), gains.places, q, 0), z)
 
 
 def note(gains: Gains, memory: Memory, now: Now) -> Array:
@@ -118,8 +118,8 @@ def update(gains: Gains, now: Now, before: Filtered, sample: Sample) -> Filtered
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Put what arrived in its place, and roll the mean forward to now."""
-    sample = in_order.sample_of(now, arrival, gains.D)
-    line, newest = in_order.replay(lambda state, sample: update(gains, now, state, sample), memory.line, sample)
+    sample = reordering.sample_of(now, arrival, gains.D)
+    line, newest = reordering.replay(lambda state, sample: update(gains, now, state, sample), memory.line, sample)
     z = lax.fori_loop(newest.taken, now.tick, lambda k, z: within(gains, gains.motion(at(now, k), z)), newest.z)
     return Memory(line, z)
 

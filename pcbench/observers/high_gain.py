@@ -28,12 +28,12 @@ from jax import Array
 from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
+from pcbench.dynamics.integrate import rk4
 from pcbench.errors import UserError
-from pcbench.integrate import rk4
-from pcbench.observers.options import tunable
+from pcbench.observers.parts.options import tunable
+from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import high_gain
 from pcbench.synthesis.certificate import Design, Setting
-from pcbench.types import Arrival, Leaf, Now, Observer
 
 S0 = 1e-3
 FASTEST = 5.0  # rad/s, of the robust observer

@@ -22,11 +22,12 @@ import numpy as np
 from jax import Array
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from pcbench.dynamics import linear
 from pcbench.errors import UserError
-from pcbench.observers.options import tunable
-from pcbench.synthesis import linear, riccati
+from pcbench.observers.parts.options import tunable
+from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Design, Setting, certified
-from pcbench.types import Arrival, Leaf, Now, Observer
 
 
 class Gains(NamedTuple):

@@ -16,15 +16,15 @@ from typing import Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from pcbench.observers import output_error
-from pcbench.observers.options import tunable
-from pcbench.observers.sample_by_sample import Pole
+from pcbench.observers.parts import believed_age
+from pcbench.observers.parts.options import tunable
+from pcbench.observers.parts.per_sample import Pole
 from pcbench.synthesis import chain, late
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
-from pcbench.synthesis.promises import rate_of
+from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.sampled import by_poles, sampled
 
-OBSERVER = output_error.OBSERVER
+OBSERVER = believed_age.OBSERVER
 
 
 class Options(BaseModel):
@@ -48,4 +48,4 @@ def design(setting: Setting, options: Options) -> Design:
     certificate = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)
     if delayed < 1:
         certificate = certificate._replace(rate=rate_of(delayed, plant.period * setting.dt))
-    return Design(output_error.corrected_next(setting, plant.A, K, ages), certified(certificate, where))
+    return Design(believed_age.corrected_next(setting, plant.A, K, ages), certified(certificate, where))

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 from jax import Array
 from pydantic import BaseModel, ConfigDict
 
-from pcbench.synthesis import linear
+from pcbench.dynamics import linear
+from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis.certificate import Certificate, Design, Setting
-from pcbench.types import Arrival, Leaf, Now, Observer
 
 
 class Gains(NamedTuple):

@@ -8,7 +8,7 @@
 As piecewise continuous systems: one integrates the input, the other is the estimate, re-initialised at each arrival.
 Without noise and with a true model the error is e(t) = e^{A (t - t_m)} e_m, e_m = (I - L C) Phi e_(m-1), whatever u is.
 
-A sample that comes after a newer one is put in its place (`in_order`); one that is lost lengthens the interval of (8a).
+A sample that comes after a newer one is put in its place (`parts/reordering`); one that is lost lengthens the interval of (8a).
 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017) 3738-3751, doi 10.3906/elk-1606-160.
 Different from print: (7) and (8a) hold the input over a whole sampling period, here the integral is exact; (11) is
@@ -23,15 +23,15 @@ import jax.numpy as jnp
 from jax import Array
 from pydantic import BaseModel, ConfigDict, Field
 
-from pcbench.observers import free_response
-from pcbench.observers.free_response import Memory, Motion, Point
-from pcbench.observers.in_order import Sample
-from pcbench.observers.options import matrix, tunable, way
+from pcbench.dynamics.observability import require_detectable
+from pcbench.observers.parts import prediction
+from pcbench.observers.parts.options import matrix, tunable, way
+from pcbench.observers.parts.prediction import Memory, Motion, Point
+from pcbench.observers.parts.reordering import Sample
+from pcbench.protocols import Leaf, Observer
 from pcbench.synthesis import current_gains, ranges
 from pcbench.synthesis.certificate import Design, Setting, one_clock
-from pcbench.synthesis.observability import require_detectable
 from pcbench.synthesis.ranges import Range
-from pcbench.types import Leaf, Observer
 
 
 class Gains(NamedTuple):
@@ -62,12 +62,12 @@ class Options(BaseModel):
 
 def init(gains: Gains, xhat0: Array) -> Memory:
     """Start from xhat(0) [n]."""
-    return free_response.start(xhat0, free_response.origin(xhat0), gains.places, gains.C.shape[0])
+    return prediction.start(xhat0, prediction.origin(xhat0), gains.places, gains.C.shape[0])
 
 
 def correct(gains: Gains, before: Point, sample: Sample) -> Point:
     """Correct at the sample's own time, (8a) and (8b)."""
-    free = free_response.at(gains.motion, before, sample.taken)
+    free = prediction.at(gains.motion, before, sample.taken)
     xbar = sample.note + free
     innovation = jnp.where(sample.fresh, sample.value - gains.C @ xbar, 0.0)
     return Point(free + gains.L @ innovation, sample.taken)
@@ -78,8 +78,8 @@ def estimate(gains: Gains, memory: Memory) -> Array:
     return memory.xhat
 
 
-jump = free_response.jumping(correct, lambda point: point)
-OBSERVER = Observer(init, free_response.note, jump, free_response.flow, estimate)
+jump = prediction.jumping(correct, lambda point: point)
+OBSERVER = Observer(init, prediction.note, jump, prediction.flow, estimate)
 
 
 def design(setting: Setting, options: Options) -> Design:
@@ -92,5 +92,5 @@ def design(setting: Setting, options: Options) -> Design:
     wide = options.period_range is not None or options.parameter_range is not None
     maps = ranges.maps(setting, options.period_range, options.parameter_range, options.q, where) if wide else None
     L, certificate = current_gains.find(setting, options.gain, given, options.q, options.decay, maps, where)
-    moves = free_response.motion_of(setting.model, setting)
+    moves = prediction.motion_of(setting.model, setting)
     return Design(Gains(moves, setting.model.C, setting.model.feedthrough, L, setting.places), certificate)

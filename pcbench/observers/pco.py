@@ -12,7 +12,7 @@ re-initialised at every arrival t_i, where sample i-1 comes to hand:
 
 PCO is Ki = 0. w_0 is the unmeasured part of the estimate at the first sample (at tick 0: of xhat(0)), L_0 = 0.
 Here the age of a sample need not be the interval: samples may be late by any age, jittered, lost (the interval is that between
-samples that came) or out of order (`in_order`). As y is taken as measured, xbar + inv(T) [nu; Kp nu + L] is a current
+samples that came) or out of order (`parts/reordering`). As y is taken as measured, xbar + inv(T) [nu; Kp nu + L] is a current
 estimator: PCO is PCCEBO with the gain inv(T) [I; Kp], except at the first sample.
 
 Source: Li, Wang, Tian, PI Piecewise Continuous Observer Design. Different from print: y_i has not arrived at t_i, so (12) is
@@ -29,14 +29,14 @@ from jax import Array
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
-from pcbench.observers import free_response
-from pcbench.observers.free_response import Memory, Motion, Point
-from pcbench.observers.in_order import Sample
-from pcbench.observers.options import matrix, tunable
+from pcbench.observers.parts import prediction
+from pcbench.observers.parts.options import matrix, tunable
+from pcbench.observers.parts.prediction import Memory, Motion, Point
+from pcbench.observers.parts.reordering import Sample
+from pcbench.protocols import Leaf, Observer
 from pcbench.synthesis import ranges, reduced_order
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
 from pcbench.synthesis.ranges import Range
-from pcbench.types import Leaf, Observer
 
 Given = Literal["lmi"] | float | list[list[float]] | None
 
@@ -79,14 +79,14 @@ class ProportionalIntegral(Proportional):
 
 def init(gains: Gains, xhat0: Array) -> Memory:
     """Start from xhat(0) [n], nothing measured."""
-    state = Reduced(free_response.origin(xhat0), jnp.zeros(gains.Kp.shape[0]), jnp.asarray(False))
-    return free_response.start(xhat0, state, gains.places, gains.D.shape[0])
+    state = Reduced(prediction.origin(xhat0), jnp.zeros(gains.Kp.shape[0]), jnp.asarray(False))
+    return prediction.start(xhat0, state, gains.places, gains.D.shape[0])
 
 
 def reduced(gains: Gains, before: Reduced, sample: Sample) -> Reduced:
     """Run the reduced-order PI observer over one interval, (12) and (14)."""
     l = gains.D.shape[0]
-    predicted = gains.T @ (sample.note + free_response.at(gains.motion, before.point, sample.taken))  # A_d [y; w] + M
+    predicted = gains.T @ (sample.note + prediction.at(gains.motion, before.point, sample.taken))  # A_d [y; w] + M
     nu = jnp.where(sample.fresh, sample.value - predicted[:l], 0.0)
     push = jnp.where(before.started, gains.Kp @ nu + before.L, 0.0)
     L = before.L + jnp.where(before.started, gains.Ki @ nu, 0.0)
@@ -99,8 +99,8 @@ def estimate(gains: Gains, memory: Memory) -> Array:
     return memory.xhat
 
 
-jump = free_response.jumping(reduced, lambda state: state.point)
-OBSERVER = Observer(init, free_response.note, jump, free_response.flow, estimate)
+jump = prediction.jumping(reduced, lambda state: state.point)
+OBSERVER = Observer(init, prediction.note, jump, prediction.flow, estimate)
 
 
 def design(setting: Setting, options: Proportional) -> Design:
@@ -120,6 +120,6 @@ def design(setting: Setting, options: Proportional) -> Design:
     given = [matrix(each, shape, f"{where}: {name}", what) for name, each in asked.items()]
     found = reduced_order.design(plant, given, integral, options.decay, where)
     certificate = certified(found.certificate, where)
-    moves = free_response.motion_of(setting.model, setting)
+    moves = prediction.motion_of(setting.model, setting)
     gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.places)
     return Design(gains, certificate)

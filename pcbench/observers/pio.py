@@ -18,14 +18,15 @@ import numpy as np
 from jax import Array
 from pydantic import Field
 
-from pcbench.observers import smo, unknown_input
-from pcbench.observers.options import tunable
-from pcbench.plants import arm
+from pcbench.dynamics.linear import Matrix
+from pcbench.observers import smo
+from pcbench.observers.parts import unknown_input
+from pcbench.observers.parts.options import tunable
+from pcbench.protocols import Leaf
+from pcbench.scenarios import arm
 from pcbench.synthesis import pi_lmi, sliding_mode
 from pcbench.synthesis.certificate import Design, Setting, certified
-from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.unknown_input import injection, split
-from pcbench.types import Leaf
 
 
 def _printed() -> pi_lmi.Found:
@@ -69,7 +70,7 @@ def design(setting: Setting, options: Options) -> Design:
     parts = split(setting.model, where)
     unknown_input.one_delay(setting, where)
     if options.gains == "paper":
-        unknown_input.of_the_arm(setting, where, arm.nominal(arm.Numbers()))
+        unknown_input.printed_for(arm.LINEAR, setting, where)
         L1: Matrix = smo.PRINTED.L1
         found = PRINTED
         certificate = certified(pi_lmi.certify(found, parts, L1), where)

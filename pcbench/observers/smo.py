@@ -17,13 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from pcbench.observers import unknown_input
-from pcbench.observers.options import tunable
-from pcbench.plants import arm
+from pcbench.observers.parts import unknown_input
+from pcbench.observers.parts.options import tunable
+from pcbench.protocols import Leaf
+from pcbench.scenarios import arm
 from pcbench.synthesis import sliding_mode
 from pcbench.synthesis.certificate import Design, Setting, certified
 from pcbench.synthesis.unknown_input import injection, split
-from pcbench.types import Leaf
 
 PRINTED = sliding_mode.Found(
     L1=np.array([[0.8148], [2.4893]]),
@@ -67,7 +67,7 @@ def design(setting: Setting, options: Options) -> Design:
     parts = split(setting.model, where)
     unknown_input.one_delay(setting, where)
     if options.gains == "paper":
-        unknown_input.of_the_arm(setting, where, arm.nominal(arm.Numbers()))
+        unknown_input.printed_for(arm.LINEAR, setting, where)
         found = PRINTED
         certificate = certified(sliding_mode.certify(found, parts), where)
     else:

@@ -3,10 +3,10 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from pcbench.dynamics.linear import Model
 from pcbench.plants import arm, cart, csth, helicopter, lti
+from pcbench.protocols import Plant
 from pcbench.scenarios import Scenario
-from pcbench.synthesis.linear import Model
-from pcbench.types import Plant
 
 
 class Entry(NamedTuple):

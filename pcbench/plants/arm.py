@@ -20,10 +20,10 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from pcbench.integrate import rk4
-from pcbench.signals import inputs
-from pcbench.synthesis.linear import Model
-from pcbench.types import Leaf, Now, Plant
+from pcbench.dynamics.integrate import rk4
+from pcbench.dynamics.linear import Model
+from pcbench.protocols import Leaf, Now, Plant
+from pcbench.scenarios.signals import inputs
 
 SIGNALS = (
     ("link_angle", "rad"),

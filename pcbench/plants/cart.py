@@ -20,9 +20,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from pcbench.integrate import transition
-from pcbench.synthesis.linear import Model, held
-from pcbench.types import Leaf, Now, Plant
+from pcbench.dynamics.integrate import transition
+from pcbench.dynamics.linear import Model, held
+from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("position", "m"), ("velocity", "m/s"))
 SUBSTEPS = 4  # of Runge-Kutta in a tick under drift

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pcbench.dynamics.linear import Model
 from pcbench.plants import lti
 from pcbench.plants.lti import Params
-from pcbench.synthesis.linear import Model
 
 SIGNALS = (("volume", "L"), ("enthalpy", "J"), ("jacket_temperature", "degC"))
 OUTPUTS = (("level", "mm"), ("tank_temperature", "degC"), ("jacket_temperature", "degC"))

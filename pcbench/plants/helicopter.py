@@ -19,9 +19,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from pcbench.integrate import rk4
-from pcbench.synthesis.linear import Model
-from pcbench.types import Leaf, Now, Plant
+from pcbench.dynamics.integrate import rk4
+from pcbench.dynamics.linear import Model
+from pcbench.protocols import Leaf, Now, Plant
 
 SIGNALS = (("pitch", "rad"), ("yaw", "rad"), ("pitch_rate", "rad/s"), ("yaw_rate", "rad/s"))
 UNKNOWNS = (("pitch_viscosity", "N m s/rad"), ("yaw_viscosity", "N m s/rad"))

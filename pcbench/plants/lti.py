@@ -12,9 +12,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from pcbench.signals import inputs
-from pcbench.synthesis.linear import Model, one_tick
-from pcbench.types import Leaf, Now, Plant
+from pcbench.dynamics.linear import Model, one_tick
+from pcbench.protocols import Leaf, Now, Plant
+from pcbench.scenarios.signals import inputs
 
 
 class Numbers(NamedTuple):

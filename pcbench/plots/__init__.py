@@ -7,9 +7,9 @@
 figure does not show stand at their first value, or where `at` says. Intervals are 95 %. Errors are e = x - xhat.
 """
 
+from pcbench.plots.gains import fair, trade_off
 from pcbench.plots.lines import curves, distributions, time
 from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.palette import styles
-from pcbench.plots.tuning import fair, trade_off
 
 __all__ = ["curves", "distributions", "divergence", "fair", "heatmaps", "styles", "time", "trade_off", "winners"]

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pcbench.dataset.columns import AXIS_UNITS, axes_of
+from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
-from pcbench.result import Result
 from pcbench.statistics import winning
 from pcbench.study import scenarios_of
-from pcbench.tables import AXIS_UNITS, axes_of
 
 METRIC = "tail_rmse"  # by which observers are ranked, unless said otherwise
 POINTS = 100  # of a distribution

@@ -6,13 +6,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from pcbench import examples
+from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
-from pcbench.plots import frames
+from pcbench.plots import frames, one_run
 from pcbench.plots.palette import Style, styles
 from pcbench.plots.sheet import dress, legend, sheet, title_of, unit_of
-from pcbench.result import Result
 from pcbench.study import scenarios_of
 
 
@@ -86,7 +85,7 @@ def time(result: Result, *, scenario: str | None = None, signal: str | None = No
     """
     scenario = frames.scenario_of(result, scenario)
     signal = frames.signal_of(result, scenario, signal)
-    whole = examples.of(result.study, scenario, result.out)
+    whole = one_run.of(result.study, scenario, result.out)
     part = whole[whole.signal == signal]
     figure, ((ax,),) = sheet()
     look = styles(frames.rows(result, scenario, signal, "mae").observer)

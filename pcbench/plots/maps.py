@@ -9,11 +9,11 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames
 from pcbench.plots.palette import styles
 from pcbench.plots.sheet import HEIGHT, WIDTH, sheet, title_of, unit_of
-from pcbench.result import Result
 
 COLUMNS = 3  # of small maps
 DARK = 0.55  # of a map's range: beyond, figures stand in white

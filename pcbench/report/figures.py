@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 
 from pcbench import plots
 from pcbench.dataset import store
+from pcbench.dataset.result import Result
 from pcbench.plots import frames
-from pcbench.result import Result
 
 DPI = 160
 KINDS = ("svg", "png")

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from pcbench.dataset.result import Result
 from pcbench.plots import frames
 from pcbench.plots.palette import styles
-from pcbench.result import Result
 from pcbench.statistics import wording
 from pcbench.statistics.winning import diverges_more
 

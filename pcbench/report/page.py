@@ -11,16 +11,15 @@ import altair as alt
 import jinja2
 import vl_convert
 
-from pcbench import examples
 from pcbench.dataset import store
+from pcbench.dataset.columns import MEANING
+from pcbench.dataset.result import Result, opened
+from pcbench.machine import cache
 from pcbench.plants import signals_of
-from pcbench.plots import frames
+from pcbench.plots import frames, one_run
 from pcbench.report import chart, headline, lines, maps
 from pcbench.report.chart import Chart
-from pcbench.result import Result, opened
 from pcbench.study import scenarios_of
-from pcbench.synthesis import cache
-from pcbench.tables import MEANING
 
 EXPLAINED = ("mae", "rmse", "tail_rmse", "peak", "settling_time", "efficiency", "divergence", "mean_diff", "p_holm")
 Tell = Callable[[str, float], None]
@@ -118,7 +117,7 @@ def _charts(result: Result, scenario: str, metric: str, signals: list[str] | Non
         yield maps.fair(result.fair[result.fair.cell == result.fair.cell.iloc[0]])
     signal = (frames.chosen(result, scenario, signals) or frames.chosen(result, scenario, None))[0]
     units = dict(signals_of(scenarios_of(result.study)[scenario]))
-    run = examples.of(result.study, scenario, result.out)
+    run = one_run.of(result.study, scenario, result.out)
     shown = dict.fromkeys(lost.observer)
     at = chart.where(lost, [], "Shown at")
     yield lines.time(run[run.signal == signal], list(shown), signal, units[signal], result.study.first_seed, at)
@@ -143,7 +142,7 @@ def _command(result: Result) -> str:
 
 
 def _said(result: Result) -> str:
-    from pcbench.cells import to_toml
+    from pcbench.study.cells import to_toml
 
     return to_toml(result.study).partition("[resolved")[0].strip()
 

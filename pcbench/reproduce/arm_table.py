@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from pcbench import bench
+from pcbench import api
 from pcbench.reproduce.claim import FALSE, REPRODUCED, Claim, rounds_to, unit
 
 CLOSE = 1e-3
@@ -50,7 +50,7 @@ def claims() -> list[Claim]:
     """Return the 40 entries of Table 2."""
     scenarios = list(INPUTS.values())
     near = {"scenario": {"start_spread": 1e-6}}
-    many = bench.run({"name": "starts", "scenarios": scenarios}, observers=["pio"], seeds=STARTS, options=near).runs
+    many = api.run({"name": "starts", "scenarios": scenarios}, observers=["pio"], seeds=STARTS, options=near).runs
     out = []
     for (force, observer, what), text in PRINTED.items():
         for (x, signal), printed in zip(SIGNALS.items(), text.split(), strict=True):
@@ -70,7 +70,7 @@ def claims() -> list[Claim]:
 def nominal() -> pd.DataFrame:
     """Return the runs that Table 2 is about, one of each."""
     study = {"name": "table-2", "scenarios": list(INPUTS.values())}
-    return bench.run(study, observers=["smo", "pio"], seeds=1).runs
+    return api.run(study, observers=["smo", "pio"], seeds=1).runs
 
 
 def entry(force: str, observer: str, x: str, what: str) -> float:

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pcbench.dynamics.linear import Matrix
 from pcbench.plants import csth
 from pcbench.reproduce.claim import MISPRINT, OPEN, REPRODUCED, Claim, unit
 from pcbench.synthesis import chain
-from pcbench.synthesis.linear import Matrix
 
 CLOSE = 0.06
 

@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
-from pcbench import machine
+from pcbench.machine import process
 from pcbench.reproduce import PAPERS
 from pcbench.reproduce.claim import Claim
 
@@ -32,7 +32,7 @@ def claims(tell: Callable[[str, float], None] = lambda event, value: None) -> di
 
 def of(paper: str) -> list[Claim]:
     """Return the claims of one paper, in a process that is pcbench's own."""
-    machine.setup()
+    process.setup()
     return PAPERS[paper][1]()
 
 

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pcbench import bench, machine
+from pcbench import api
+from pcbench.machine import process
 from pcbench.plants import helicopter
 from pcbench.reproduce.claim import FINDING, MISPRINT, Claim, digits, found, statement
 from pcbench.reproduce.helicopter_runs import VISCOSITY, Run, misread, record
@@ -25,7 +26,7 @@ NAMES = {"high-gain": "printed", "high-gain-robust": "robust"}
 
 def claims() -> list[Claim]:
     """Return printed against reproduced, for `pcbench reproduce helicopter`."""
-    with machine.float64():
+    with process.float64():
         runs = record()
         return [*_printed(runs), *_misread(), *_control(runs), *_starts(), *_noise(runs)]
 
@@ -113,7 +114,7 @@ def _rows(frame: pd.DataFrame) -> list[dict[str, Any]]:
 def _starts() -> list[Claim]:
     """How often the observer diverges from random starts, by the sampling period."""
     axes = {"sampling_period": [0.05, 0.2, 0.8, 1.5]}
-    done = bench.run("helicopter/constant", observers=list(NAMES), seeds=SEEDS, axes=axes, options=RANDOM)
+    done = api.run("helicopter/constant", observers=list(NAMES), seeds=SEEDS, axes=axes, options=RANDOM)
     unsettled = done.runs[done.runs.signal.str.endswith("viscosity")].query("status == 'unsettled'")
     late = unsettled.groupby(["observer", "sampling_period"]).seed.nunique().to_dict()
     texts: dict[float, list[str]] = {}
@@ -128,7 +129,7 @@ def _starts() -> list[Claim]:
 def _noise(runs: dict[str, Run]) -> list[Claim]:
     """The filter beside the observer, under noise and without."""
     names, stds = ["high-gain-robust", "ekf"], [5e-4, 2e-2]
-    done = bench.run("helicopter/constant", observers=names, seeds=SEEDS, axes={"noise_std": stds}, options=RANDOM)
+    done = api.run("helicopter/constant", observers=names, seeds=SEEDS, axes={"noise_std": stds}, options=RANDOM)
     rows = _rows(done.stats.query("metric == 'tail_pooled_rmse'"))
     value = {(r["noise_std"], r["signal"], r["observer"]): r["mean"] for r in rows}
     signals = [name for name, _ in helicopter.SIGNALS + helicopter.UNKNOWNS]

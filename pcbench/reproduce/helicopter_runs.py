@@ -10,14 +10,16 @@ import jax.numpy as jnp
 import numpy as np
 from jax.tree_util import Partial
 
-from pcbench import planning, recording, shapes
-from pcbench.cells import Cell
+from pcbench import planning
 from pcbench.observers import high_gain
+from pcbench.planning import padding
+from pcbench.planning.padding import Planned
 from pcbench.plants import helicopter
+from pcbench.protocols import Arrival, Now
 from pcbench.scenarios import SCENARIOS
-from pcbench.shapes import Planned
+from pcbench.simulation import trace
 from pcbench.study import Choices, Study, options_of
-from pcbench.types import Arrival, Now
+from pcbench.study.cells import Cell
 
 VISCOSITY = np.array([0.8, 0.318])
 TAIL = 10_000  # tick
@@ -47,7 +49,7 @@ MISPRINTS = {  # how the text reads without its minus signs, or as printed: (alp
 class Run:
     """One run of 20 s: the truth x [N+1, 6], the estimate z [N+1, 6], the set point [N+1, 2]."""
 
-    def __init__(self, out: recording.Recording) -> None:
+    def __init__(self, out: trace.Recording) -> None:
         self.x, self.z, self.target = (np.asarray(a) for a in (out.x, next(iter(out.estimates.values())), out.target))
 
     def rms(self, what: np.ndarray, start: int = TAIL) -> np.ndarray:
@@ -76,7 +78,7 @@ class Run:
 def record() -> dict[str, Run]:
     """Run every case once, all of one shape."""
     drafts = [_draft(*CASES[name]) for name in CASES]
-    return {name: Run(_recorded(p)) for name, p in zip(CASES, shapes.fit(drafts), strict=True)}
+    return {name: Run(_recorded(p)) for name, p in zip(CASES, padding.fit(drafts), strict=True)}
 
 
 def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str, Any]) -> Planned:
@@ -86,8 +88,8 @@ def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str,
     return planning.draft(Cell(s, 0, {}, parameters, Choices(**choices)), {observer: options})
 
 
-def _recorded(p: Planned) -> recording.Recording:
-    out = recording.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0))
+def _recorded(p: Planned) -> trace.Recording:
+    out = trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0))
     return jax.tree.map(np.asarray, out)
 
 
@@ -115,7 +117,7 @@ def _note(gains: Any, memory: Any, now: Now) -> Any:
 
 def misread() -> dict[str, Run]:
     """Run the printed observer as restored, and with one misprint at a time; all in one program."""
-    (p,) = shapes.fit([_draft(*CASES["constant"])])
+    (p,) = padding.fit([_draft(*CASES["constant"])])
     observer = high_gain.OBSERVER._replace(note=_note, jump=_jump)
     layout = p.layout._replace(observers=(("high-gain", observer),))
     out = {}

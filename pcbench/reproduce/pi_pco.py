@@ -16,13 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench import bench, machine, planning, shapes, sweep
-from pcbench.cells import Cell
-from pcbench.reproduce import pi_pco_print
+from pcbench import api, planning
+from pcbench.dataset.result import Result
+from pcbench.machine import process
+from pcbench.planning import in_memory, padding
+from pcbench.reproduce import pi_pco_equations
 from pcbench.reproduce.claim import Claim, found, statement
-from pcbench.result import Result
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study import Choices, Study, options_of
+from pcbench.study.cells import Cell
 
 SEEDS = 1024
 ALIKE = 1e-5  # the least that a tail's error counts for: nothing on the cart is seen so closely
@@ -75,7 +77,7 @@ def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario 
         study = Study(name="variance", scenarios=["cart/variable"], options=given, seeds=seeds)
         options = {name: options_of(study, scenario, name) for name in given}
         drafts.append(planning.draft(Cell(scenario, number, {}, {}, Choices()), options))
-    for (F, k), done in zip(grid, sweep.execute(study, shapes.fit(drafts)), strict=True):
+    for (F, k), done in zip(grid, in_memory.execute(study, padding.fit(drafts)), strict=True):
         pco, pi = (done.results[name]["tail_mse"][0] / scenario.noise_std[0] ** 2 for name in ("pco", "pi-pco"))
         rows = (pco, pi, pi - pco)
         means, errors = ([float(f(row)) for row in rows] for f in (np.mean, standard_error))
@@ -89,8 +91,8 @@ def standard_error(x: NDArray[np.float64]) -> np.float64:
 
 def claims() -> list[Claim]:
     """Return printed against reproduced, for `pcbench reproduce pi-pco`."""
-    with machine.float64():
-        return [*_ordering(), *_stability(), *pi_pco_print.claims(), *_robustness(), *_variances()]
+    with process.float64():
+        return [*_ordering(), *_stability(), *pi_pco_equations.claims(), *_robustness(), *_variances()]
 
 
 def _ordering() -> list[Claim]:
@@ -98,7 +100,7 @@ def _ordering() -> list[Claim]:
     out = []
     for Kp, Ki, which in ((-61.0, 12.2, "a smoothing gain, F = 0.5"), (61.0, 12.2, "an amplifying gain, F = -0.5")):
         options = {"pco": {"Kp": Kp}, "pi-pco": {"Kp": Kp, "Ki": Ki}}
-        done = bench.run("cart/variable", observers=list(options), options=options, seeds=SEEDS)
+        done = api.run("cart/variable", observers=list(options), options=options, seeds=SEEDS)
         for signal, unit in (("position", "m"), ("velocity", "m/s")):
             rows = _tail_rms(done, signal)
             alike = max(rows.values()) < ALIKE
@@ -136,7 +138,7 @@ def _robustness() -> list[Claim]:
     """What the integral is for: a model that is wrong."""
     out = []
     for scenario, wrong in (("cart/variable-bias", "input bias 0.2"), ("cart/variable-gain", "input gain +10 %")):
-        rows = _tail_rms(bench.run(scenario, seeds=256))
+        rows = _tail_rms(api.run(scenario, seeds=256))
         text = ", ".join(f"{name} {rows[name]:.4f}" for name in ("pco", "pi-pco", "dkf", "dkf-bias")) + " m"
         claim = f"The integral makes PCO more robust: {wrong} that no model knows"
         out.append(statement(claim, "more robust", text, bool(rows["pi-pco"] < rows["pco"])))

@@ -1,9 +1,9 @@
 """The published experiments, as data: one file a plant, one dict for all. SI units; no jax."""
 
 from pcbench.scenarios.arm import ARM
-from pcbench.scenarios.base import Scenario
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.csth import CSTH
 from pcbench.scenarios.helicopter import HELICOPTER
+from pcbench.scenarios.scenario import Scenario
 
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH, *ARM, *HELICOPTER)}

@@ -11,7 +11,7 @@ Source: Peng, Appl. Sci. 2017, 7(1), 67, section 5 and Table 2.
 
 from typing import Any
 
-from pcbench.scenarios.base import Scenario
+from pcbench.scenarios.scenario import Scenario
 
 PAPER = "Peng 2017, section 5, Table 2"
 PRINTED: dict[str, dict[str, Any]] = {"smo": {"gains": "paper"}, "pio": {"gains": "paper"}}
@@ -19,6 +19,11 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "design": {"gains": "design"},
     "hold": {"measurement": "hold"},
     "reconstruct": {"reconstruct": True},
+}
+LINEAR = {  # the arm of print without its weight's pull: the printed gains belong to it
+    "A": ((0, 1, 0, 0), (-3.75, -0.0015, 3.75, 0), (0, 0, 0, 1), (3.75, 0, -3.75, -0.00125)),
+    "C": ((0, 1, 0, 0), (0, 0, 1, 0)),
+    "E": ((0,), (1,), (0,), (0,)),
 }
 LABELS = {f"{name}-{what}": option for name in PRINTED for what, option in VARIANTS.items()}
 

@@ -11,7 +11,7 @@ The settling band is 5 % of the initial error.
 
 from math import sqrt
 
-from pcbench.scenarios.base import Scenario
+from pcbench.scenarios.scenario import Scenario
 
 PAPER = "Mohammed, Wang, Tian 2017, section "
 VARIABLE = "Li, Wang, Tian, PI-PCO, section 4"

@@ -10,7 +10,7 @@ there is no noise, designers take that of `10s-noise`.
 from math import sqrt
 from typing import Any
 
-from pcbench.scenarios.base import Scenario
+from pcbench.scenarios.scenario import Scenario
 
 PAPER = "Alipouri, Zhong 2021, section 5"
 DELAYS = (2, 5, 7)  # samples

@@ -12,7 +12,7 @@ Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, section 5.
 from math import pi, sqrt
 from typing import Any
 
-from pcbench.scenarios.base import Scenario
+from pcbench.scenarios.scenario import Scenario
 
 PAPER = "Hernandez-Gonzalez et al. 2024, section 5"
 VISCOSITY = (0.8, 0.318)  # N m s/rad

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from pcbench.dynamics.linear import Model
 from pcbench.errors import DesignError, UserError
-from pcbench.synthesis.linear import Model
 
 NO_NOISE = 1e-12  # variance taken where a scenario has no measurement noise
 

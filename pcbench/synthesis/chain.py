@@ -7,7 +7,7 @@ Link i carries an estimate over d_i = theta_i - theta_(i-1) samples. In state co
 so a link's error moves by F over d samples, and the cascade's map is block triangular: it is stable iff every rho(F_i) < 1, at
 the rate max rho(F_i)^(1/d_i) a sample. That is the certificate: the spectral radius of the whole map of one sample, in shift
 coordinates (newest first), which must equal that rate. Condition (29) of the paper, for one matrix P and all links, is
-sufficient at most; `shared_lyapunov` checks it where asked.
+sufficient at most; `chain_lyapunov` checks it where asked.
 
 Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorems 1 and 3, Algorithm 1. Different from print: T = I, for T has nine
 free dimensions and a Sylvester equation for it is ill-conditioned here; (9) prints Q_0 = D - V D, wrong for D != 0.
@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import matrix_balance, solve_discrete_are
 
+from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate
-from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.sampled import Sampled, by_poles, invertible, noise_over, power, require_seen
 
 LARGEST = 600  # rows of the map of one sample; beyond, its radius is taken from the links, which is the same

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.synthesis import cache, promises, solvers
+from pcbench.dynamics.linear import Matrix
+from pcbench.synthesis import error_bounds, remembered, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
-from pcbench.synthesis.linear import Matrix
 
 
 class Solution(NamedTuple):
@@ -48,7 +48,7 @@ def design(
     problem = (J, corners.seconds, np.array(rate), np.zeros(0) if H is None else H)
 
     def ask(solver: str) -> Solution:
-        return cache.remembered(
+        return remembered.remembered(
             Solution, f"{name}-{solver.lower()}", problem, lambda: solve(corners, rate, where, solver)
         )
 
@@ -87,6 +87,6 @@ def certify(found: Solution, every: Range, rate: float, what: str) -> Certificat
     blocks = np.concatenate([np.concatenate([wide, M.transpose(0, 2, 1)], 2), np.concatenate([M, wide], 2)], 1)
     margin = min(float(np.linalg.eigvalsh(blocks).min()), least_eigenvalue(P))
     radius = float(np.abs(np.linalg.eigvals(every.J)).max())
-    proven = promises.rate(every.J, P, every.seconds)
+    proven = error_bounds.rate(every.J, P, every.seconds)
     numbers = {"P": P, "largest_spectral_radius": radius}
     return Certificate(what, margin, found.solver, found.status, numbers, proven)

@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import LinAlgWarning, solve_discrete_lyapunov
 
-from pcbench.synthesis import promises, solvers
+from pcbench.dynamics.linear import Matrix
+from pcbench.synthesis import error_bounds, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
-from pcbench.synthesis.linear import Matrix
 
 SAME = 1e-5  # the closed form attains a solver's optimum t when it comes this close
 
@@ -94,7 +94,7 @@ def certify(found: Solution, Phi: Matrix, C: Matrix, seconds: float) -> Certific
     block = np.block([[P, M.T], [M, P]])
     margin = min(least_eigenvalue(block), least_eigenvalue(P))
     numbers = {"P": P, "L": L, "eigenvalues": np.linalg.eigvals(closed)}
-    rate = promises.rate(closed[None], P, np.array([seconds]))
+    rate = error_bounds.rate(closed[None], P, np.array([seconds]))
     return Certificate(
         "(23): [P, M'; M, P] > 0, M = P (I - L C) Phi", margin, found.solver, found.status, numbers, rate
     )

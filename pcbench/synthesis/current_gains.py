@@ -16,11 +16,12 @@ from typing import Any
 
 import numpy as np
 
+from pcbench.dynamics import linear
+from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
-from pcbench.synthesis import cache, common_lyapunov, current_estimator, linear, promises, riccati, robust, solvers
+from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, remembered, riccati, robust, solvers
 from pcbench.synthesis.certificate import Certificate, Setting, certified
 from pcbench.synthesis.common_lyapunov import Range, Solution
-from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.ranges import Maps
 
 ROBUST = ("decay", "h2", "hinf")
@@ -40,7 +41,7 @@ def find(
     Phi, Q, late = linear.over(doubled, period), linear.noise_over(doubled, noise, period), setting.delay[0]
     ahead = linear.over(doubled, late)
     mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
-    promises.require_slower(decay or 0.0, (maps or mean).seconds, where)
+    error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
     if given is None and method in ROBUST:
         size = _size(setting, Phi, Q, R)
         task = robust.Task(maps or mean, C, R, ahead / _prior(setting)[:, None], size)
@@ -50,7 +51,7 @@ def find(
         L, certificate = _at_the_mean(method, given, Phi, Q, C, R, mean.seconds, where)
         if maps is not None or decay:
             certificate = _over(L, C, maps or mean, decay or 0.0, where)
-    X = ahead @ promises.covariance(promises.errors(L, C, Phi), L @ R @ L.T) @ ahead.T
+    X = ahead @ error_bounds.covariance(error_bounds.errors(L, C, Phi), L @ R @ L.T) @ ahead.T
     numbers: dict[str, Any] = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
 
@@ -67,7 +68,7 @@ def _at_the_mean(
 
     def ask(solver: str) -> current_estimator.Solution:
         name = f"lmi23-{solver.lower()}"
-        return cache.remembered(
+        return remembered.remembered(
             current_estimator.Solution, name, (Phi, C), lambda: current_estimator.solve(Phi, C, where, solver)
         )
 
@@ -82,8 +83,8 @@ def _at_the_mean(
 
 def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:
     """Prove a gain over a range, at a rate [1/s]."""
-    F = promises.errors(L, C, maps.Phi)
-    fastest = float((-np.log(np.maximum(np.abs(np.linalg.eigvals(F)).max(1), promises.LEAST)) / maps.seconds).min())
+    F = error_bounds.errors(L, C, maps.Phi)
+    fastest = float((-np.log(np.maximum(np.abs(np.linalg.eigvals(F)).max(1), error_bounds.LEAST)) / maps.seconds).min())
     if not decay < fastest:
         raise DesignError(
             f"{where}: got a gain whose errors decay at {fastest:.3g} 1/s over some interval, expected more than {decay:g}; "
@@ -107,7 +108,7 @@ def _size(setting: Setting, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     except DesignError:
         return prior
     keep = np.eye(len(Phi)) - L @ setting.model.C
-    X = promises.covariance(keep @ Phi, keep @ Q @ keep.T + L @ R @ L.T)
+    X = error_bounds.covariance(keep @ Phi, keep @ Q @ keep.T + L @ R @ L.T)
     size = np.sqrt(np.diag(X))
     return np.where(size > 1e-12 * prior, size, prior) if np.isfinite(size).all() else prior
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pcbench.synthesis.linear import Matrix
+from pcbench.dynamics.linear import Matrix
 
 LARGEST = 1500  # rows of a map whose radius is computed
 

@@ -12,10 +12,10 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import AfterValidator
 
+from pcbench.dynamics import linear
+from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
-from pcbench.synthesis import linear
 from pcbench.synthesis.certificate import Setting
-from pcbench.synthesis.linear import Matrix
 
 SHOWN = 17  # maps that a solver sees; the re-check sees every one
 VALUES = 33  # of a parameter

@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import null_space
 
+from pcbench.dynamics.linear import Matrix, Model
+from pcbench.dynamics.observability import require_observable
 from pcbench.errors import UserError
-from pcbench.synthesis import common_lyapunov, promises
+from pcbench.synthesis import common_lyapunov, error_bounds
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.common_lyapunov import Range
-from pcbench.synthesis.linear import Matrix, Model
-from pcbench.synthesis.observability import require_observable
 from pcbench.synthesis.ranges import Maps
 
 
@@ -74,7 +74,7 @@ def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
 
 def design(plant: Split, given: list[Matrix], integral: bool, rate: float, where: str) -> Found:
     """Prove the gains that are given ([Kp] or [Kp, Ki]), or find them by the LMI and prove those, at a `rate` [1/s]."""
-    promises.require_slower(rate, plant.seconds, where)
+    error_bounds.require_slower(rate, plant.seconds, where)
     k, l = plant.A22.shape[1], plant.outputs
     zero, corners = np.zeros((k, l)), _corners(plant, rate)
     A12, A22, seconds = corners

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
+from pcbench.dynamics.linear import Matrix, Model, noise_over, over
 from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
-from pcbench.synthesis.linear import Matrix, Model, noise_over, over
 
 
 class Stationary(NamedTuple):

@@ -7,7 +7,7 @@
 with G_i G_i' = Q_i the process noise over an interval, V V' = R that of a sample, W e what counts of the error. h2 bounds the
 covariance of W e by Z, hinf its energy by g times that of the (normalised) noise. Each may be joined with decay; one P for
 all is sufficient, not necessary. Where the plant integrates, a constant sensor error comes out in the estimate as it is,
-whatever the gain: no energy gain is less. Solved at the scale of the noise, re-checked by `promises` in the plant's own units.
+whatever the gain: no energy gain is less. Solved at the scale of the noise, re-checked by `error_bounds` in the plant's own units.
 Source: standard (Boyd et al., Linear Matrix Inequalities in System and Control Theory, 1994; de Oliveira et al., 1999), in
 the form that Y = P L makes affine.
 """
@@ -16,10 +16,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
-from pcbench.synthesis import cache, promises, solvers
+from pcbench.synthesis import error_bounds, remembered, solvers
 from pcbench.synthesis.certificate import Certificate
-from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.ranges import Maps
 
 Kind = Literal["decay", "h2", "hinf"]
@@ -64,7 +64,7 @@ def design(
 
     def ask(solver: str) -> Found:
         problem = (task.maps.seen.Phi, task.maps.seen.Q, task.maps.seen.seconds, *task[1:], np.array(decay or 0.0))
-        return cache.remembered(
+        return remembered.remembered(
             Found, f"{name}-{solver.lower()}", problem, lambda: solve(task, kind, decay, where, solver)
         )
 
@@ -156,19 +156,19 @@ def certify(found: Found, task: Task, kind: Kind) -> Certificate:
     if P.shape != task.W.shape or L.shape != task.C.T.shape or not (np.isfinite(P).all() and np.isfinite(L).all()):
         return Certificate(what, float("nan"), found.solver, found.status)
     maps = task.maps
-    F, N = promises.errors(L, task.C, maps.Phi), promises.noise(L, task.C, maps.Q, task.R)
-    rate = promises.rate(F, P, maps.seconds)
+    F, N = error_bounds.errors(L, task.C, maps.Phi), error_bounds.noise(L, task.C, maps.Q, task.R)
+    rate = error_bounds.rate(F, P, maps.seconds)
     numbers: dict[str, Any] = {"P": P, "L": L, "rate": rate, "maps": len(F)}
     if kind == "h2":
         what += "; X >= F X F' + noise, X = s inv(P)"
-        X = task.W @ promises.bound(F, N, P) @ task.W.T
+        X = task.W @ error_bounds.bound(F, N, P) @ task.W.T
         numbers |= {"rms_bound": float(np.sqrt(np.trace(X)))}
         rate = rate if np.isfinite(X).all() else float("nan")
     if kind == "hinf":
         what += "; sum |W e|^2 <= g^2 sum |noise|^2"
         keep = np.eye(len(L)) - L @ task.C
         B = np.stack([np.hstack([keep @ _root(Q), -L @ _root(task.R)]) for Q in maps.Q])
-        g = promises.gain_bound(F, B, task.W, P)
+        g = error_bounds.gain_bound(F, B, task.W, P)
         numbers |= {"g": g}
         rate = rate if np.isfinite(g) else float("nan")
     return Certificate(what, rate, found.solver, found.status, numbers, rate)

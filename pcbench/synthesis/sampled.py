@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.signal import place_poles
 
+from pcbench.dynamics import linear
+from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.observability import shown
 from pcbench.errors import DesignError, UserError, said
-from pcbench.synthesis import linear
 from pcbench.synthesis.certificate import NO_NOISE, Setting
-from pcbench.synthesis.linear import Matrix
-from pcbench.synthesis.observability import shown
 
 power = np.linalg.matrix_power
 UNSEEN = 1e-8  # a scaled mode is not seen where C shows less than this of it

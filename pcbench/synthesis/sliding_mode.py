@@ -18,10 +18,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import block_diag
 
+from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
-from pcbench.synthesis import cache, solvers, unknown_input
+from pcbench.synthesis import remembered, solvers, unknown_input
 from pcbench.synthesis.certificate import Certificate
-from pcbench.synthesis.linear import Matrix
 from pcbench.synthesis.unknown_input import Split
 
 BOUNDS = (1e2, 1e4, 1e6, 1e8)  # of P1 where it would grow for ever
@@ -56,7 +56,7 @@ def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> F
     """
     unknown_input.require_movable(plant, alpha, where)
     problem = (plant.A11, plant.A21, plant.A211, np.array([alpha]))
-    return cache.remembered(
+    return remembered.remembered(
         Found, f"sliding-mode-{solver.lower()}", problem, lambda: _solve(plant, alpha, where, solver)
     )
 

@@ -11,9 +11,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate, certified
-from pcbench.synthesis.linear import Matrix
 
 SOLVERS = ("CLARABEL", "SCS")
 SETTINGS = {

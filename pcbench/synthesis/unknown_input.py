@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.linalg import eigh
 
+from pcbench.dynamics.linear import Matrix, Model
+from pcbench.dynamics.observability import RANK, shown, unobservable
 from pcbench.errors import UserError
 from pcbench.synthesis.certificate import Certificate, certified
-from pcbench.synthesis.linear import Matrix, Model
-from pcbench.synthesis.observability import RANK, shown, unobservable
 
 TIE = 1e-9  # lengths this close are equal, and entries this small are zero
 SHORT = 1e-5  # part of the rate asked for that a proof may fall short of it: an optimum lies on the boundary

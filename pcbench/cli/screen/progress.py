@@ -29,7 +29,7 @@ def shown(quiet: bool, *beside: ProgressColumn) -> Iterator[Progress]:
 
 @contextmanager
 def progress(quiet: bool) -> Iterator[Any]:
-    """Yield a `tell` for `bench.run` that draws a bar with rate and time left on standard error."""
+    """Yield a `tell` for `pcbench.run` that draws a bar with rate and time left on standard error."""
     with shown(quiet, Rate()) as bar:
         task = bar.add_task("designing gains", total=None)
 

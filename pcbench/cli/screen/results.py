@@ -7,11 +7,11 @@ import pandas as pd
 from rich.console import Console
 
 from pcbench.cli.screen.tables import Column, fits, printed
+from pcbench.dataset.columns import unit_of
 from pcbench.scenarios import Scenario
 from pcbench.statistics.winning import winner
 from pcbench.statistics.wording import difference, fraction, interval
 from pcbench.study import scenarios_of
-from pcbench.tables import unit_of
 
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
 BESIDE = (

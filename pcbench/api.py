@@ -1,0 +1,120 @@
+"""The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
+
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+import pandas as pd
+
+from pcbench.dataset import run_study
+from pcbench.dataset.result import Result
+from pcbench.dataset.run_study import Say, Tell, silent
+from pcbench.errors import UserError
+from pcbench.gains import fair_table, versions
+from pcbench.machine import process
+from pcbench.planning import alone, plan
+from pcbench.plants import signals_of
+from pcbench.study.read import Described, one_cell, study_of
+from pcbench.synthesis.certificate import Design
+
+
+def run(
+    study: Described,
+    *,
+    seeds: int | None = None,
+    first_seed: int | None = None,
+    observers: str | list[str] | None = None,
+    axes: dict[str, list[Any]] | None = None,
+    options: dict[str, dict[str, Any]] | None = None,
+    root_seed: int | None = None,
+    out: str | Path | None = None,
+    overrides: list[str] | None = None,
+    fresh: bool = False,
+    until_se: str | None = None,
+    max_seeds: int | None = None,
+    devices: int | None = None,
+    dask: str | None = None,
+    workers: int | None = None,
+    block: int | None = None,
+    memory: str | int | None = None,
+    tell: Tell = silent,
+    say: Say = lambda sentence: None,
+) -> Result:
+    """Run a study and return its tables; with `out`, a folder or a URI, leave them there: run again, it goes on.
+
+    `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study; the arguments up to
+    `root_seed` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in `out` is not done
+    again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of every observer is
+    that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a scheduler's address,
+    or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
+    a time; by default a quarter of the machine's). `tell` hears of progress, `say` of damaged files. A study's `tuning` is done
+    first: `gains.versions`; of several the result has a table `fair`. Raises UserError, one sentence, for whatever the user
+    can mend.
+    """
+    observers = [observers] if isinstance(observers, str) else observers
+    changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
+    chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
+    with process.float64():
+        how = run_study.How(fresh, until_se, max_seeds, devices, dask, workers, block, memory, tell, say).checked()
+        made = versions.prepare(chosen, out, fresh, tell)
+        return fair_table.report(made, run_study.execute(made.study, out, how), out, how)
+
+
+def trace(
+    scenario: Described, observers: str | list[str], *, seed: int = 0, overrides: list[str] | None = None
+) -> pd.DataFrame:
+    """Return one run tick by tick, ticks 0 .. N: t [s], each signal, <observer>.<signal>, u1.., y1.. (held arrivals).
+
+    Signals are the states and what the plant has of unknown inputs or parameters; observers have columns for what they
+    estimate. A trace of a closed loop is of one observer, and has the set point too: target.<signal>.
+
+    `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
+    Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.
+    """
+    names = [observers] if isinstance(observers, str) else list(observers)
+    if not 0 <= seed < 2**32:
+        raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
+    with process.float64():
+        study, cell = one_cell(scenario, names, overrides or [])
+        if cell.scenario.controller and len(names) > 1:
+            raise UserError(
+                f"{study.name}: got {len(names)} observers in a closed loop, expected one: each drives a plant of its own; "
+                "trace them one at a time."
+            )
+        (p,) = (alone(planned, study.root_seed, seed) for planned in plan(study))
+        from pcbench.simulation import trace
+
+        out = trace.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
+        out = jax.tree.map(np.asarray, out)
+    signals = [name for name, _ in signals_of(p.cell.scenario)]
+    columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
+    columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
+    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
+        columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[called].T)}
+    columns |= {f"target.{signals[i]}": each for i, each in enumerate(out.target.T)}
+    columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
+    columns |= {f"y{i + 1}": y for i, y in enumerate(_held(out.arrived).T)}
+    frame = pd.DataFrame(columns)
+    frame.attrs["carries_input"] = dict(p.carries_input)  # of the predictions to now, by observer
+    return frame
+
+
+def _held(arrived: np.ndarray) -> np.ndarray:
+    """What has arrived and is held at every tick, [N+1, q], from what arrives at each; NaN before the first."""
+    last = np.maximum.accumulate(np.where(np.isnan(arrived), -1, np.arange(len(arrived))[:, None]))
+    return np.where(last >= 0, np.take_along_axis(arrived, np.maximum(last, 0), 0), np.nan)
+
+
+def design(
+    scenario: Described, observer: str, *, method: str | None = None, overrides: list[str] | None = None
+) -> Design:
+    """Return an observer's gains in a scenario with the certificate that proves them; `method` as `pcbench design` has it.
+
+    The certificate says the inequality, its margin, the solver and whether it was a fallback, and the decay rate promised.
+    Raises UserError for a word that is none, DesignError with the margin where the gains are not certified.
+    """
+    with process.float64():
+        from pcbench.gains import design
+
+        return design.design(scenario, observer, method=method, overrides=overrides)[2]

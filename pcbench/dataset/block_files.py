@@ -1,0 +1,169 @@
+"""The blocks of a dataset: what is there, what is whole, what is missing. No jax.
+
+A block is the runs of one observer in one cell over a range of seeds: one file, whose name says which. Nothing else is
+remembered: what is done is what is on disk. Ranges need not be of one size: a gap is a gap, whoever cut the rest.
+"""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable
+from typing import Any, NamedTuple
+from urllib.parse import quote, unquote
+
+import numpy as np
+import pyarrow as pa
+
+from pcbench.dataset import store
+from pcbench.dataset.columns import SCHEMA
+from pcbench.errors import UserError
+
+ABOUT = b"pcbench.block"  # the key in a file's metadata
+NAME = re.compile(r"runs/scenario=([^/]+)/observer=([^/]+)/cell-(\d+)-seeds-(\d+)-(\d+)\.parquet")
+DIGITS = 12  # of a seed or a cell's number; all that a study may ask for has fewer
+OTHER_SCHEMA = "it is of another version of the tables"
+Range = tuple[int, int]  # first seed, one past the last
+
+
+class Block(NamedTuple):
+    """The runs of one observer in one cell over the seeds first .. last - 1."""
+
+    scenario: str
+    observer: str
+    cell: int
+    first: int
+    last: int
+
+    @property
+    def name(self) -> str:
+        """Return the file it stands in, below the dataset's folder."""
+        folder = f"runs/scenario={quote(self.scenario, safe='')}/observer={quote(self.observer, safe='')}"
+        return f"{folder}/cell-{self.cell:05d}-seeds-{self.first:010d}-{self.last - 1:010d}.parquet"
+
+
+def block_of(name: str) -> Block | None:
+    """Return the block that a file's name says; None where it is the name of no block that can be."""
+    found = NAME.fullmatch(name)
+    if not found:
+        return None
+    scenario, observer, cell, first, last = found.groups()
+    if max(len(cell), len(first), len(last)) > DIGITS or int(last) < int(first):
+        return None
+    return Block(unquote(scenario), unquote(observer), int(cell), int(first), int(last) + 1)
+
+
+def present(place: store.Target) -> list[Block]:
+    """Return the blocks that have a file, sorted; raise UserError for a table that is none."""
+    out = []
+    for name in store.names(place, "runs"):
+        block = block_of(name)
+        if block is None:
+            raise UserError(
+                f"{place.name}/{name}: is no block of a study, expected cell-*-seeds-*.parquet; move it away."
+            )
+        out.append(block)
+    return sorted(out)
+
+
+def read(place: store.Target, block: Block) -> pa.Table:
+    """Return a block's rows, every page checked; raise UserError, naming the file, where it is damaged."""
+    found = _whole(place, block)
+    if isinstance(found, str):
+        raise UserError(
+            f"{place.name}/{block.name}: is damaged ({found}), expected a whole block; run the study again to have it redone."
+        )
+    return found
+
+
+def _whole(place: store.Target, block: Block) -> pa.Table | str:
+    content = store.get(place, block.name)
+    if content is None:
+        return "it is gone"
+    try:
+        return store.parsed(content)
+    except (pa.ArrowException, OSError, ValueError) as error:  # UnicodeDecodeError is a ValueError
+        return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
+
+
+def about(table: pa.Table) -> dict[str, Any]:
+    """Return what a block says of itself; nothing where that cannot be read."""
+    return _about(table.schema.metadata)
+
+
+def about_block(place: store.Target, block: Block) -> dict[str, Any]:
+    """Return the same from a block's footer alone."""
+    found = store.footer(place, block.name)
+    return _about(found.metadata) if found else {}
+
+
+def _about(metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
+    try:
+        return dict(json.loads((metadata or {}).get(ABOUT, b"{}")))
+    except ValueError:
+        return {}
+
+
+def sealed(table: pa.Table, said: dict[str, Any]) -> pa.Table:
+    """Return rows with what they say of themselves, their digest with it."""
+    said = {k: v for k, v in said.items() if k != "digest"} | {"rows": len(table)}
+    said |= {"digest": digest(table, said)}
+    return table.replace_schema_metadata(
+        (table.schema.metadata or {}) | {ABOUT: json.dumps(said, sort_keys=True).encode()}
+    )
+
+
+def digest(table: pa.Table, said: dict[str, Any]) -> str:
+    """Return the digest of what a block says of itself and of its numbers, to the bit; words have their pages' checksums."""
+    out = hashlib.sha256(json.dumps({k: v for k, v in said.items() if k != "digest"}, sort_keys=True).encode())
+    for field, column in zip(table.schema, table.columns, strict=True):
+        out.update(f"{field.name}:{field.type}:{column.null_count}".encode())
+        if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
+            out.update(np.ascontiguousarray(column.to_numpy()).tobytes())
+    return out.hexdigest()[:32]
+
+
+def damage(place: store.Target, block: Block, cell: str) -> str | None:
+    """Return what is wrong with a block's file; None where it is whole and of the cell with this digest."""
+    table = _whole(place, block)
+    if isinstance(table, str):
+        return table
+    said, metadata = about(table), table.schema.metadata or {}
+    if metadata.get(b"pcbench.schema") != SCHEMA.encode():
+        return OTHER_SCHEMA
+    if said.get("cell") != cell:
+        return "it is of another cell"
+    if (said.get("observer"), said.get("first"), said.get("last")) != (block.observer, block.first, block.last):
+        return "it is another block than its name says"
+    if len(table) != said.get("rows") or len(table) % (block.last - block.first):
+        return f"it has {len(table)} rows, expected {said.get('rows')}"
+    if digest(table, said) != said.get("digest"):
+        return "its rows are not those that were written"
+    return None
+
+
+def settle(blocks: Iterable[Block]) -> tuple[list[Block], list[Block]]:
+    """Return the blocks of one observer and cell that follow one another, and those that would double a row."""
+    kept: list[Block] = []
+    doubled: list[Block] = []
+    for block in sorted(blocks, key=lambda b: (b.first, -b.last)):
+        (kept if not kept or block.first >= kept[-1].last else doubled).append(block)
+    return kept, doubled
+
+
+def settled(blocks: Iterable[Block]) -> list[Block]:
+    """Return the blocks of all observers and cells without those that would double a row, sorted."""
+    each: dict[tuple[str, str, int], list[Block]] = {}
+    for b in blocks:
+        each.setdefault((b.scenario, b.observer, b.cell), []).append(b)
+    return sorted(b for mine in each.values() for b in settle(mine)[0])
+
+
+def gaps(blocks: Iterable[Block], first: int, last: int, size: int) -> list[Range]:
+    """Return the ranges of first .. last - 1 that no block holds, cut at multiples of `size`."""
+    out, at = [], first
+    for start, end in [*sorted((b.first, b.last) for b in blocks), (last, last)]:
+        while at < min(start, last):
+            out.append((at, min(start, last, (at // size + 1) * size)))
+            at = out[-1][1]
+        at = max(at, end)
+    return out

@@ -1,0 +1,225 @@
+"""Two results of one study, of two releases or two machines: what changed beyond its interval. Nothing is written. No jax.
+
+A row of stats is matched by scenario, cell (the digest of all that decides it, whatever its number), observer, signal and
+metric. Where both stand on the same draws the numbers should be equal, but for rounding; where they are not equal, or the
+draws are others, means are compared by Welch's t (Biometrika 34 (1947), 28-35) on mean, standard error and n,
+
+    t = (b - a) / sqrt(va + vb),   df = (va + vb)^2 / (va^2 / (na - 1) + vb^2 / (nb - 1)),   v = se^2,
+
+with Holm's correction over all rows so tested. On the same draws the test is conservative: it takes them for independent. Where
+some seeds are common and others are not, rows are made anew over the common ones: Welch's t supposes that there are none.
+A number without spread (no noise) has changed where it differs by more than rounding; one that exists on one side only, too.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+from scipy.special import stdtr
+
+from pcbench.dataset import block_files, columns, ownership, store, summary
+from pcbench.dataset.block_files import Block, Range
+from pcbench.dataset.ownership import Claim
+from pcbench.dataset.verify import ROUNDING, ZERO
+from pcbench.errors import UserError
+from pcbench.statistics.comparison import holm
+from pcbench.study.cells import identity, to_toml
+
+LEVEL = 0.05
+KEY = ["scenario", "digest", "observer", "signal", "metric"]
+MADE_BY = (
+    "versions",
+    "compiler",
+    "device",
+    "system",
+    "precision",
+    "git",
+)  # of a provenance: what may decide the last bits
+
+
+class Comparison(NamedTuple):
+    """What differs between two results, b less a."""
+
+    rows: pd.DataFrame  # matched, the most surely changed first; columns of `judged`
+    only: tuple[int, int]  # rows that stand in a alone, and in b alone
+    made_by: list[str]  # what differs in versions and machines, a phrase each
+
+    @property
+    def changed(self) -> int:
+        """How many rows changed beyond their interval."""
+        return int(self.rows.changed.sum())
+
+    @property
+    def identical(self) -> bool:
+        """Whether all that was compared on the same draws is the same to the bit."""
+        return bool(self.rows.identical[self.rows.same_draws].all())
+
+    @property
+    def largest(self) -> float:
+        """The largest relative difference among rows on the same draws; 0 without any."""
+        return float(np.max(self.rows.relative[self.rows.same_draws].to_numpy(), initial=0.0))
+
+
+def compare(a: Any, b: Any) -> Comparison:
+    """Compare two folders; raise UserError where they are of different studies, damaged, or one has no closing tables.
+
+    Blocks are looked at by their footers: `verify` reads them whole.
+    """
+    places = store.target(a), store.target(b)
+    claims = ownership.opened(places[0]), ownership.opened(places[1])
+    if found := ownership.differences(claims[0], _rooted(claims[1], claims[0].study.root_seed)):
+        raise UserError(
+            f"{places[1].name}: is of another study than {places[0].name} ({'; '.join(found[:3])}), expected the same study; "
+            "compare results of one study."
+        )
+    sides = [_side(place, claimed) for place, claimed in zip(places, claims, strict=True)]
+    common = _common(*sides)
+    left, right = (_stats(side, common) for side in sides)
+    both = left.merge(right, on=KEY, how="outer", suffixes=("_a", "_b"), indicator=True)
+    only = int((both._merge == "left_only").sum()), int((both._merge == "right_only").sum())
+    rows = judged(both[both._merge == "both"].drop(columns="_merge"))
+    return Comparison(rows, only, made_by(*places))
+
+
+def _rooted(claimed: Claim, root_seed: int) -> Claim:
+    """A claim as it would be with another root seed: that changes draws, and is no other study here."""
+    study = claimed.study.model_copy(update={"root_seed": root_seed})
+    return Claim(study, claimed.cells, to_toml(study, claimed.cells))
+
+
+class Side(NamedTuple):
+    """One of two results."""
+
+    place: store.Target
+    claimed: Claim
+    stats: pa.Table
+    digests: dict[tuple[str, int], str]  # what tells its cells from all others, whatever their root seed and number
+    blocks: dict[tuple[str, int, str], list[Block]]  # by scenario, cell and observer
+
+
+def _side(place: store.Target, claimed: Claim) -> Side:
+    """Return a result; raise UserError where it is not finished or not whole."""
+    found = summary.table(place, "stats.parquet")
+    if found is None:
+        raise UserError(
+            f"{place.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to go on."
+        )
+    blocks: dict[tuple[str, int, str], list[Block]] = {}
+    for b in sorted(block_files.settled(block_files.present(place))):
+        if store.footer(place, b.name) is None:
+            raise UserError(
+                f"{place.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
+            )
+        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    return Side(place, claimed, found, {c.key: identity(c, 0) for c in claimed.cells}, blocks)
+
+
+Drawn = dict[tuple[str, str, str], list[Range]]  # by scenario, cell's digest and observer: ranges of seeds, joined
+
+
+def _drawn(side: Side) -> Drawn:
+    out: Drawn = {}
+    for (scenario, cell, observer), mine in side.blocks.items():
+        joined = out.setdefault((scenario, side.digests[scenario, cell], observer), [])
+        for b in mine:
+            if joined and joined[-1][1] == b.first:
+                joined[-1] = (joined[-1][0], b.last)
+            else:
+                joined.append((b.first, b.last))
+    return out
+
+
+def _common(a: Side, b: Side) -> dict[tuple[str, str, str], Range]:
+    """Return the seeds that two sides share where they do not hold the same: the longest range, by cell and observer."""
+    if a.claimed.study.root_seed != b.claimed.study.root_seed:
+        return {}
+    out, here = {}, _drawn(b)
+    for key, mine in _drawn(a).items():
+        both = [(max(i, k), min(j, m)) for i, j in mine for k, m in here.get(key, [])]
+        if here.get(key) not in (None, mine) and (shared := [r for r in both if r[0] < r[1]]):
+            out[key] = max(shared, key=lambda r: r[1] - r[0])
+    return out
+
+
+def _stats(side: Side, common: dict[tuple[str, str, str], Range]) -> pd.DataFrame:
+    """The rows of stats with what tells a cell from others, and the draws they stand on; over the `common` seeds, if any."""
+    frame, drawn, root = columns.frame(_over(side, common)), _drawn(side), side.claimed.study.root_seed
+    cells = {c.key: c for c in side.claimed.cells}
+    keys = list(zip(frame.scenario, frame.cell, strict=True))
+    frame["digest"] = [side.digests[key] for key in keys]
+    frame["where"] = [_where(cells[key].values, list(side.claimed.study.axes)) for key in keys]
+    named = list(zip(frame.scenario, frame.digest, frame.observer, strict=True))
+    frame["draws"] = [f"{root}: {[common[name]] if name in common else drawn[name]}" for name in named]
+    frame["narrowed"] = [name in common for name in named]
+    numbers = ["n", "diverged", *(c for c in frame.columns[frame.columns.get_loc("mean") :] if frame[c].dtype == float)]
+    frame["bits"] = [row.tobytes() for row in frame[numbers].to_numpy(float)]
+    return frame[[*KEY, "where", "unit", "draws", "narrowed", "n", "mean", "se", "bits"]]
+
+
+def _over(side: Side, common: dict[tuple[str, str, str], Range]) -> pa.Table:
+    """The table stats, made anew of the runs where only some of the seeds are common."""
+    axes = columns.axes_of(dict.fromkeys(side.stats.column_names))
+    parts = []
+    for cell in side.claimed.cells if common else ():
+        found = summary.observed(side.place, side.claimed, cell, side.blocks)
+        for observer, each in found.items():
+            within = common.get((cell.scenario.name, side.digests[cell.key], observer))
+            rows, _ = summary.summary(side.place, side.claimed.study.name, cell, {observer: each}, within)
+            parts.append(columns.rows_table(rows, columns.stats_order(axes)))
+    return pa.concat_tables(parts) if parts else side.stats
+
+
+def _where(values: dict[str, Any], axes: list[str]) -> str:
+    return ", ".join(f"{name}={values[name]}" for name in axes)
+
+
+def judged(both: pd.DataFrame) -> pd.DataFrame:
+    """Return matched rows with what came of them: difference, p-value, Holm's, and whether they changed."""
+    a, b = (both[f"mean_{side}"].to_numpy(float) for side in "ab")
+    difference, size = b - a, np.fmax(np.abs(a), np.abs(b))
+    relative = np.where(size > ZERO, np.abs(difference) / np.where(size > ZERO, size, 1.0), 0.0)
+    same = (relative <= ROUNDING) | (np.abs(difference) <= ZERO)
+    here = ~np.isnan(a), ~np.isnan(b)
+    p = welch(*(both[f"{what}_{side}"].to_numpy(float) for side in "ab" for what in ("mean", "se", "n")))
+    p = np.where(same, np.nan, p)
+    adjusted = holm(p)
+    same_draws = (both.draws_a == both.draws_b).to_numpy()
+    still = both.se_a.fillna(0.0).eq(0).to_numpy() & both.se_b.fillna(0.0).eq(0).to_numpy()
+    spread = both.se_a.notna().to_numpy() & both.se_b.notna().to_numpy()
+    without = ~same & here[0] & here[1] & still & (spread | same_draws)
+    changed = (adjusted < LEVEL) | without | (here[0] != here[1])
+    out = both[["scenario", "where_a", "observer", "signal", "metric", "unit_a"]].copy()
+    out.columns = pd.Index(["scenario", "where", "observer", "signal", "metric", "unit"])
+    names = ["n_a", "mean_a", "se_a", "n_b", "mean_b", "se_b"]
+    out = out.assign(**{name: both[name] for name in names}, difference=difference, relative=np.nan_to_num(relative))
+    out = out.assign(p_value=p, p_holm=adjusted, same_draws=same_draws, changed=changed)
+    out = out.assign(identical=(both.bits_a == both.bits_b).to_numpy(), narrowed=both.narrowed_a.to_numpy())
+    order = out.assign(sure=np.where(changed & np.isnan(p), 0.0, np.nan_to_num(p, nan=1.0)))
+    return order.sort_values(["changed", "sure", "relative"], ascending=[False, True, False], kind="stable").drop(
+        columns="sure"
+    )
+
+
+def welch(ma: Any, sa: Any, na: Any, mb: Any, sb: Any, nb: Any) -> Any:
+    """Return Welch's two-sided p-values; NaN where a side has fewer than two runs, or neither varies."""
+    va, vb = sa**2, sb**2
+    known = (na > 1) & (nb > 1) & (va + vb > 0)
+    va, vb = np.where(known, va, 1.0), np.where(known, vb, 1.0)
+    df = (va + vb) ** 2 / (va**2 / np.where(known, na - 1, 1) + vb**2 / np.where(known, nb - 1, 1))
+    return np.where(known, 2 * stdtr(df, -np.abs(mb - ma) / np.sqrt(va + vb)), np.nan)
+
+
+def made_by(a: store.Target, b: store.Target) -> list[str]:
+    """Return what differs in what the provenances say of libraries and machines, a phrase each."""
+    there, here = (summary.record(place) or {} for place in (a, b))
+    old, new = (_flat({k: each.get(k) for k in MADE_BY}) for each in (there, here))
+    keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]
+    return [f"{k}: {old.get(k, 'nothing')} there, {new.get(k, 'nothing')} here" for k in keys]
+
+
+def _flat(said: dict[str, Any], under: str = "") -> dict[str, Any]:
+    out: dict[str, Any] = {}
+    for key, value in said.items():
+        out |= _flat(value, f"{under}{key}.") if isinstance(value, dict) else {f"{under}{key}": value}
+    return out

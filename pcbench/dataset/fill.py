@@ -1,0 +1,217 @@
+"""From a study to its blocks: what is missing is planned, cut into tasks, done, and nothing else.
+
+Gains are designed before anything is written; planned cells wait on disk, so that memory grows with none of a study's axes.
+"""
+
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from pcbench import planning
+from pcbench.dataset import block_files, ownership, store, task
+from pcbench.dataset.block_files import Block, Range
+from pcbench.dataset.columns import SCHEMA
+from pcbench.dataset.executors import Executor
+from pcbench.dataset.ownership import Claim
+from pcbench.dataset.pickled import lay_aside, take_up, unpack
+from pcbench.errors import UserError
+from pcbench.machine import provenance
+from pcbench.planning import padding
+from pcbench.planning.padding import Planned
+from pcbench.study import observers_of
+from pcbench.study.cells import Cell
+
+CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
+TASKS = 64  # to share among cores and workers
+MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
+Wanted = Callable[[Cell], Range]  # the seeds of a cell, first and one past the last
+Missing = dict[tuple[str, int], dict[str, list[Range]]]  # by cell and observer
+Tell = Callable[[str, float], None]
+
+
+class Options(NamedTuple):
+    """How a study is run: of no influence on any number."""
+
+    block: int | None = None  # seeds a block
+    memory: float = float("inf")  # bytes that results may take at a time
+
+
+class Effort(NamedTuple):
+    """What a run of a study took."""
+
+    runs: int = 0
+    writing_seconds: float = 0.0
+    compiled: Mapping[Any, float] = MappingProxyType({})  # seconds by program
+
+    @property
+    def compile_seconds(self) -> float:
+        """Return the seconds that programs took to make."""
+        return sum(self.compiled.values())
+
+
+def added(a: Effort, b: Effort) -> Effort:
+    """Return what two runs took together."""
+    return Effort(a.runs + b.runs, a.writing_seconds + b.writing_seconds, {**a.compiled, **b.compiled})
+
+
+def everything(claimed: Claim, there: list[Block]) -> Wanted:
+    """Return the seeds that a study names, and those that some observer of a cell has beyond: all of them are to have them."""
+    first, last = claimed.study.first_seed, claimed.study.first_seed + claimed.study.seeds
+    ends: dict[tuple[str, int], int] = {}
+    for b in there:
+        ends[b.scenario, b.cell] = max(ends.get((b.scenario, b.cell), last), b.last)
+    return lambda cell: (first, ends.get(cell.key, last))
+
+
+def whole(place: store.Target, claimed: Claim, say: Callable[[str], None]) -> list[Block]:
+    """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
+    digests = ownership.digests(claimed)
+    known = {s: set(observers_of(claimed.study, s)) for s in claimed.study.scenarios}
+    there = block_files.present(place)
+    for b in there:
+        if (b.scenario, b.cell) not in digests or b.observer not in known[b.scenario]:
+            raise UserError(
+                f"{place.name}/{b.name}: is of no cell of this study, expected its blocks only; move it away."
+            )
+    with ThreadPoolExecutor() as pool:
+        found = list(pool.map(lambda b: block_files.damage(place, b, digests[b.scenario, b.cell]), there))
+    for b, wrong in zip(there, found, strict=True):
+        if wrong == block_files.OTHER_SCHEMA:
+            raise UserError(
+                f"{place.name}/{b.name}: {wrong}, expected version {SCHEMA}; give a new folder with --out, or start over with "
+                "--fresh."
+            )
+    good = [b for b, wrong in zip(there, found, strict=True) if not wrong]
+    kept = block_files.settled(good)
+    stays = set(kept)
+    for b, wrong in zip(there, found, strict=True):
+        if wrong:
+            say(f"{place.name}/{b.name}: is damaged ({wrong}); it is done again.")
+        elif b not in stays:
+            say(f"{place.name}/{b.name}: holds seeds that another block holds; it is removed.")
+        else:
+            continue
+        store.remove(place, b.name)
+    _of_these_releases(place, kept, say)
+    return kept
+
+
+def _of_these_releases(place: store.Target, kept: list[Block], say: Callable[[str], None]) -> None:
+    """Say where a study goes on with other releases than it was begun with."""
+    if kept and (old := block_files.about_block(place, kept[0]).get("versions", {})) != (new := provenance.versions()):
+        changed = ", ".join(f"{k} {old.get(k)}, now {v}" for k, v in new.items() if old.get(k) != v)
+        say(f"{place.name}: was begun with {changed}; the last bits of what is added may be rounded in another way.")
+
+
+def missing(claimed: Claim, there: list[Block], wanted: Wanted, size: Callable[[Cell], int]) -> Missing:
+    """Return the ranges of seeds that no block holds."""
+    have: dict[tuple[str, int, str], list[Block]] = {}
+    for b in there:
+        have.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    out: Missing = {}
+    for cell in claimed.cells:
+        for o in observers_of(claimed.study, cell.scenario.name):
+            if ranges := block_files.gaps(have.get((*cell.key, o), []), *wanted(cell), size(cell)):
+                out.setdefault(cell.key, {})[o] = ranges
+    return out
+
+
+def lacking(place: store.Target, claimed: Claim) -> int:
+    """Return how many runs of a study have no block."""
+    there = block_files.present(place)
+    todo = missing(claimed, there, everything(claimed, there), lambda cell: 2**40)
+    return sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)
+
+
+def fill(
+    place: store.Target,
+    claimed: Claim,
+    there: list[Block],
+    execute: Executor,
+    wanted: Wanted,
+    options: Options,
+    tell: Tell,
+) -> Effort:
+    """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be."""
+    todo = missing(claimed, there, wanted, partial(_block, claimed, wanted, options))
+    if not todo:
+        ownership.renew(place, claimed)
+        return Effort()
+    with tempfile.TemporaryDirectory(prefix="pcbench-") as shelf:
+        groups = _planned(claimed, todo, Path(shelf))
+        ownership.begin(place, claimed)
+        tell("planned", float(sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)))
+        work = partial(task.compute, task.Work(place.uri, claimed.study.name, claimed.study.root_seed, options.memory))
+        compiled: dict[Any, float] = {}
+        runs, writing = 0, 0.0
+        for report in execute(work, _tasks(groups, todo)):
+            _alike(report)
+            compiled[report.program] = report.compile_seconds
+            runs, writing = runs + report.runs, writing + report.writing_seconds
+            tell("runs", report.runs)
+        return Effort(runs, writing, compiled)
+
+
+def _alike(report: task.Report) -> None:
+    """Raise UserError where a worker computes with other releases than this process: the last bits may differ."""
+    here = provenance.versions()
+    if report.versions != here:
+        theirs = ", ".join(f"{k} {v}" for k, v in report.versions.items() if here.get(k) != v)
+        ours = ", ".join(f"{k} {v}" for k, v in here.items() if report.versions.get(k) != v)
+        raise UserError(
+            f"--dask: a worker has {theirs}, expected {ours} as here; install the same releases everywhere."
+        )
+
+
+def _block(claimed: Claim, wanted: Wanted, options: Options, cell: Cell) -> int:
+    """Seeds a block: up to four calls, while tasks enough are left to share; more where there would be too many files."""
+    if options.block:
+        one = task.bytes_of_a_block(cell, claimed.study, 1)
+        return int(max(min(options.block, options.memory / one), 1))
+    first, last = wanted(cell)
+    size, pairs = planning.width(cell), sum(len(observers_of(claimed.study, c.scenario.name)) for c in claimed.cells)
+
+    def may_double() -> bool:
+        tasks = len(claimed.cells) * (last - first) / (2 * size)
+        few = size < CALLS * planning.width(cell) and tasks >= TASKS
+        return few or pairs * (last - first) / size > MANY_FILES
+
+    while may_double() and task.bytes_of_a_block(cell, claimed.study, 2 * size) < options.memory:
+        size *= 2
+    return size
+
+
+class Laid(NamedTuple):
+    """A planned cell laid aside until its tasks are drawn."""
+
+    aside: Path | Planned
+    width: int
+    cell: tuple[str, int]
+    labels: tuple[str, ...]
+
+
+def _planned(claimed: Claim, todo: Missing, shelf: Path) -> list[Laid]:
+    """Plan what is to do and lay it aside, cells of one program together."""
+    room = padding.Room()
+    drafts: list[Path | Planned] = []
+    for p in padding.checked(planning.drafts(claimed.study, claimed.cells, todo)):
+        room = padding.larger(room, padding.room_of(p))
+        if p.labels:
+            drafts.append(lay_aside(p, shelf / str(len(drafts))))
+    groups: dict[Any, list[Laid]] = {}
+    for i, draft in enumerate(drafts):
+        p = padding.fitted(unpack(take_up(draft)), room)
+        mine = Laid(lay_aside(p, shelf / str(i)), p.layout.width, p.cell.key, p.labels)
+        groups.setdefault(padding.key_of(p), []).append(mine)
+    return [each for group in groups.values() for each in group]
+
+
+def _tasks(planned: list[Laid], todo: Missing) -> Iterator[task.Task]:
+    for laid in planned:
+        ranges = {label: todo[laid.cell][label] for label in laid.labels if label in todo[laid.cell]}
+        if ranges:
+            yield from task.tasks(take_up(laid.aside), laid.width, ranges)

@@ -1,0 +1,55 @@
+"""A planned cell as bytes, to be laid aside or sent to another process, and back.
+
+Numbers travel; functions do not: they are found again by name, so that a program compiled for one cell serves the next, and
+the gains are those that were designed and certified once, in one place.
+"""
+
+import pickle
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from pcbench.observers import base_of, entry_of
+from pcbench.planning import controller
+from pcbench.planning.padding import Planned
+from pcbench.plants import PLANTS
+
+
+def pack(p: Planned) -> bytes | Planned:
+    """Return a planned cell as bytes; as it is where its observers' numbers are of a kind that no other process can find."""
+    plain: dict[str, Any] = {
+        k: dict(v) for k, v in p.cell.scenario._asdict().items() if isinstance(v, MappingProxyType)
+    }
+    proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
+    layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
+    cell = p.cell._replace(scenario=p.cell.scenario._replace(**plain))
+    try:
+        return pickle.dumps(p._replace(cell=cell, layout=layout, certificates=proofs))
+    except (pickle.PicklingError, AttributeError):
+        return p
+
+
+def unpack(parcel: bytes | Planned) -> Planned:
+    """Return the planned cell that `pack` was given, with the functions of this process."""
+    if isinstance(parcel, Planned):
+        return parcel
+    p: Planned = pickle.loads(parcel)
+    s = p.cell.scenario
+    names = [(base_of(o) or o) if s.controller else o for o in p.labels]
+    each = tuple((name, entry_of(o).observer) for name, o in zip(names, p.labels, strict=True))
+    plant, law = PLANTS[s.plant].plant, controller.controller(p.cell)
+    return p._replace(layout=p.layout._replace(plant=plant, observers=each, controller=law))
+
+
+def lay_aside(p: Planned, path: Path) -> Path | Planned:
+    """Return where a planned cell is laid aside: a file, or where it cannot be one, itself."""
+    parcel = pack(p)
+    if isinstance(parcel, Planned):
+        return parcel
+    path.write_bytes(parcel)
+    return path
+
+
+def take_up(laid: Path | Planned) -> bytes | Planned:
+    """Return the parcel that was laid aside."""
+    return laid.read_bytes() if isinstance(laid, Path) else laid

@@ -1,0 +1,133 @@
+"""Seeds until a standard error is reached: which cells need more, and how many.
+
+The number of seeds is a function of the runs that are there, so the same command gives the same seeds again. A rule that
+stops on the data makes intervals a little too narrow: from 256 seeds on they cover within the band that all others do (a
+test).
+"""
+
+from collections.abc import Callable, Iterator
+from math import ceil, inf, isfinite
+from typing import NamedTuple
+
+from pcbench import statistics
+from pcbench.dataset import block_files, store, summary
+from pcbench.dataset.fill import Wanted
+from pcbench.dataset.ownership import Claim
+from pcbench.errors import UserError, unknown
+from pcbench.plants import signals_of
+from pcbench.study import scenarios_of
+from pcbench.study.cells import Cell
+
+MARGIN = 1.05  # the standard error is an estimate itself
+GROWTH = 16  # times as many seeds a round at most
+BUDGET = 100  # times the study's seeds, where no budget is given
+METRICS = (*statistics.RUN_METRICS, *statistics.POOLED, "divergence", "unsettled")
+
+
+class Goal(NamedTuple):
+    """A standard error to be reached."""
+
+    metric: str
+    signal: str | None  # of this signal; None: of those that each scenario's closing table shows
+    value: float
+    most: int | None  # seeds a cell
+
+
+def parse(text: str | None, most: int | None) -> Goal | None:
+    """Return the goal that METRIC=VALUE or METRIC.SIGNAL=VALUE states; raise UserError where it states none."""
+    if text is None:
+        if most is not None:
+            raise UserError(f"--max-seeds: got {most} without --until-se, expected both; leave --max-seeds out.")
+        return None
+    name, equals, number = text.partition("=")
+    metric, _, signal = name.strip().partition(".")
+    try:
+        value = float(number)
+    except ValueError:
+        value = -1.0
+    if not equals or not (isfinite(value) and value > 0):
+        raise UserError(
+            f"--until-se: got {text!r}, expected METRIC=VALUE with a standard error above 0; write mae=0.001."
+        )
+    if metric not in METRICS:
+        raise unknown("--until-se", "metric", metric, METRICS)
+    if most is not None and most < 1:
+        raise UserError(f"--max-seeds: got {most}, expected a number of seeds, 1 or more; leave it out.")
+    return Goal(metric, signal or None, value, most)
+
+
+def rounds(goal: Goal | None, place: store.Target, claimed: Claim, say: Callable[[str], None]) -> Iterator[Wanted]:
+    """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent.
+
+    Each round looks at the seeds of the last one alone, whatever else stands: a run that was stopped ends as one that was not.
+    """
+    if goal is None:
+        return
+    first, seeds, short = claimed.study.first_seed, claimed.study.seeds, 0
+    most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in claimed.cells}
+    pending = list(claimed.cells)
+    while pending:
+        there = by_cell(block_files.settled(block_files.present(place)))
+        for cell in list(pending):
+            has = size[cell.key]
+            error = _error(goal, place, claimed, cell, there[cell.key], first + has)
+            size[cell.key] = max(has, min(enough(has, error, goal.value), most))
+            if size[cell.key] == has:
+                pending.remove(cell)
+                short += error > goal.value
+        if pending:
+            yield lambda cell: (first, first + size[cell.key])
+    if short:
+        say(
+            f"--until-se: {short} of {len(claimed.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
+        )
+
+
+def by_cell(there: list[block_files.Block]) -> dict[tuple[str, int], list[block_files.Block]]:
+    """Return blocks by scenario and number of the cell."""
+    out: dict[tuple[str, int], list[block_files.Block]] = {}
+    for b in there:
+        out.setdefault((b.scenario, b.cell), []).append(b)
+    return out
+
+
+def check(goal: Goal | None, claimed: Claim) -> None:
+    """Raise UserError where a goal is of a signal that no scenario has."""
+    if goal is None:
+        return
+    names = {name for c in claimed.cells for name, _ in signals_of(c.scenario)}
+    if goal.signal is not None and goal.signal not in names:
+        raise unknown("--until-se", "signal", goal.signal, names)
+
+
+def _error(
+    goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: list[block_files.Block], last: int
+) -> float:
+    """Return the largest standard error of any observer over the seeds below `last`; inf where one run gives none."""
+    blocks: dict[tuple[str, int, str], list[block_files.Block]] = {}
+    for b in there:
+        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    found = summary.observed(place, claimed, cell, blocks)
+    rows, _ = summary.summary(place, claimed.study.name, cell, found, (0, last))
+    shown = scenarios_of(claimed.study)[cell.scenario.name].headline or (signals_of(cell.scenario)[0][0],)
+    signals = [goal.signal] if goal.signal else shown
+    mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
+    if not mine:
+        raise UserError(
+            f"--until-se: got {goal.metric} of {', '.join(signals)}, which {cell.scenario.name} does not have, expected a "
+            "metric that every scenario of the study has; take another one."
+        )
+    return max((inf if r["n"] == 1 else _half(r) for r in mine if r["n"]), default=0.0)
+
+
+def _half(row: statistics.Row) -> float:
+    """The standard error; of a fraction that of Wilson's interval, which is not zero where nothing has happened yet."""
+    fraction = row["metric"] in ("divergence", "unsettled")
+    return float((row["ci_high"] - row["ci_low"]) / (2 * statistics.Z95) if fraction else row["se"])
+
+
+def enough(has: int, error: float, goal: float) -> int:
+    """Return the seeds at which a standard error that `has` seeds give should reach its goal: it falls with their root."""
+    if error <= goal:
+        return has
+    return ceil(has * min(MARGIN * (error / goal) ** 2, GROWTH))

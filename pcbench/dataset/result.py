@@ -1,0 +1,102 @@
+"""What a study gave: its tables as pandas frames, read from where they stand."""
+
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.dataset as ds
+
+from pcbench.dataset import block_files, columns, fill, ownership, store, summary
+from pcbench.dataset.verify import FAIR
+from pcbench.errors import UserError, said
+from pcbench.study import Study, observers_of
+
+
+def opened(out: str | Path) -> "Result":
+    """Return what a run has left in a folder or under a URI; raise UserError where there is nothing, or it is not whole."""
+    place = store.target(str(out))
+    claimed = ownership.opened(place)
+    there = block_files.settled(block_files.present(place))
+    if not summary.is_closed(place, there):
+        raise UserError(
+            f"{place.name}: got a study without closing tables of its runs, expected a finished one; go on with pcbench run "
+            f"{place.name}/study.toml --out {place.name}."
+        )
+    result = Result(claimed.study, place, out, fill.Effort())
+    if (found := store.get(place, FAIR)) is not None:
+        if (table := store.whole(found)) is None:
+            raise UserError(
+                f"{place.name}/{FAIR}: is damaged, expected it as it was written; run the study again to have it made anew."
+            )
+        result.fair = table.to_pandas()
+    return result
+
+
+class Result:
+    """What a study gave: three tables as pandas frames (see `columns.MEANING`), and its provenance.
+
+    Without a folder of its own it stands in a temporary one, which goes when the result does.
+    """
+
+    def __init__(
+        self, study: Study, place: store.Target, out: Path | str | None, effort: fill.Effort, keep: Any = None
+    ):
+        self.study, self.out, self.effort, self._place, self._keep = study, out, effort, place, keep
+        self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `gains.versions`
+        self.provenance: dict[str, Any] = summary.record(place) or {}
+
+    @cached_property
+    def stats(self) -> pd.DataFrame:
+        """One row per cell, observer, signal and metric."""
+        return self._closing("stats.parquet")
+
+    @cached_property
+    def pairs(self) -> pd.DataFrame:
+        """One row per cell, pair of observers, signal and metric."""
+        return self._closing("pairs.parquet")
+
+    @cached_property
+    def runs(self) -> pd.DataFrame:
+        """One row per cell, observer, seed and signal."""
+        whole = self._read()
+        first = ["study", "scenario", "observer", "cell"]
+        ordered = whole[first + [c for c in whole.columns if c not in first]]
+        return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
+
+    def runs_of(self, scenario: str, metrics: list[str], cell: int) -> pd.DataFrame:
+        """Return some metrics of the runs of one cell: observer (in the study's order), seed, signal, diverged, metrics."""
+        here = (ds.field("scenario") == scenario) & (ds.field("cell") == cell)
+        found = self._read(["observer", "seed", "signal", "diverged", *metrics], filter=here)
+        order = {name: i for i, name in enumerate(observers_of(self.study, scenario))}
+        found["place"] = found.observer.astype(str).map(order)
+        return found.sort_values(["place", "seed"], kind="stable", ignore_index=True).drop(columns="place")
+
+    def _read(self, columns: list[str] | None = None, filter: ds.Expression | None = None) -> pd.DataFrame:
+        """Rows of the blocks, every page checked; raise UserError, naming the file, where one is damaged."""
+        try:
+            return self._dataset().to_table(columns, filter=filter).to_pandas()
+        except (pa.ArrowException, OSError) as error:
+            for block in block_files.present(self._place):
+                block_files.read(self._place, block)
+            raise UserError(
+                f"{self._place.name}/runs: cannot be read ({said(error)}), expected whole blocks; see pcbench verify "
+                f"{self._place.name}."
+            ) from None
+
+    def _dataset(self) -> ds.Dataset:
+        checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+        kind = ds.ParquetFileFormat(default_fragment_scan_options=checked)
+        files = [f"{self._place.root}/{name}" for name in store.names(self._place, "runs")]
+        base = f"{self._place.root}/runs"
+        return ds.dataset(files, filesystem=self._place.fs, format=kind, partitioning="hive", partition_base_dir=base)
+
+    def _closing(self, name: str) -> pd.DataFrame:
+        found = summary.table(self._place, name)
+        if found is None:
+            raise UserError(f"{self._place.name}/{name}: is gone or damaged; run the study again to have it made anew.")
+        return columns.frame(found)
+
+    def __repr__(self) -> str:
+        return f"<pcbench result of study '{self.study.name}': {len(self.stats)} rows of stats>"

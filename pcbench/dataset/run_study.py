@@ -1,0 +1,83 @@
+"""Running a study whose every option is known: its blocks, its closing tables, and what it took."""
+
+import tempfile
+from collections.abc import Callable
+from contextlib import ExitStack
+from datetime import UTC, datetime
+from pathlib import Path
+from time import perf_counter
+from typing import NamedTuple
+
+from pcbench.dataset import block_files, executors, fill, ownership, precision, store, summary
+from pcbench.dataset.result import Result
+from pcbench.errors import UserError
+from pcbench.machine import process
+from pcbench.study import Study
+
+Tell = Callable[[str, float], None]
+Say = Callable[[str], None]
+
+
+def silent(event: str, value: float) -> None:
+    """Hear of progress and do nothing."""
+
+
+class How(NamedTuple):
+    """How a study is run; of no influence on any number but by how many runs there are. See `pcbench.run`."""
+
+    fresh: bool = False
+    until_se: str | None = None
+    max_seeds: int | None = None
+    devices: int | None = None
+    dask: str | None = None
+    workers: int | None = None
+    block: int | None = None
+    memory: str | int | None = None
+    tell: Tell = silent
+    say: Say = lambda sentence: None
+
+    def checked(self) -> "How":
+        """Return it; raise UserError for a value that is none, before any work."""
+        for count, where in ((self.block, "--block"), (self.workers, "--workers"), (self.devices, "devices")):
+            if count is not None and count < 1:
+                raise UserError(f"{where}: got {count}, expected 1 or more; leave it out.")
+        executors.share(self.memory, self.dask, self.workers, self.devices)
+        precision.parse(self.until_se, self.max_seeds)
+        return self
+
+
+def execute(study: Study, out: str | Path | None = None, how: How | None = None) -> Result:
+    """Run a study and return its tables; with `out`, a folder or a URI, leave them there. Errors are those of `pcbench.run`."""
+    how = (how or How()).checked()
+    goal, tell, say = precision.parse(how.until_se, how.max_seeds), how.tell, how.say
+    with process.float64(), ExitStack() as stack:
+        start, began = perf_counter(), datetime.now(UTC)
+        keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
+        place = store.target(keep.name if keep else str(out))
+        claimed = ownership.claim(place, study, how.fresh)
+        precision.check(goal, claimed)
+        share = executors.share(how.memory, how.dask, how.workers, how.devices)
+        choice = fill.Options(how.block, share)
+        made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
+        execute = stack.enter_context(made)
+        there = [] if claimed.fresh else fill.whole(place, claimed, say)
+        effort = fill.fill(place, claimed, there, execute, fill.everything(claimed, there), choice, tell)
+        for wanted in precision.rounds(goal, place, claimed, say):
+            there = block_files.settled(block_files.present(place))
+            effort = fill.added(effort, fill.fill(place, claimed, there, execute, wanted, choice, tell))
+        there = block_files.settled(block_files.present(place))
+        if effort.runs or not summary.is_closed(place, there):
+            tell("closing", 0.0)
+            about = {
+                "started": began.isoformat(timespec="seconds"),
+                "wall_seconds": round(perf_counter() - start, 3),
+                "compile_seconds": round(effort.compile_seconds, 3),
+                "writing_seconds": round(effort.writing_seconds, 3),
+                "runs_added": effort.runs,
+                "until_se": how.until_se,
+            }
+            summary.close(place, claimed, there, about)
+    where: str | Path | None = out
+    if out is not None and place.local:
+        where = Path(place.root if "://" in str(out) else out)
+    return Result(study, place, where, effort, keep)

@@ -1,0 +1,149 @@
+"""One task of a study: some seeds of one cell, simulated and left as whole files.
+
+A pure function of its description: wherever and however often a task is done, its files hold the same bytes.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from math import isfinite
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.dataset import block_files, columns, store
+from pcbench.dataset.pickled import unpack
+from pcbench.errors import UserError
+from pcbench.machine import process, provenance
+from pcbench.planning import in_memory
+from pcbench.planning.padding import Planned
+from pcbench.plants import signals_of
+from pcbench.simulation import batch
+from pcbench.statistics import RUN_METRICS
+from pcbench.study import Study, observers_of
+from pcbench.study.cells import Cell
+
+ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
+
+
+class Work(NamedTuple):
+    """What all tasks of a study share."""
+
+    out: str  # the dataset's place
+    study: str
+    root_seed: int
+    memory: float = float("inf")  # bytes that one task may take
+
+
+class Task(NamedTuple):
+    """Some seeds of one cell, for the observers of one program."""
+
+    parcel: bytes | Planned  # the planned cell
+    pieces: tuple[tuple[int, int, tuple[str, ...]], ...]  # (first, last, observers): the blocks to write
+
+    @property
+    def runs(self) -> int:
+        """Return how many runs its blocks hold."""
+        return sum((last - first) * len(labels) for first, last, labels in self.pieces)
+
+
+class Report(NamedTuple):
+    """What a task tells when its files stand."""
+
+    runs: int
+    program: tuple[str, int]  # which one computed it, of which process
+    compile_seconds: float  # that this program took to make
+    writing_seconds: float
+    versions: dict[str, str]  # of what computed it
+
+
+def compute(work: Work, task: Task, place: Callable[[], Any] = nullcontext) -> Report:
+    """Do a task: simulate its seeds while holding a place, then put its blocks; raise UserError where that cannot be."""
+    with place() as device:
+        p, results, made = simulated(work, task, device)
+    start, target = perf_counter(), store.target(work.out)
+    for name, table in files(work, task, p, results):
+        store.put_table(target, name, table)
+    return Report(
+        task.runs, (process.name(), id(made)), made.compile_seconds, perf_counter() - start, provenance.versions()
+    )
+
+
+def files(work: Work, task: Task, p: Planned, results: in_memory.Results) -> Iterator[tuple[str, Any]]:
+    """Yield the blocks of a task, (name, rows) each."""
+    at = 0
+    for first, last, labels in task.pieces:
+        for label in labels:
+            mine = {m: values[..., at : at + last - first] for m, values in results[label].items()}
+            yield block(work, p, label, mine, first, last)
+        at += last - first
+
+
+def simulated(work: Work, task: Task, device: Any = None) -> tuple[Planned, in_memory.Results, batch.Program]:
+    """Return what the runs of a task leave; raise UserError where a call takes more memory than there is for it."""
+    with process.float64():
+        p = unpack(task.parcel)
+        seeds = np.concatenate([np.arange(first, last) for first, last, _ in task.pieces])
+        jobs = list(in_memory.jobs(p, work.root_seed, seeds))
+        made = batch.program(p.layout, jobs[0], device)
+        _fits(p, made.memory, work.memory)
+        return p, in_memory.results(p, batch.serial(made, jobs)), made
+
+
+def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: int, last: int) -> tuple[str, Any]:
+    """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
+    c, signals = p.certificates[label], signals_of(p.cell.scenario)
+    many = len(results["mae"])
+    bound = None if p.bound is None else [float(b) for b in p.bound[:many]]
+    about = {
+        "study": work.study,
+        "root_seed": work.root_seed,
+        "cell": p.digest,
+        "observer": label,
+        "options": p.told[label],
+        "first": first,
+        "last": last,
+        "metrics": {m: len(results[m]) for m in RUN_METRICS if m in results},
+        "carries_input": p.carries_input[label],
+        "bound": bound,
+        "certificate": {
+            "inequality": c.inequality,
+            "margin": float(c.margin) if isfinite(c.margin) else None,
+            "solver": c.solver,
+            "status": c.status,
+        },
+        "versions": provenance.versions(),
+    }
+    head = columns.keys(work.study, p.cell)
+    table = columns.runs_table(head, results, np.arange(first, last), signals, p.carries_input[label])
+    name = block_files.Block(p.cell.scenario.name, label, p.cell.number, first, last).name
+    return name, block_files.sealed(table, about)
+
+
+def tasks(parcel: bytes | Planned, width: int, missing: dict[str, list[block_files.Range]]) -> Iterator[Task]:
+    """Yield the tasks that fill the `missing` ranges of a cell, by observer: blocks as cut, as many as fill a call."""
+    wanted: dict[block_files.Range, list[str]] = {}
+    for label, ranges in missing.items():
+        for each in ranges:
+            wanted.setdefault(each, []).append(label)
+    pieces: list[tuple[int, int, tuple[str, ...]]] = []
+    for (first, last), labels in sorted(wanted.items()):
+        if pieces and sum(b - a for a, b, _ in pieces) + last - first > width:
+            yield Task(parcel, tuple(pieces))
+            pieces = []
+        pieces.append((first, last, tuple(labels)))
+    if pieces:
+        yield Task(parcel, tuple(pieces))
+
+
+def bytes_of_a_block(cell: Cell, study: Study, seeds: int) -> int:
+    """Return the memory that the results of some seeds take for all observers of a cell: arrays, rows and a file's bytes."""
+    return seeds * len(signals_of(cell.scenario)) * len(observers_of(study, cell.scenario.name)) * ROW_BYTES
+
+
+def _fits(p: Planned, needed: int, given: float) -> None:
+    if needed > given:
+        raise UserError(
+            f"--memory: one call of {p.cell.scenario.name} with {', '.join(p.labels)} takes {needed / 1e6:.0f} MB, got "
+            f"{given / 1e6:.0f} MB for each of those at a time, expected more; give more, or fewer workers."
+        )

@@ -1,0 +1,213 @@
+"""Looking at a dataset that stands: what is done, whether it is whole, whether it comes out again. Nothing is written."""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from pcbench import planning
+from pcbench.dataset import block_files, executors, fill, ownership, store, summary, task
+from pcbench.dataset.block_files import Block
+from pcbench.dataset.ownership import Claim
+from pcbench.planning import padding
+from pcbench.study import observers_of
+from pcbench.study.cells import digest
+
+ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
+FAIR = "fair.parquet"  # of a study with several tunings
+ZERO = 1e-11  # errors this small, as they are or as a part of the signal's largest, are rounding of zero
+
+
+class Share(NamedTuple):
+    """How far the runs of one observer in one scenario are."""
+
+    scenario: str
+    observer: str
+    cells: int
+    blocks: int
+    seeds: int  # that stand, over all cells
+    wanted: int  # that the study names
+
+
+class Status(NamedTuple):
+    """What stands in a place."""
+
+    study: str
+    shares: list[Share]
+    damaged: list[str]
+    doubled: list[str]
+    unfinished: list[str]  # of killed writers
+    bytes: int
+    closed: bool  # the closing tables stand, and are of these blocks
+
+
+def status(out: Any) -> Status:
+    """Return what stands in a place, from the blocks' names and footers; raise UserError where there is no study."""
+    place = store.target(out)
+    claimed = ownership.opened(place)
+    there = block_files.present(place)
+    study, rows = claimed.study, []
+    by: dict[tuple[str, str], list[Block]] = {}
+    for b in there:
+        by.setdefault((b.scenario, b.observer), []).append(b)
+    kept = block_files.settled(there)
+    doubled = [b.name for b in sorted(set(there) - set(kept))]
+    wanted = fill.everything(claimed, there)
+    todo = fill.missing(claimed, kept, wanted, lambda cell: 2**40)
+    for scenario in study.scenarios:
+        mine = [c for c in claimed.cells if c.scenario.name == scenario]
+        asked = sum(last - first for first, last in map(wanted, mine))
+        for observer in observers_of(study, scenario):
+            gaps = [todo.get((scenario, c.number), {}).get(observer, []) for c in mine]
+            lacking = sum(b - a for ranges in gaps for a, b in ranges)
+            blocks_there = len(by.get((scenario, observer), []))
+            rows.append(Share(scenario, observer, len(mine), blocks_there, asked - lacking, asked))
+    sizes = store.sizes(place)
+    damaged = [b.name for b in there if store.footer(place, b.name) is None] + summary.damaged(place)
+    left = [p.name for p in store.unfinished(place)]
+    return Status(study.name, rows, damaged, doubled, left, sum(sizes.values()), summary.is_closed(place, there))
+
+
+class Verdict(NamedTuple):
+    """What a verification found."""
+
+    files: int  # checked, every page
+    wrong: list[str]  # a sentence each
+    recomputed: list[str]  # blocks
+    differing: list[str]  # a sentence each
+
+
+def verify(out: Any, sample: int | None, seed: int, tell: Callable[[str, float], None]) -> Verdict:
+    """Check every file of a place, and compute `sample` blocks (None: all) again; compare bit for bit.
+
+    Blocks are drawn with `seed`. The closing tables are made again and compared too.
+    """
+    place = store.target(out)
+    claimed = ownership.opened(place)
+    digests = ownership.digests(claimed)
+    there, wrong, good = block_files.present(place), [], []
+    tell("checking", float(len(there)))
+    for b in there:
+        found = block_files.damage(place, b, digests.get((b.scenario, b.cell), ""))
+        wrong += [f"{b.name}: {found}."] if found else []
+        good += [] if found else [b]
+        tell("checked", 1.0)
+    kept = block_files.settled(good)
+    wrong += [f"{b.name}: holds seeds that another block holds." for b in sorted(set(good) - set(kept))]
+    wrong += _others(place, claimed)
+    wrong += [] if wrong else _closing_differs(place, claimed, kept)
+    chosen = kept
+    if sample is not None and sample < len(kept):
+        chosen = [kept[i] for i in sorted(np.random.default_rng(seed).choice(len(kept), sample, replace=False))]
+    tell("again", float(len(chosen)))
+    return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(place, claimed, chosen, tell)))
+
+
+def _again(
+    place: store.Target, claimed: Claim, chosen: list[Block], tell: Callable[[str, float], None]
+) -> Iterator[str]:
+    """Yield a sentence for every block that does not come out again."""
+    work = partial(_compared, place, task.Work("", claimed.study.name, claimed.study.root_seed))
+    with executors.here() as execute:
+        for count, sentences in execute(work, _tasks(claimed, chosen)):
+            tell("compared", count)
+            yield from sentences
+
+
+def _tasks(claimed: Claim, chosen: list[Block]) -> Iterator[task.Task]:
+    """Yield what computes blocks again: those of one cell and the same seeds together."""
+    by: dict[tuple[str, int], dict[block_files.Range, list[str]]] = {}
+    for b in chosen:
+        by.setdefault((b.scenario, b.cell), {}).setdefault((b.first, b.last), []).append(b.observer)
+    room = padding.needed(planning.drafts(claimed.study, claimed.cells, ()))
+    for draft in planning.drafts(claimed.study, claimed.cells, by):
+        for (first, last), observers in by[draft.cell.key].items() if draft.labels else ():
+            if labels := tuple(label for label in draft.labels if label in observers):
+                yield task.Task(padding.fitted(draft, room), ((first, last, labels),))
+
+
+def _compared(place: store.Target, work: task.Work, one: task.Task, hold: Callable[[], Any]) -> tuple[int, list[str]]:
+    """Return how many blocks a task computed again, and a sentence for each that differs."""
+    with hold() as device:
+        p, results, _ = task.simulated(work, one, device)
+    made = [(block_files.block_of(name), table) for name, table in task.files(work, one, p, results)]
+    return len(made), [said for b, now in made if b for said in _difference(b, block_files.read(place, b), now)]
+
+
+def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
+    """Yield how a block differs from what comes out now, if it does: rows to the bit, then what it says of itself."""
+    old, new = (block_files.about(table) for table in (there, here))
+    if there.equals(here):
+        if [k for k in old.keys() | new.keys() if k not in ("versions", "digest") and old.get(k) != new.get(k)]:
+            yield f"{b.name}: its rows come out again, what it says of itself does not."
+        return
+    apart = difference(there, here)
+    if apart is None:
+        yield f"{b.name}: has other rows than come out now."
+        return
+    now = new["versions"]
+    changed = [f"{k} {v}, now {now.get(k)}" for k, v in old["versions"].items() if now.get(k) != v]
+    made = f"made with {'; '.join(changed)}; " if changed else ""
+    kind = "rounding" if apart.relative < ROUNDING or apart.of_largest < ZERO else "more than rounding"
+    yield f"{b.name}: {made}numbers differ by {apart.relative:.1e} of themselves ({kind})."
+
+
+class Difference(NamedTuple):
+    """How far two tables' numbers are apart at most."""
+
+    relative: float
+    of_largest: float  # as a part of their signal's largest error: what is left of zero is rounding of that
+
+
+def difference(a: pa.Table, b: pa.Table) -> Difference | None:
+    """Return how far two tables' numbers are apart; None where they differ in anything else."""
+    if a.schema.names != b.schema.names or len(a) != len(b):
+        return None
+    worst, size = Difference(0.0, 0.0), _sizes(a)
+    for name in a.schema.names:
+        x, y = a[name], b[name]
+        if x.equals(y):
+            continue
+        if not pa.types.is_floating(x.type) or x.null_count != y.null_count:
+            return None
+        u, v = (np.nan_to_num(column.to_numpy()) for column in (x, y))
+        apart, larger = np.abs(u - v), np.maximum(np.abs(u), np.abs(v))
+        whole = size**2 if name in ("mse", "tail_mse") else size
+        found = Difference(float((apart / np.where(larger > 0, larger, 1)).max()), float((apart / whole).max()))
+        worst = Difference(*map(max, worst, found))
+    return worst
+
+
+def _sizes(table: pa.Table) -> np.ndarray:
+    """The largest error of its signal, for every row: at least 1e-11, below which an error is zero."""
+    peaks = np.fmax(np.nan_to_num(table["peak"].to_numpy()), ZERO)
+    _, signal = np.unique(table["signal"].to_numpy().astype(str), return_inverse=True)
+    return np.array([peaks[signal == i].max() for i in range(signal.max() + 1)])[signal]
+
+
+def _others(place: store.Target, claimed: Claim) -> Iterator[str]:
+    """Yield a sentence for every file beside the blocks that is not as it was written."""
+    for name in summary.damaged(place):
+        yield f"{name}: is not as it was written; run the study again to have it made anew."
+    said = summary.record(place)
+    if said and said["study_sha256"] != digest(claimed.study):
+        yield f"{ownership.TEXT}: is not of the study that was run; run that again to have it written anew."
+    for name in [n for n in store.names(place) if n.startswith("examples/") or n == FAIR]:
+        content = store.get(place, name)
+        if content is None or store.whole(content) is None:
+            yield f"{name}: is not as it was written; remove it to have it made anew."
+
+
+def _closing_differs(place: store.Target, claimed: Claim, kept: list[Block]) -> Any:
+    """Yield a sentence for every closing table that does not follow from the blocks."""
+    if not summary.is_closed(place, kept):
+        return ["stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."]
+    stats, pairs, _ = summary.closing_tables(place, claimed, kept)
+    out = []
+    for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
+        there = summary.table(place, name)
+        if there is None or not there.equals(store.parsed(made)):
+            out.append(f"{name}: does not follow from the blocks; run the study again to have it made anew.")
+    return out

@@ -1,0 +1,1 @@
+"""The gains of a study: by design, by tuning, and compared fairly."""

@@ -1,0 +1,175 @@
+"""Designing gains: one design with its certificate, as a study that can be run, and what a design trades for what."""
+
+from typing import Any, get_args
+
+import numpy as np
+import pandas as pd
+import tomli_w
+from pydantic import BaseModel, ValidationError
+
+from pcbench.errors import UserError, unknown
+from pcbench.machine import process
+from pcbench.observers import entry_of
+from pcbench.observers.parts.options import WAY, extra
+from pcbench.planning import setting
+from pcbench.study import Study, options_of
+from pcbench.study.cells import Cell
+from pcbench.study.read import Described, one_cell, study_of
+from pcbench.synthesis.certificate import Design
+
+FEW = 6  # entries of an array that a row of a trade-off shows
+NOTHING = 1e-15  # of an array's size: 0
+BACK = 0.999  # part of a decay that is asked when a gain is read back: a proof of all of it stands on an edge
+HIDDEN = ("P", "P1", "P2", "shared_P")  # what proves, not what is promised
+
+
+def design(
+    scenario: Described, observer: str, *, method: str | None = None, overrides: list[str] | None = None
+) -> tuple[Study, Cell, Design]:
+    """Return an observer's design in a scenario's one cell; `method` is a way of its own to find gains.
+
+    Raises UserError for another word, DesignError where the gains are not certified.
+    """
+    study, cell = one_cell(scenario, [observer], overrides or [])
+    if method is not None:
+        study = _changed(study, observer, {_way(observer, method): method})
+    options = options_of(study, cell.scenario, observer)
+    return study, cell, entry_of(observer).design(setting(cell), options)
+
+
+def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str, Any]:
+    """Return what TOML writes of a design: a study of it with the gains as numbers where options can hold them.
+
+    Under [resolved.certificate] stands what proves them; a study that is read leaves it aside. What is returned has been
+    designed anew from these options, so it can be run.
+    """
+    model, options = entry_of(observer).options, options_of(study, cell.scenario, observer)
+    numbers = _as_options(model, options, found)
+    chosen = options.model_dump(exclude_none=True)
+    if numbers:
+        found_again = {k: v for k, v in chosen.items() if k not in _way_of(observer)} | numbers
+        chosen = _proven_again(study, cell, observer, found_again) or chosen
+    c = found.certificate
+    proof = {"inequality": c.inequality, "margin": _finite(c.margin), "solver": c.solver, "status": c.status}
+    proof |= {"fallback": c.fallback, "decay_rate": _finite(c.rate)}
+    raw = study.model_dump(exclude_none=True, exclude_defaults=True)
+    given = {k: v for k, v in raw.get("options", {}).items() if k != observer}
+    raw["name"] = study.name if study.name.endswith(f"-{observer}") else f"{study.name}-{observer}"
+    options_table = {"options": given | {observer: chosen}} if given or chosen else {}
+    return {k: v for k, v in raw.items() if k != "options"} | options_table | {"resolved": {"certificate": proof}}
+
+
+def to_toml(written: dict[str, Any]) -> str:
+    """Return a design as a study's TOML."""
+    return tomli_w.dumps(written)
+
+
+def trade_off(
+    scenario: Described,
+    observer: str,
+    option: str,
+    values: list[Any],
+    *,
+    method: str | None = None,
+    overrides: list[str] | None = None,
+) -> pd.DataFrame:
+    """Return a row for each value of one option of a design: what is promised there, or why it is refused.
+
+    Columns: the option, `rate` [1/s] of the decay promised (NaN: none), `margin`, `solver`, `fallback`, `refused` (empty: it
+    stands), and the certificate's numbers, small arrays entry by entry. Raises UserError where every value is refused.
+    """
+    study, _cell = one_cell(scenario, [observer], overrides or [])
+    name, rows, reasons = option.replace("-", "_"), [], []
+    if name not in entry_of(observer).options.model_fields:
+        raise unknown(f"--sweep of {observer}", "option", option, entry_of(observer).options.model_fields)
+    for value in values:
+        row: dict[str, Any] = {
+            name: value,
+            "rate": np.nan,
+            "margin": np.nan,
+            "solver": "",
+            "fallback": "",
+            "refused": "",
+        }
+        try:
+            with process.float64():
+                c = design(_changed(study, observer, {name: value}), observer, method=method)[2].certificate
+            row |= {"rate": c.rate, "margin": c.margin, "solver": c.solver, "fallback": c.fallback} | _entries(
+                c.numbers
+            )
+        except UserError as error:
+            reasons.append(error)
+            row["refused"] = str(error)
+        rows.append(row)
+    if len(reasons) == len(rows):
+        raise reasons[0]
+    return pd.DataFrame(rows)
+
+
+def _changed(study: Study, observer: str, options: dict[str, Any]) -> Study:
+    given = study.options.get(observer, {})
+    return study_of(study, {"options": study.options | {observer: given | options}}, [])
+
+
+def _way_of(observer: str) -> list[str]:
+    """The option that says in which way an observer's gains are found, if it has one."""
+    return [name for name, field in entry_of(observer).options.model_fields.items() if extra(field).get(WAY)]
+
+
+def _way(observer: str, method: str) -> str:
+    """The option to set for a method; raise UserError where the observer has no such."""
+    names = _way_of(observer)
+    if not names:
+        raise UserError(f"--method: got '{method}', but {observer} has one way to find its gains; leave it out.")
+    valid = get_args(entry_of(observer).options.model_fields[names[0]].annotation)
+    if method not in valid:
+        raise unknown("--method", f"way to find gains of {observer}", method, valid)
+    return names[0]
+
+
+def _as_options(model: type[BaseModel], options: BaseModel, found: Design) -> dict[str, Any]:
+    """The numbers of a certificate that an option of the same name can hold, where it was left open or named a way."""
+    out: dict[str, Any] = {}
+    for name, field in model.model_fields.items():
+        value = getattr(options, name)
+        if (
+            name in found.certificate.numbers
+            and (value is None or isinstance(value, str))
+            and not extra(field).get(WAY)
+        ):
+            number = np.asarray(found.certificate.numbers[name], float)
+            number = np.where(np.abs(number) < NOTHING * np.abs(number).max(initial=0.0), 0.0, number)
+            for each in (number.tolist(), *([number.item()] if number.size == 1 else [])):
+                try:
+                    model.model_validate(options.model_dump() | {name: each})
+                except ValidationError:
+                    continue
+                out[name] = each
+    return out
+
+
+def _proven_again(study: Study, cell: Cell, observer: str, chosen: dict[str, Any]) -> dict[str, Any] | None:
+    """The options with these numbers, with as much of a decay as they can be proven to have; None where they are refused."""
+    slower = [chosen | {"decay": BACK * chosen["decay"]}] if chosen.get("decay") else []
+    for each in (*slower, {k: v for k, v in chosen.items() if k != "decay" or not v}):
+        try:
+            here = _changed(study.model_copy(update={"options": {}}), observer, each)
+            entry_of(observer).design(setting(cell), options_of(here, cell.scenario, observer))
+        except UserError:
+            continue
+        return each
+    return None
+
+
+def _entries(numbers: Any) -> dict[str, Any]:
+    """Numbers as columns: an array of a few entries is name[0], name[1], ..., row by row."""
+    out: dict[str, Any] = {}
+    for name, value in numbers.items():
+        flat = np.asarray(value).ravel()
+        if name not in HIDDEN and flat.size <= FEW and np.isrealobj(flat):
+            out |= {name if flat.size == 1 else f"{name}[{i}]": float(x) for i, x in enumerate(flat)}
+    return out
+
+
+def _finite(x: float) -> float | str:
+    return float(x) if np.isfinite(x) else "none"

@@ -1,0 +1,104 @@
+"""The gradient of an objective by an observer's free parameters.
+
+Through the simulator it is exact, by reverse mode, with respect to every number among the gains. From the free parameters to
+the gains the way is the observer's own design, in NumPy: a few numbers, so central differences of it, good to 1e-9.
+"""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import ValidationError
+
+from pcbench.errors import UserError
+from pcbench.gains.objective import Goal
+from pcbench.gains.parameters import Vector
+from pcbench.planning import padding
+from pcbench.planning.padding import Planned
+from pcbench.simulation import batch, differentiable
+
+LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
+STEP = 1e-5  # of a free parameter
+Slope = tuple[
+    float, list[Any], bool
+]  # the mean of a goal's base over runs, its derivative by each array of gains, a run is lost
+
+
+def numbers(gains: Any) -> list[Any]:
+    """Return the arrays of real numbers among gains: what may be differentiated by."""
+    return [a for a in jax.tree.leaves(gains) if np.issubdtype(np.result_type(a), np.floating)]
+
+
+def backwards(p: Planned, goal: Goal, root_seed: int, seeds: Any) -> Callable[[Any], Slope]:
+    """Return what gives, for gains of a planned cell's one observer, the mean over runs and its derivatives."""
+    (label, _), *_ = p.layout.observers
+    layout = p.layout._replace(width=min(LANES, len(seeds)))
+    n, tail = padding.ticks(p.cell), padding.tail_tick(p.cell)
+    tree = jax.tree.structure(p.problem.gains[label])
+
+    def mean(reals: list[Array], others: list[Any], problem: Any, seeds: Array, weights: Array) -> tuple[Array, Array]:
+        left, right = iter(reals), iter(others)
+        leaves = [next(left if real else right) for real in which]
+        whole = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
+        found = differentiable.metrics(layout, whole, n, tail, jnp.asarray(root_seed), seeds)
+        peaks = found[label]["peak"]
+        lost = jnp.any(~(peaks <= problem.bound[: len(peaks), None]))
+        return jnp.sum(found[label][goal.base][goal.signal] * weights), lost
+
+    which = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
+    bare = p.problem._replace(gains={})
+    calls = [_padded(seeds[i : i + layout.width], layout.width, len(seeds)) for i in range(0, len(seeds), layout.width)]
+    options = batch.ONE_THREAD if jax.devices()[0].platform == "cpu" else None
+    compiled: list[Any] = []
+
+    def at(gains: Any) -> Slope:
+        reals = numbers(gains)
+        others = [a for a, real in zip(jax.tree.leaves(gains), which, strict=True) if not real]
+        if not compiled:
+            lowered = jax.jit(jax.value_and_grad(mean, has_aux=True)).lower(reals, others, bare, *calls[0])
+            compiled.append(lowered.compile(options))
+        with ThreadPoolExecutor(len(batch.places())) as pool:
+            parts = list(pool.map(lambda c: batch.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
+        slopes = [sum(g) for g in zip(*(slope for _, slope, _ in parts), strict=True)]
+        return sum(value for value, _, _ in parts), slopes, any(lost for _, _, lost in parts)
+
+    return at
+
+
+def chain(slopes: list[Any], design: Callable[[Vector], Any], at: Vector) -> Vector:
+    """Return the derivative by free parameters from that by the gains that `design` makes of them."""
+    out = np.zeros(len(at))
+    for i, step in enumerate(STEP * np.eye(len(at))):
+        sides = [(sign, found) for sign in (1, -1) if (found := _allowed(design, at + sign * step)) is not None]
+        if len(sides) < 2:  # one side is refused: from the middle
+            sides.append((0, numbers(design(at))))
+        (m, ahead), (n, behind) = sides[0], sides[-1]
+        gap = (m - n) * STEP
+        out[i] = (
+            sum(float(np.sum(s * (a - b))) for s, a, b in zip(slopes, ahead, behind, strict=True)) / gap
+            if gap
+            else np.nan
+        )
+    return out
+
+
+def _allowed(design: Callable[[Vector], Any], at: Vector) -> list[Any] | None:
+    """The gains at a place as numbers; None where its design refuses."""
+    try:
+        return numbers(design(at))
+    except (UserError, ValidationError):
+        return None
+
+
+def _padded(seeds: Any, width: int, many: int) -> tuple[Any, Any]:
+    weights = np.where(np.arange(width) < len(seeds), 1 / many, 0.0)
+    return np.resize(seeds, width), weights
+
+
+def _read(call: Any, *arguments: Any) -> Slope:
+    (value, lost), slopes = call(*arguments)
+    return float(value), [np.asarray(s) for s in slopes], bool(lost)

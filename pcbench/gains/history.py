@@ -1,0 +1,156 @@
+"""What a tuning has seen so far, point by point, in a Parquet file: all that is needed to go on; and what it has found."""
+
+import tomllib
+from collections.abc import Callable
+from math import isfinite
+from time import monotonic
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+import tomli_w
+
+from pcbench.dataset import store
+from pcbench.errors import UserError
+from pcbench.gains.parameters import Vector
+
+HISTORY, FOUND = "history.parquet", "tuned.toml"
+ABOUT = b"pcbench.tuning"  # the key in the file's metadata: what was tuned for what
+PAUSE = 2.0  # [s] between two writings
+
+
+class Judged(NamedTuple):
+    """A goal's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
+
+    what: str  # training or judging
+    first: int
+    seeds: int
+    start: float
+    start_se: float
+    tuned: float
+    tuned_se: float
+    difference: float  # tuned less start, paired over the same draws
+    difference_se: float
+    diverged: tuple[int, int]  # runs, of start and tuned
+
+
+class Point(NamedTuple):
+    """One point asked for."""
+
+    at: tuple[float, ...]  # the free parameters
+    value: float  # of the objective over the training runs; infinite where the gains are refused or a run diverged
+    slope: tuple[float, ...]  # empty where none was asked for
+    seconds: float
+
+
+class History:
+    """The points of a tuning in the order in which they were asked for; what was seen before is told again."""
+
+    def __init__(self, place: store.Target, about: str, names: list[str], tell: Callable[[str, float], None]):
+        self.place, self.about, self.names, self.tell = place, about, names, tell
+        self.points: list[Point] = []
+        self.before = _read(place, about)
+        self.written = monotonic()
+
+    def ask(self, at: Vector, evaluate: Callable[[Vector], tuple[float, Vector]]) -> tuple[float, Vector]:
+        """Return value and slope at a point: from what was seen, if it is the next of that, or else evaluated."""
+        key, number = tuple(map(float, at)), len(self.points)
+        if number < len(self.before) and self.before[number].at == key:
+            point = self.before[number]
+        else:
+            self.before = self.before[:number]
+            start = monotonic()
+            value, slope = evaluate(at)
+            point = Point(key, value, tuple(map(float, slope)), monotonic() - start)
+        self.points.append(point)
+        late = monotonic() - self.written > PAUSE and isfinite(
+            self.points[0].value
+        )  # a start that fails leaves nothing
+        if number >= len(self.before) and late:
+            self.write()
+        self.tell("point", self.best.value)
+        return point.value, np.array(point.slope)
+
+    @property
+    def best(self) -> Point:
+        """Return the point of the least value."""
+        return min(self.points, key=lambda point: point.value)
+
+    def write(self) -> None:
+        """Put the history in its place."""
+        store.put_table(self.place, HISTORY, _table(self.points, self.names, self.about))
+        self.written = monotonic()
+
+
+def _table(points: list[Point], names: list[str], about: str) -> pa.Table:
+    """The history as a table: value is null where the gains were refused."""
+    columns: dict[str, Any] = {"point": np.arange(len(points))}
+    columns |= {f"free.{name}": np.array([p.at[i] for p in points]) for i, name in enumerate(names)}
+    columns |= {"objective": pa.array([p.value if isfinite(p.value) else None for p in points], pa.float64())}
+    for i, name in enumerate(names):
+        slopes = [p.slope[i] if p.slope and isfinite(p.slope[i]) else None for p in points]
+        columns[f"slope.{name}"] = pa.array(slopes, pa.float64())
+    columns["seconds"] = np.array([p.seconds for p in points])
+    return pa.table(columns).replace_schema_metadata({ABOUT: about.encode()})
+
+
+def _read(place: store.Target, about: str) -> list[Point]:
+    """What an earlier run has seen; raise UserError where that was another tuning."""
+    content = store.get(place, HISTORY)
+    if content is None:
+        if others := [name for name in store.names(place) if name != FOUND]:
+            raise UserError(
+                f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
+            )
+        return []
+    try:
+        table = store.parsed(content)
+        said = (table.schema.metadata or {}).get(ABOUT, b"").decode()
+        free, slopes = ([c for c in table.column_names if c.startswith(k)] for k in ("free.", "slope."))
+        rows = table.to_pylist()
+        points = [
+            Point(
+                tuple(row[c] for c in free),
+                float("inf") if row["objective"] is None else row["objective"],
+                tuple(float("nan") if row[c] is None else row[c] for c in slopes),
+                row["seconds"],
+            )
+            for row in rows
+        ]
+    except (pa.ArrowException, OSError, ValueError, KeyError):
+        raise UserError(
+            f"{place.name}/{HISTORY}: is damaged, expected a tuning's history; remove it, or give another folder with --out."
+        ) from None
+    if said != about:
+        raise UserError(
+            f"{place.name}: holds another tuning ({said}), expected {about}; give another folder with --out."
+        )
+    return points
+
+
+def finish(place: store.Target, about: str, tuned: Any) -> None:
+    """Put what was found into its place: a study that can be run, and under [resolved.tuning] how it came about."""
+    said = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
+    said |= {"method": tuned.method, "judged": [_plain(j) for j in tuned.judged]}
+    store.put(place, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
+
+
+def finished(place: store.Target, whole: str, about: str) -> dict[str, Any] | None:
+    """Return the parts of what an earlier run of the same tuning has found; None where there is none.
+
+    `whole` is what was done to the end, `about` what its history is of.
+    """
+    content = store.text(place, FOUND)
+    try:
+        study = tomllib.loads((content or b"").decode())
+        said = study.pop("resolved")["tuning"]
+        if said.pop("about") != whole:
+            return None
+        judged = [Judged(**j | {"diverged": tuple(j["diverged"])}) for j in said.pop("judged")]
+        return said | {"study": study, "judged": judged, "points": _read(place, about)}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None  # not there, or damaged: the history is read, and it is written anew
+
+
+def _plain(judged: Judged) -> dict[str, Any]:
+    return judged._asdict() | {"diverged": list(judged.diverged)}

@@ -1,0 +1,63 @@
+"""What tuning makes small: one metric of one signal, over the training runs."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import unknown
+from pcbench.plants import signals_of
+from pcbench.scenarios import Scenario
+from pcbench.scenarios.signals import jumps
+from pcbench.simulation import differentiable
+from pcbench.statistics import COMPARED, POOLED
+
+MEASURES = (*COMPARED, *POOLED)
+
+
+class Goal(NamedTuple):
+    """A metric of the tables and the signal it is of."""
+
+    metric: str
+    signal: int
+    name: str  # of the signal
+    unit: str
+
+    @property
+    def base(self) -> str:
+        """Return the metric of a run that it is a mean of."""
+        return POOLED.get(self.metric, self.metric)
+
+    @property
+    def smooth(self) -> bool:
+        """Return whether it has a gradient."""
+        return self.base.removeprefix("tail_") in differentiable.SMOOTH
+
+    def of(self, mean: float) -> float:
+        """Return the goal from the mean of its base over runs."""
+        return float(np.sqrt(mean)) if self.metric in POOLED else mean
+
+    def slope(self, mean: float) -> float:
+        """Return the derivative of the goal by that mean."""
+        return 0.5 / float(np.sqrt(mean)) if self.metric in POOLED and mean > 0 else 1.0
+
+    def over(self, runs: NDArray[np.float64], diverged: NDArray[np.bool_]) -> float:
+        """Return the goal over runs [n] of its base; infinite where one of them diverged."""
+        return float("inf") if diverged.any() else self.of(float(np.mean(runs)))
+
+
+def goal(objective: str, scenario: Scenario, signal: str | None, where: str) -> Goal:
+    """Return the goal that a metric's name and a signal's say (default: the first that a closing table shows).
+
+    Raises UserError for another word.
+    """
+    ticks = round(scenario.horizon / scenario.dt)
+    loop, jumping = bool(scenario.controller), jumps(scenario.unknown_input, scenario.dt, ticks).size > 0
+    there = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
+    if objective not in there:
+        raise unknown(f"{where}: --objective", "metric to tune for here", objective, there)
+    names = [name for name, _ in signals_of(scenario)]
+    if signal is not None and signal not in names:
+        raise unknown(f"{where}: --signal", "signal", signal, names)
+    chosen = names.index(signal or (*scenario.headline, names[0])[0])
+    return Goal(objective, chosen, names[chosen], signals_of(scenario)[chosen][1])

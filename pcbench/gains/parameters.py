@@ -1,0 +1,166 @@
+"""The free parameters of an observer: options that may be tuned, as numbers without bounds.
+
+An option says so itself (`tunable`). A positive number is its logarithm here, one between two numbers its logit, a matrix its
+entries over their natural size: so every vector of numbers is an option that may be written into a study, and Adam's steps
+mean the same in all of them. Gains follow by the observer's own design, which certifies them or refuses.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple, get_args
+
+import annotated_types
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+
+from pcbench.errors import UserError
+from pcbench.observers import entry_of
+from pcbench.observers.parts.options import TUNABLE, extra
+
+Vector = NDArray[np.float64]
+NOTHING = 1e-15  # of a matrix' size: 0
+MOVED, SAME = 0.1, 1e-9  # gains that differ by less of themselves when a parameter moves so far do not depend on it
+LEAST = 1e-12  # a positive number that is 0 by default starts here
+
+
+class NothingFree(UserError):
+    """There is nothing to tune."""
+
+
+class Free(NamedTuple):
+    """One option; its `size` numbers have the place `first` .. `first + size - 1` among all."""
+
+    name: str
+    kind: str  # positive, between or real
+    shape: tuple[int, ...]
+    low: float  # of what lies between two numbers: the lower,
+    scale: float  # and how far above it the upper is; of a real: what 1 means
+    first: int
+
+    @property
+    def size(self) -> int:
+        """Return how many numbers it is."""
+        return int(np.prod(self.shape))
+
+
+def tunable(label: str) -> list[str]:
+    """Return the names of the options of an observer that may be tuned."""
+    return [name for name, field in entry_of(label).options.model_fields.items() if TUNABLE in extra(field)]
+
+
+def start(
+    label: str, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
+) -> tuple[list[Free], Vector]:
+    """Return the free parameters and where they start: as the options say, or where they leave it open as was `designed`.
+
+    `names` None: all that may be tuned and have a start that an option can hold. Raises UserError where a name is not of an
+    option that may be tuned, where nothing says where it starts, or where there is nothing to tune.
+    """
+    allowed, found, values = tunable(label), list[Free](), list[Vector]()
+    for name in allowed if names is None else names:
+        if name not in allowed:
+            raise UserError(
+                f"{where}: got '{name}' to tune, expected {' or '.join(allowed) or 'nothing: it has no free parameters'}."
+            )
+        value = getattr(options, name)
+        value = designed.get(name) if value is None or isinstance(value, str) else value
+        one = None if value is None else _free(label, name, value, sum(f.size for f in found))
+        if one is None or not _holds(options, *one):
+            if names is None:
+                continue
+            raise UserError(
+                f"{where}: {name} has no value to start from, expected one; write [options.{label}] {name} = ..."
+            )
+        found.append(one[0])
+        values.append(one[1])
+    if not found:
+        raise NothingFree(
+            f"{where}: got an observer without free parameters, expected one that has some; tune another."
+        )
+    return found, np.concatenate(values)
+
+
+def _free(label: str, name: str, value: Any, first: int) -> tuple[Free, Vector]:
+    """One parameter, and its numbers at a value."""
+    number, field = np.asarray(value, float), entry_of(label).options.model_fields[name]
+    kind, edges = _kind(field), extra(field)[TUNABLE]
+    number = number.reshape(()) if number.size == 1 and kind != "real" else number
+    low, high = edges if edges else (0.0, float(np.abs(number).max()) if kind == "real" else 1.0)
+    scale = high - low if high - low > LEAST else 1.0  # a gain of 0 says nothing of its size
+    one = Free(name, kind, number.shape, low, scale, first)
+    return one, _unbounded(number, one).ravel()
+
+
+def _holds(options: BaseModel, one: Free, at: Vector) -> bool:
+    """Say whether an option can hold such a value: a number for each output has no place where one for all is asked."""
+    try:
+        put(options, [one._replace(first=0)], at)
+    except ValidationError:
+        return False
+    return True
+
+
+def used(found: list[Free], at: Vector, gains: Callable[[Vector], list[Any]]) -> list[str]:
+    """Return the names of those that the `gains` depend on at a place; not all do in every way of finding them."""
+    here, out = gains(at), []
+    for f in found:
+        try:
+            there = gains(at + MOVED * np.isin(np.arange(len(at)), range(f.first, f.first + f.size)))
+        except (UserError, ValidationError):  # refused there: they depend on it
+            out.append(f.name)
+            continue
+        if any(not np.allclose(a, b, rtol=SAME, atol=0) for a, b in zip(here, there, strict=True)):
+            out.append(f.name)
+    return out
+
+
+def entries(free: list[Free]) -> list[str]:
+    """Return a name for each number: of a matrix name[0], name[1], row by row."""
+    return [f.name if f.size == 1 else f"{f.name}[{i}]" for f in free for i in range(f.size)]
+
+
+def put(options: BaseModel, free: list[Free], at: Vector) -> BaseModel:
+    """Return the options with the free parameters as the numbers say, checked as a study's are."""
+    return type(options).model_validate(options.model_dump() | written(free, at))
+
+
+def written(free: list[Free], at: Vector) -> dict[str, Any]:
+    """Return the free parameters as a study's TOML writes them."""
+    out = {}
+    for f in free:
+        part = at[f.first : f.first + f.size].reshape(f.shape)
+        out[f.name] = _bounded(part, f).tolist()
+    return out
+
+
+def _bounded(z: Vector, f: Free) -> Vector:
+    if f.kind == "positive":
+        return np.asarray(np.exp(np.clip(z, np.log(LEAST), -np.log(LEAST))))
+    if f.kind == "between":
+        return np.asarray(f.low + f.scale / (1 + np.exp(-z)))
+    return np.where(np.abs(z) < NOTHING, 0.0, z * f.scale)
+
+
+def _unbounded(value: Vector, f: Free) -> Vector:
+    if f.kind == "positive":
+        return np.asarray(np.log(np.maximum(value, LEAST)))
+    if f.kind == "between":
+        inside = np.clip((value - f.low) / f.scale, LEAST, 1 - LEAST)
+        return np.asarray(np.log(inside / (1 - inside)))
+    return np.asarray(value / f.scale)
+
+
+def _kind(field: FieldInfo) -> str:
+    """How an option is bounded: its own declaration says."""
+    if extra(field)[TUNABLE]:
+        return "between"
+    bounds = [*field.metadata, *_inside(field.annotation)]
+    low = any(isinstance(m, annotated_types.Gt | annotated_types.Ge) for m in bounds)
+    return "positive" if low else "real"
+
+
+def _inside(annotation: Any) -> list[Any]:
+    """What the kinds of value that an option may have declare of themselves."""
+    declared = [m for kind in get_args(annotation) for m in getattr(kind, "__metadata__", ())]
+    return [m for each in declared for m in (each.metadata if isinstance(each, FieldInfo) else [each])]

@@ -1,0 +1,252 @@
+"""One tuning: an observer's free parameters in a scenario, so much effort, judged on other draws than it was tuned on."""
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from pydantic import BaseModel, ValidationError
+
+from pcbench import planning
+from pcbench.dataset import store
+from pcbench.errors import UserError
+from pcbench.gains import gradient, history, minimise, parameters
+from pcbench.gains.held_out import against, judge
+from pcbench.gains.history import History, Judged, Point
+from pcbench.gains.objective import Goal, goal
+from pcbench.gains.parameters import Vector
+from pcbench.machine import process
+from pcbench.observers import entry_of
+from pcbench.planning import in_memory
+from pcbench.planning.padding import Planned
+from pcbench.simulation import batch
+from pcbench.simulation.schedule.shared import Schedule
+from pcbench.study import Study, given, options_of, read
+from pcbench.study.cells import Cell, digest
+from pcbench.synthesis.certificate import Design, Setting
+
+BUDGET = 60
+TRAINING = (3_000_000_000, 256)  # first seed and how many: no study of the usual seeds meets them
+JUDGES = (3_500_000_000, 1024)
+METHODS = ("descent", "search")
+BACK = 0.999  # part of a decay that a gain found for it is proven to have when it is one among others
+Tell = Callable[[str, float], None]
+Evaluate = Callable[[Vector], tuple[float, Vector]]
+
+
+class NoStart(UserError):
+    """A tuning's start does not work."""
+
+
+class Tuned(NamedTuple):
+    """What a tuning found."""
+
+    study: dict[str, Any]  # the scenario and the observer with the options chosen: what tuned.toml says
+    start: dict[str, Any]  # the free parameters as they were,
+    found: dict[str, Any]  # and at the least value seen
+    kept_start: str  # why the start was kept; empty: what was found is chosen
+    judged: list[Judged]
+    points: list[Point]
+    method: str
+    goal: Goal
+
+
+def tune(
+    scenario: Any,
+    observer: str,
+    *,
+    budget: int = BUDGET,
+    objective: str = "rmse",
+    signal: str | None = None,
+    method: str | None = None,
+    only: list[str] | None = None,
+    training: tuple[int, int] = TRAINING,
+    judges: tuple[int, int] = JUDGES,
+    out: str | Path | None = None,
+    overrides: list[str] | None = None,
+    tell: Tell = lambda event, value: None,
+) -> Tuned:
+    """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
+
+    `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
+    simulated; `training` and `judges` are (first seed, how many). With `out`, a folder, the history stands there, and what was
+    stopped goes on when run again. `tell` hears ("begin", budget), and ("point", least value so far) after each point.
+    Raises UserError for whatever the user can mend.
+    """
+    where = f"tune {observer}"
+    _check(budget, training, judges, where)
+    with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
+        study, cell = read.one_cell(scenario, [observer], overrides or [])
+        where = f"{where} in {cell.scenario.name}"
+        aim = goal(objective, cell.scenario, signal, where)
+        how_far = f"{method or 'the method that fits'}, seeds {_shown(training)}, {', '.join(only or ['all'])} free"
+        mine = given(study, cell.scenario, observer)
+        about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(study)[:12]}"
+        whole = f"{about}, {budget} points, judged on {_shown(judges)}"
+        place = store.target(str(out) if out is not None else spare)
+        if done := history.finished(place, whole, about):
+            return Tuned(goal=aim, **done)
+        known = planning.setting(cell)
+        study, options, designed = _startable(study, cell, observer, known)
+        every, start = freed(observer, known, options, designed, only, where)
+
+        def design(at: Vector) -> Any:
+            return entry_of(observer).design(known, parameters.put(options, every, at)).gains
+
+        (p,) = planning.plan(study)
+        _estimates(p, aim, where)
+        how = _method(method, aim, p, where)
+        evaluate = _evaluate(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
+        trials = History(place, about, parameters.entries(every), tell)
+        tell("begin", float(budget))
+        _descend(how, trials, start, evaluate, budget, where)
+        found = parameters.written(every, np.array(trials.best.at))
+        tell("judging", 0.0)
+        judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
+        kept = against(judged)
+        tuned = Tuned(
+            _study(study, observer, {} if kept else found),
+            parameters.written(every, start),
+            found,
+            kept,
+            judged,
+            trials.points,
+            how,
+            aim,
+        )
+        history.finish(place, whole, tuned)
+        return tuned
+
+
+def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple[Study, BaseModel, Design]:
+    """The study, its observer's options and their design; a decay is asked for a little slower.
+
+    A gain that was found for a rate stands at the edge of it, where another proof of the same rate may fail.
+    """
+    options = options_of(study, cell.scenario, observer)
+    designed = entry_of(observer).design(known, options)
+    decay = getattr(options, "decay", None)
+    if not decay:
+        return study, options, designed
+    mine = study.options.get(observer, {}) | {"decay": BACK * decay}
+    slower = study.model_copy(update={"options": study.options | {observer: mine}})
+    return slower, options_of(slower, cell.scenario, observer), designed
+
+
+def freed(
+    observer: str, known: Setting, options: BaseModel, designed: Design, only: list[str] | None, where: str
+) -> tuple[list[parameters.Free], Vector]:
+    """Return the free parameters that gains depend on here, and where they start; errors as of `parameters.start`."""
+    every, at = parameters.start(observer, options, designed.certificate.numbers, only, where)
+
+    def gains(there: Vector) -> list[Any]:
+        return gradient.numbers(entry_of(observer).design(known, parameters.put(options, every, there)).gains)
+
+    used = parameters.used(every, at, gains)
+    if not used:
+        names = ", ".join(f.name for f in every)
+        raise parameters.NothingFree(
+            f"{where}: got free parameters ({names}) that its gains do not depend on as they are found here, expected one that "
+            "they do; change the way they are found, or tune another observer."
+        )
+    return parameters.start(observer, options, designed.certificate.numbers, used, where)
+
+
+def _descend(how: str, trials: History, start: Vector, evaluate: Evaluate, budget: int, where: str) -> None:
+    def ask(at: Vector) -> tuple[float, Vector]:
+        first = not trials.points
+        value, slope = trials.ask(at, evaluate)
+        if first and not np.isfinite(value):
+            raise NoStart(
+                f"{where}: a training run diverges, or the gains are refused, at the start; expected a start that works; write "
+                "another one under [options]."
+            )
+        return value, slope
+
+    store.make(trials.place)
+    if how == "descent":
+        minimise.descent(ask, start, budget)
+    else:
+        minimise.search(lambda at: ask(at)[0], start, budget)
+    trials.write()
+
+
+def _check(budget: int, training: tuple[int, int], judges: tuple[int, int], where: str) -> None:
+    if budget < 1:
+        raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {BUDGET}.")
+    for name, (first, many) in (("--train", training), ("--judge", judges)):
+        if many < 2 or first < 0 or first + many > 2**32:
+            raise UserError(f"{where}: {name}: got {first}:{first + many}, expected two seeds or more of 0:4294967296.")
+    if training[0] < sum(judges) and judges[0] < sum(training):
+        raise UserError(
+            f"{where}: got training seeds {_shown(training)} and judging seeds {_shown(judges)}, which overlap; expected none "
+            "in common, for what is tuned on a draw cannot be judged on it; give others."
+        )
+
+
+def _estimates(p: Planned, aim: Goal, where: str) -> None:
+    """Raise UserError where the observer does not estimate the goal's signal."""
+    ((label, observer),) = p.layout.observers
+    found = jax.eval_shape(
+        lambda g, x: observer.estimate(g, observer.init(g, x)), p.problem.gains[label], p.problem.xhat0
+    )
+    if aim.signal >= found.shape[0]:
+        raise UserError(
+            f"{where}: --signal: got {aim.name}, which {p.labels[0]} does not estimate, expected one that it does; name "
+            "another."
+        )
+
+
+def _shown(seeds: tuple[int, int]) -> str:
+    return f"{seeds[0]}:{sum(seeds)}"
+
+
+def _method(asked: str | None, aim: Goal, p: Planned, where: str) -> str:
+    """Return descent where there is a gradient, or else search; raise UserError where descent is asked for in vain."""
+    if asked not in (None, *METHODS):
+        raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
+    against = {
+        f"{aim.metric} has no gradient": not aim.smooth,
+        "its steps cannot be differentiated": not entry_of(p.labels[0]).smooth,
+        "each run has a schedule of its own": not isinstance(p.problem.schedule, Schedule),
+        "a closed loop is not differentiated": p.layout.controller is not None,
+    }
+    reasons = [reason for reason, holds in against.items() if holds]
+    if asked == "descent" and reasons:
+        raise UserError(f"{where}: --method: got descent, but {reasons[0]}; expected search; leave it out.")
+    return asked or ("search" if reasons else "descent")
+
+
+def _evaluate(how: str, p: Planned, aim: Goal, root_seed: int, seeds: Any, design: Callable[[Vector], Any]) -> Evaluate:
+    """What evaluates a point: infinite where its gains are refused or a run diverges."""
+    (label, _), *_ = p.layout.observers
+    back = gradient.backwards(p, aim, root_seed, seeds)
+
+    def with_slope(at: Vector) -> tuple[float, Vector]:
+        mean, slopes, lost = back(design(at))
+        if lost:
+            return float("inf"), np.full(len(at), np.nan)
+        return aim.of(mean), aim.slope(mean) * gradient.chain(slopes, design, at)
+
+    def alone(at: Vector) -> tuple[float, Vector]:
+        here = p._replace(problem=p.problem._replace(gains={label: design(at)}))
+        (left,) = in_memory.results(here, batch.run(p.layout, list(in_memory.jobs(here, root_seed, seeds)))).values()
+        return aim.over(left[aim.base][aim.signal], left["diverged"]), np.zeros(0)
+
+    def at(point: Vector) -> tuple[float, Vector]:
+        try:
+            return with_slope(point) if how == "descent" else alone(point)
+        except (UserError, ValidationError):  # its design refuses, or it is no option
+            return float("inf"), np.full(len(point), np.nan)
+
+    return at
+
+
+def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:
+    """The study with the observer's options put in, as TOML writes it."""
+    raw = study.model_dump(exclude_none=True, exclude_defaults=True)
+    options = raw.get("options", {})
+    mine = options.get(observer, {}) | chosen
+    return raw | ({"options": options | {observer: mine}} if mine else {})

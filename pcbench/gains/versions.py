@@ -1,0 +1,201 @@
+"""Studies whose gains come about in several ways, and what each of them is worth: `tuning` of a study.
+
+    paper     as a scenario's source prints them (its options), with the study's own options over them
+    design    by the observer's own design for the noise and the delays as they are
+    tuned     by `tune`: the same effort for every observer, from the better of the two above on the training runs
+
+Three ranges of seeds have nothing in common: training runs, those that decide whether a tuned gain or its start is kept, and
+the study's own, on which all are compared. Of a study with several cells gains are tuned in the first and run in all.
+Observers without a design of their own, or without free parameters, have fewer versions. What is returned to be run has nothing
+but explicit options, so any machine can run, verify and merge it.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench import planning
+from pcbench.dataset import run_study, store
+from pcbench.dataset.ownership import BESIDE, TEXT
+from pcbench.dataset.run_study import Tell, silent
+from pcbench.errors import UserError
+from pcbench.gains import parameters, tune
+from pcbench.gains.objective import Goal, goal
+from pcbench.observers import entry_of
+from pcbench.study import Study, given, observers_of, options_of, scenarios_of
+from pcbench.study.read import one_cell, study_of
+
+JUDGES = (tune.JUDGES[0], 256)
+
+
+class Version(NamedTuple):
+    """One observer with the gains of one tuning."""
+
+    label: str  # in the tables
+    observer: str  # as the study names it
+    tuning: str
+    note: str = ""  # why its gains are not those found
+
+
+class Prepared(NamedTuple):
+    """A study with every option explicit, and what its labels are."""
+
+    study: Study
+    versions: list[Version]  # empty: one tuning only, nothing to compare
+    aim: Goal | None = None
+
+
+def prepare(study: Study, out: str | Path | None, fresh: bool, tell: Tell = silent) -> Prepared:
+    """Return the study to be run: designed and tuned as it asks. What tuning leaves stands in out/tuning, and goes on there.
+
+    Raises UserError where several tunings, or tuned gains, are asked for in more than one scenario.
+    """
+    if study.tunings == ["paper"]:
+        return Prepared(study, [])
+    if study.tunings == ["design"]:
+        labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
+        designed = {o: study.options.get(o, {}) | dict(entry_of(o).designed or {}) for o in labels}
+        return Prepared(_with(study, {o: how for o, how in designed.items() if how}), [])
+    if len(study.scenarios) > 1:
+        raise UserError(
+            f"{study.name}: tuning: got {study.tunings} for {len(study.scenarios)} scenarios, expected one: gains are tuned "
+            "for one task; run a study for each."
+        )
+    aim = goal(study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune")
+    _apart(study)
+    _ours(study, out, fresh)
+    scenario = scenarios_of(study)[study.scenarios[0]]
+    paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
+    versions, options = _untuned(paper)
+    if "tuned" in study.tunings:
+        starts = _better(study, versions, options, aim, tell)
+        for observer, start in starts.items():
+            note, found = _tuned(study, observer, start, aim, out, tell)
+            versions.append(Version(f"{observer}-tuned", observer, "tuned", note))
+            options[f"{observer}-tuned"] = start | found
+    versions = [v for v in versions if v.tuning in study.tunings]
+    if len(study.tunings) == 1:  # no other version to be told from
+        options = {v.observer: options[v.label] for v in versions}
+        versions = [v._replace(label=v.observer) for v in versions]
+    order = list(paper)
+    versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
+    every = {v.label: options[v.label] for v in versions}
+    return Prepared(_with(study, every, list(every)), versions, aim)
+
+
+def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Study:
+    changes: dict[str, Any] = {"options": study.options | options, "tuning": "paper"}
+    return study_of(study, changes | {"observers": observers}, [])
+
+
+def _at_first(study: Study) -> Study:
+    """The study in its first cell: where gains are tuned."""
+    return study.model_copy(update={"axes": {name: values[:1] for name, values in study.axes.items()}})
+
+
+def _apart(study: Study) -> None:
+    """Raise UserError where the study's own seeds are among those it tunes on."""
+    for first, many in ((tune.TRAINING[0], study.tune.training), JUDGES):
+        if study.first_seed < first + many and first < study.first_seed + study.seeds:
+            raise UserError(
+                f"{study.name}: got seeds {study.first_seed} .. {study.first_seed + study.seeds - 1}, expected none of "
+                f"{first} .. {first + many - 1}, on which gains are tuned; give another first_seed."
+            )
+
+
+def _ours(study: Study, out: str | Path | None, fresh: bool) -> None:
+    """Raise UserError where a folder holds something else, before anything is written; `fresh` removes earlier tunings."""
+    if out is None:
+        return
+    place = store.target(str(out))
+    said, names = store.text(place, TEXT), store.names(place)
+    others = [name for name in names if not name.startswith(BESIDE)]
+    if said is None and others:
+        raise UserError(
+            f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
+        )
+    if said is not None and not any(name.startswith(BESIDE) for name in names) and not fresh:
+        raise UserError(
+            f"{place.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
+            "start over with --fresh."
+        )
+    for name in [name for name in names if fresh and name.startswith(BESIDE[0])]:
+        store.remove(place, name)
+
+
+def _untuned(papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str, dict[str, Any]]]:
+    """The versions as printed and by design, and the options of each."""
+    versions: list[Version] = []
+    options: dict[str, dict[str, Any]] = {}
+    for observer, paper in papers.items():
+        ways: dict[str, Mapping[str, Any] | None] = {"paper": {}, "design": entry_of(observer).designed}
+        for tuning, more in ways.items():
+            if more is not None:
+                versions.append(Version(f"{observer}-{tuning}", observer, tuning))
+                options[f"{observer}-{tuning}"] = paper | dict(more)
+    return versions, options
+
+
+def _better(
+    study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Goal, tell: Tell
+) -> dict[str, dict[str, Any]]:
+    """By observer that has free parameters, the options of its better version on the training runs: where tuning starts."""
+    free_ones = [v for v in versions if _is_free(study, v, options[v.label])]
+    if not free_ones:
+        return {}
+    tell("comparing starts", 0.0)
+    here = _with(study, {v.label: options[v.label] for v in free_ones}, [v.label for v in free_ones])
+    seeds = {"first_seed": tune.TRAINING[0], "seeds": study.tune.training}
+    stats = run_study.execute(_at_first(here).model_copy(update=seeds)).stats
+    rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
+    best: dict[str, tuple[tuple[float, float], str]] = {}
+    for v in free_ones:
+        mean = float(rows["mean"][v.label])
+        merit = float(rows["diverged"][v.label]), mean if np.isfinite(mean) else np.inf
+        if v.observer not in best or merit < best[v.observer][0]:
+            best[v.observer] = merit, v.label
+    return {observer: options[label] for observer, (_, label) in best.items()}
+
+
+def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
+    """Say whether a version has free parameters that its gains depend on."""
+    if not parameters.tunable(version.observer):
+        return False
+    here, cell = one_cell(_at_first(_with(study, {version.observer: options})), [version.observer], [])
+    known, chosen = planning.setting(cell), options_of(here, cell.scenario, version.observer)
+    designed = entry_of(version.observer).design(known, chosen)
+    try:
+        return bool(tune.freed(version.observer, known, chosen, designed, None, study.name))
+    except parameters.NothingFree:
+        return False
+
+
+def _tuned(
+    study: Study, observer: str, start: dict[str, Any], aim: Goal, out: str | Path | None, tell: Tell
+) -> tuple[str, dict[str, Any]]:
+    """Why the start is kept (empty: it is not), and the options found."""
+
+    def heard(event: str, value: float) -> None:
+        if event == "begin":
+            tell(f"tuning {observer}", value)
+        if event == "point":
+            tell(f"tuning {observer}: least {aim.metric} {value:.4g}", value)
+
+    here = _at_first(_with(study, {observer: start}, [observer])).model_copy(update={"seeds": 1, "first_seed": 0})
+    try:
+        found = tune.tune(
+            here,
+            observer,
+            budget=study.tune.budget,
+            objective=study.tune.objective,
+            signal=study.tune.signal,
+            training=(tune.TRAINING[0], study.tune.training),
+            judges=JUDGES,
+            out=None if out is None else f"{out}/tuning/{observer}",
+            tell=heard,
+        )
+    except tune.NoStart:
+        return "no start of it works on the training runs", {}
+    return found.kept_start, {} if found.kept_start else found.found

@@ -1,0 +1,23 @@
+"""The folder of everything that pcbench can make again; PCBENCH_CACHE names it. No jax."""
+
+import os
+import tempfile
+from pathlib import Path
+
+from platformdirs import user_cache_path
+
+
+def folder() -> Path:
+    """Return the folder of everything pcbench can make again."""
+    return Path(os.environ.get("PCBENCH_CACHE") or user_cache_path("pcbench"))
+
+
+def keep(path: Path, text: str) -> None:
+    """Put a text into the cache, whole or not at all; one that cannot be written only costs time."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as beside:
+            beside.write(text)
+        os.replace(beside.name, path)
+    except OSError:
+        return

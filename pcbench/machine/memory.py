@@ -1,0 +1,55 @@
+"""The memory that this process may use."""
+
+from contextlib import suppress
+from pathlib import Path
+
+from pcbench.errors import UserError
+
+UNITS = {"B": 1, "KB": 1e3, "MB": 1e6, "GB": 1e9, "TB": 1e12, "KIB": 2**10, "MIB": 2**20, "GIB": 2**30, "TIB": 2**40}
+
+
+def usable() -> int:
+    """Return the bytes of memory that this process may use: the machine's, or what its control group leaves it."""
+    import psutil
+
+    total = int(psutil.virtual_memory().total)
+    for limit in _limits():
+        with suppress(OSError, ValueError):
+            total = min(total, int(limit.read_text()))
+    return total
+
+
+def _limits() -> list[Path]:
+    """The files that may hold a limit of this process's control group, or of one around it."""
+    out = [Path("/sys/fs/cgroup/memory.max"), Path("/sys/fs/cgroup/memory/memory.limit_in_bytes")]
+    with suppress(OSError):
+        for line in Path("/proc/self/cgroup").read_text().splitlines():
+            _, kinds, path = line.split(":", 2)
+            if not kinds or "memory" in kinds.split(","):
+                root, name = ("memory", "memory.limit_in_bytes") if kinds else ("", "memory.max")
+                parts = Path(path).parts[1:]
+                out += [Path("/sys/fs/cgroup", root, *parts[:i], name) for i in range(1, len(parts) + 1)]
+    return out
+
+
+def free() -> int:
+    """Return the bytes of memory that are free now, within what this process may use."""
+    import psutil
+
+    return min(int(psutil.virtual_memory().available), usable())
+
+
+def allowed(given: str | int | None) -> float:
+    """Return the bytes that results may take: a quarter of the memory unless said otherwise, never more than is free."""
+    if given is None:
+        return min(usable() / 4, free())
+    text = str(given).strip().upper()
+    number = text.rstrip("BKMGTI").strip()
+    unit = text[len(number) :].strip() or "B"
+    try:
+        size = float(number) * UNITS[unit if unit.endswith("B") else unit + "B"]
+    except (KeyError, ValueError):
+        size = -1.0
+    if not 0 < size < 1e18:
+        raise UserError(f"--memory: got {given!r}, expected an amount such as 500MB or 2GiB; write that.")
+    return size

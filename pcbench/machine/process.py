@@ -1,0 +1,46 @@
+"""How this process computes: float64, and compiled programs remembered between processes."""
+
+import os
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import jax
+
+from pcbench.errors import UserError, said, shown
+from pcbench.machine.cache import folder
+
+
+def setup() -> None:
+    """Give this process to pcbench: float64, compiled programs remembered between processes.
+
+    The command line does this. In a notebook call it first, before anything touches jax; a host program that needs its
+    own jax configuration leaves it out: pcbench then computes the same, and compiles anew in every process.
+    """
+    jax.config.update("jax_enable_x64", True)
+    if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+        jax.config.update("jax_compilation_cache_dir", str(folder() / "programs"))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+
+
+@contextmanager
+def float64() -> Iterator[None]:
+    """Return a context in which jax computes in float64 and compiles, whatever the host program chose.
+
+    Raises UserError where jax knows no such platform as it was told.
+    """
+    try:
+        with jax.enable_x64(True), jax.disable_jit(False):
+            yield
+    except RuntimeError as error:
+        if not str(error).startswith("Unable to initialize backend"):
+            raise
+        raise UserError(
+            f"JAX_PLATFORMS: got {shown(os.environ.get('JAX_PLATFORMS', ''))}, which jax cannot use here "
+            f"({said(str(error).partition(': ')[2])}), expected a platform that it has; write cpu, or leave it out."
+        ) from None
+
+
+def name() -> str:
+    """Return a name for this process among those of all machines."""
+    return f"{socket.gethostname()}-{os.getpid()}"

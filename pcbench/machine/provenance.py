@@ -1,0 +1,64 @@
+"""The record of what made a number: releases, what the compiler was told, the device, the checkout."""
+
+import os
+import platform
+import subprocess
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import jax
+
+COMPILING = (
+    "jax_disable_most_optimizations",
+    "jax_optimization_level",
+    "jax_exec_time_optimization_effort",
+    "jax_memory_fitting_effort",
+    "jax_default_matmul_precision",
+)
+ELSEWHERE = ("--xla_dump", "--xla_force_host_platform_device_count")  # flags that change no program
+LIBRARIES = ("pcbench", "jax", "jaxlib", "numpy", "scipy", "cvxpy", "clarabel", "pyarrow", "pandas")
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Return what decides the last bits of a number: releases, and what the compiler was told."""
+    return {name: version(name) for name in ("pcbench", "jax", "jaxlib")} | {"compiler": compiler()}
+
+
+def compiler() -> str:
+    """Return what the compiler of programs was told beside its defaults, by XLA_FLAGS and jax's settings; or 'defaults'."""
+    flags = [word for word in os.environ.get("XLA_FLAGS", "").split() if not word.startswith(ELSEWHERE)]
+    settings = {name: getattr(jax.config, name, None) for name in COMPILING}
+    told = [f"{name}={value}" for name, value in settings.items() if value and str(value) != "UNKNOWN"]
+    return " ".join([*sorted(flags), *told]) or "defaults"
+
+
+def describe() -> dict[str, Any]:
+    """Return what a reader needs to know of the machine and the libraries."""
+    device = jax.devices()[0]
+    return {
+        "versions": {name: version(name) for name in LIBRARIES} | {"python": platform.python_version()},
+        "compiler": compiler(),
+        "device": {"platform": device.platform, "kind": device.device_kind, "count": len(jax.devices())},
+        "system": f"{platform.system()} {platform.machine()}",
+        "precision": "float64",
+        "git": _git(),
+    }
+
+
+def _git() -> dict[str, Any] | None:
+    """The state of the checkout pcbench runs from; None where it runs from an installed copy."""
+    here = Path(__file__).parent.parent
+
+    def ask(*words: str) -> str:
+        done = subprocess.run(["git", "-C", str(here), *words], capture_output=True, text=True, timeout=10)
+        return done.stdout.strip() if done.returncode == 0 else ""
+
+    try:
+        if not ask("ls-files", "__init__.py"):
+            return None
+        return {"commit": ask("rev-parse", "HEAD"), "changed": bool(ask("status", "--porcelain", "--", str(here)))}
+    except (OSError, subprocess.TimeoutExpired):
+        return None

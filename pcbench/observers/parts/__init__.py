@@ -1,0 +1,1 @@
+"""What several observers are made of."""

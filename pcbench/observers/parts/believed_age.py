@@ -1,0 +1,108 @@
+"""Observers that compare what arrives with what they believed an age `a` ago, right or wrong: what two rivals share.
+
+With z = xhat - xbar (`per_sample`), e_j = r_j(k) - D_j u(k - a_j) - C_j xhat(k - a_j) where channel j brings a sample
+r_j at k, else 0:
+
+    z(k) = step z(k - every) + here e(k),   z(k+1) = ... + next e(k)
+
+`every` samples back is where the recursion starts from; before sample 0 xhat is xhat(0) and u is 0. Time index: the estimate
+is of now, after the jump.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.observers.parts import per_sample
+from pcbench.observers.parts.per_sample import Model, Place, known_input, read, ring, write
+from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.synthesis.certificate import Setting
+
+
+class Gains(NamedTuple):
+    """n states, q outputs."""
+
+    model: Model
+    step: Leaf  # [n, n]
+    every: Leaf  # samples
+    ages: Leaf  # [q] samples, as believed
+    here: Leaf  # [n, q] corrects the estimate an error is found at
+    next: Leaf  # [n, q] corrects the one after
+    first: Leaf  # samples: no correction before
+    room: Leaf  # [rows] its length is how many samples back it must look
+
+
+class Memory(NamedTuple):
+    """What stands between ticks."""
+
+    place: Place
+    alone: Array  # [ring, n] the model alone at past samples
+    past: Array  # [ring, n] z at past samples
+    z: Array  # [n] at the last sample
+    push: Array  # [n] what the next one is corrected by
+
+
+def init(gains: Gains, xhat0: Array) -> Memory:
+    """Start from xhat(0) [n]."""
+    none = jnp.zeros_like(xhat0)
+    return Memory(per_sample.start(xhat0), ring(gains.room, xhat0), ring(gains.room, none), none, none)
+
+
+def note(gains: Gains, memory: Memory, now: Now) -> Array:
+    """Note nothing: the age is believed, not known."""
+    return jnp.zeros(0)
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Correct by what arrives, each channel against its believed age."""
+    ages, C, k = gains.ages, gains.model.C, memory.place.sample
+    known = known_input(gains.model, now, ages * gains.model.period)
+    expected = []
+    for j in range(C.shape[0]):
+        then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
+        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.place.xbar + memory.z, then) + known[j])
+    counts = arrival.fresh & (k >= gains.first)
+    e = jnp.where(counts, arrival.value - jnp.stack(expected), 0.0)
+    return memory._replace(z=memory.z + gains.here @ e, push=memory.push + gains.next @ e)
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Go one tick on; where a sample is due, the recursion goes one sample on."""
+    place, due = per_sample.flow(gains.model, memory.place, now)
+    k = memory.place.sample
+    past = write(memory.past, k, memory.z, due)
+    z = gains.step @ read(past, k + 1 - gains.every) + memory.push
+    return Memory(
+        place,
+        write(memory.alone, k + 1, place.xbar, due),
+        past,
+        jnp.where(due, z, memory.z),
+        jnp.where(due, 0.0, memory.push),
+    )
+
+
+def estimate(gains: Gains, memory: Memory) -> Array:
+    """Return xhat of now, [n]."""
+    return memory.place.xbar + memory.place.carried @ memory.z
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate)
+
+
+def corrected_next(setting: Setting, A: Matrix, K: Matrix, ages: tuple[int, ...]) -> Gains:
+    """Return the gains of xhat(k+1) = A xhat(k) + B u(k) + K e(k)."""
+    room = np.zeros(max(setting.reach, *ages, 1))
+    nothing = np.zeros_like(K)
+    model = per_sample.model_of(setting)
+    return Gains(model, A, np.asarray(1), np.array(ages), nothing, K, np.asarray(0), room)
+
+
+def corrected_here(setting: Setting, step: Matrix, K: Matrix, d: int) -> Gains:
+    """Return the gains of xhat(k) = step xhat(k - d) + response to the input + K e(k), every age d, from sample d on."""
+    room = np.zeros(max(setting.reach, d))
+    ages = np.full(K.shape[1], d)
+    model = per_sample.model_of(setting)
+    return Gains(model, step, np.asarray(d), ages, K, np.zeros_like(K), np.asarray(d), room)

@@ -1,0 +1,87 @@
+"""Observers that work sample by sample, in deviations from the model alone: what they share.
+
+The model alone, xbar(k+1) = A xbar(k) + B u(k) from xbar(0) = xhat(0), takes all of the input; z = xhat - xbar then moves
+without any, from z = 0, before any sample has arrived too. Samples are taken every `period` ticks, all channels together; at
+the ticks between, the estimate is xbar + e^{A t} z, t the time since the last sample. What belongs to past samples stands in
+rings by sample number, zeros before the first. Over a horizon on which an unstable model grows past 1e16 the deviation loses
+its digits.
+"""
+
+from typing import Annotated, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from pydantic import AfterValidator
+
+from pcbench.dynamics import linear
+from pcbench.protocols import Leaf, Now
+from pcbench.synthesis.certificate import Setting
+
+
+def _inside(pole: float) -> float:
+    if not -1 < pole < 1:
+        raise ValueError("a pole inside the unit circle, between -1 and 1: at 0 errors vanish, near 1 they stay")
+    return pole
+
+
+Pole = Annotated[float, AfterValidator(_inside)]  # of an observer's error, per step
+
+
+class Model(NamedTuple):
+    """A model of one tick, and the sampling it is seen by; n states, m inputs, q outputs."""
+
+    Phi: Leaf  # [n, n]
+    Gamma: Leaf  # [n, m]
+    C: Leaf  # [q, n]
+    D: Leaf  # [q, m]
+    period: Leaf  # ticks between samples
+
+
+class Place(NamedTuple):
+    """Where a run stands between two samples; the same for all runs."""
+
+    tick: Array
+    sample: Array  # number of the last one, from 0
+    xbar: Array  # [n] the model alone, now
+    carried: Array  # [n, n] e^{A t}
+
+
+def model_of(setting: Setting) -> Model:
+    """Return a cell's model in NumPy."""
+    Phi, Gamma = linear.one_tick(setting.model, setting.dt)
+    return Model(Phi, Gamma, setting.model.C, setting.model.feedthrough, np.asarray(setting.period[0]))
+
+
+def start(xhat0: Array) -> Place:
+    """Stand at the first sample, with xbar = xhat(0)."""
+    return Place(jnp.asarray(0), jnp.asarray(0), xhat0, jnp.eye(xhat0.shape[0]))
+
+
+def flow(model: Model, place: Place, now: Now) -> tuple[Place, Array]:
+    """Go one tick on; say whether a sample is due there."""
+    tick = place.tick + 1
+    due = tick % model.period == 0
+    carried = jnp.where(due, jnp.eye(place.xbar.shape[0]), model.Phi @ place.carried)
+    return Place(tick, tick // model.period, model.Phi @ place.xbar + model.Gamma @ now.u, carried), due
+
+
+def known_input(model: Model, now: Now, age: Array) -> Array:
+    """D u at each channel's own `age` [q] in ticks: [q]."""
+    return jnp.stack([model.D[j] @ now.past_u(age[j]) for j in range(model.D.shape[0])])
+
+
+def ring(room: Leaf, entry: Array) -> Array:
+    """Return a ring that holds `entry` for every sample as far back as `room` is long; its last row is for what is not kept."""
+    return jnp.broadcast_to(entry, (room.shape[0] + 2, *entry.shape))
+
+
+def read(ring: Array, sample: Array) -> Array:
+    """Return what a ring holds for a sample; the number may be traced, and below 0."""
+    return lax.dynamic_index_in_dim(ring, sample % (ring.shape[0] - 1), 0, False)
+
+
+def write(ring: Array, sample: Array, entry: Array, when: Array) -> Array:
+    """Put an entry in a sample's place, where `when` is true; without copying the ring."""
+    last = ring.shape[0] - 1
+    return lax.dynamic_update_index_in_dim(ring, entry, jnp.where(when, sample % last, last), 0)

@@ -1,0 +1,94 @@
+"""From an estimate at a sample's time to an estimate of now, whatever the age of the sample.
+
+Between samples a linear model moves as xhat(t) = g(t) + e^{A (t - t_m)} free_m, where g is the response to the input from
+zero state at t = 0 (one integral, never reset) and free_m = xhat_m - g(t_m). So the integral of the input over any past
+interval is I(a, b) = g(b) - e^{A (b - a)} g(a), exact for the held input, and no e^{-As} is ever formed. The observer notes
+g(t_m) when sample m is taken; nothing else of the past is kept.
+g follows the plant's own modes: over a horizon on which an unstable model grows past 1e16 the difference loses its digits.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from pcbench.dynamics import linear
+from pcbench.dynamics.integrate import after
+from pcbench.observers.parts import reordering
+from pcbench.observers.parts.reordering import Line, Sample
+from pcbench.protocols import Arrival, Leaf, Now
+from pcbench.synthesis.certificate import Setting
+
+Update = Callable[[Any, Any, Sample], Any]
+
+
+class Motion(NamedTuple):
+    """A model's motion over a tick under a held input, and over any number of ticks without one."""
+
+    Phi: Leaf  # [n, n]
+    Gamma: Leaf  # [n, m]
+    powers: Leaf  # [2, R, n, n] e^{A h i R^level}
+
+
+class Point(NamedTuple):
+    """An estimate at the time of a sample."""
+
+    free: Array  # [n] xhat - g there
+    taken: Array  # tick
+
+
+class Memory(NamedTuple):
+    """The estimate of now and what it came from: every observer of this family keeps these."""
+
+    g: Array  # [n] input response from zero state
+    xhat: Array  # [n] estimate of now
+    line: Line  # the recursion's state at the newest samples used
+
+
+def start(xhat0: Array, state: Any, places: Leaf, outputs: int) -> Memory:
+    """Start from xhat(0), as if a sample had been used at tick 0."""
+    return Memory(jnp.zeros_like(xhat0), xhat0, reordering.start(state, places, outputs, xhat0.shape[0]))
+
+
+def origin(xhat0: Array) -> Point:
+    """Return xhat(0) as an estimate at the time of a sample."""
+    return Point(xhat0, jnp.asarray(0))
+
+
+def note(gains: Any, memory: Memory, now: Now) -> Array:
+    """Note the input response at the sample's time, [n]."""
+    return memory.g
+
+
+def flow(gains: Any, memory: Memory, now: Now) -> Memory:
+    """Advance by one tick under the held input."""
+    motion: Motion = gains.motion
+    pushed = motion.Gamma @ now.u
+    return memory._replace(g=motion.Phi @ memory.g + pushed, xhat=motion.Phi @ memory.xhat + pushed)
+
+
+def at(motion: Motion, point: Point, tick: Array) -> Array:
+    """Return `free` carried on to a tick: the estimate there is g + this."""
+    return after(motion.powers, tick - point.taken, point.free)
+
+
+def jumping(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, Memory, Now, Arrival], Memory]:
+    """Return the jump of an observer whose state at a sample's time follows `update` (gains, state, sample).
+
+    It brings the state up to the sample, in the order in which samples were taken, and carries the estimate there to now.
+    """
+
+    def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+        arrived = reordering.sample_of(now, arrival, gains.D)
+        line, newest = reordering.replay(partial(update, gains), memory.line, arrived)
+        return Memory(memory.g, memory.g + at(gains.motion, point_of(newest), now.tick), line)
+
+    return jump
+
+
+def motion_of(model: linear.Model, setting: Setting) -> Motion:
+    """Return a model's motion in NumPy, for every age up to the horizon."""
+    Phi, Gamma = linear.one_tick(model, setting.dt)
+    return Motion(Phi, Gamma, linear.powers(model, setting.dt, setting.ticks))

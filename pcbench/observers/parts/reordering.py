@@ -1,0 +1,79 @@
+"""Measurements that overtake each other, put back in the order in which they were taken.
+
+An observer here is a recursion over samples, state -> update(state, sample), and the network may deliver a sample after a
+newer one. So the state before the newest K samples is kept with those K samples: one that comes late is put in its place,
+and the recursion runs again from there. The estimate is then what it would have been, had the samples that have arrived come in
+order. K is the most that can overtake one sample on this schedule; where none can, K = 0 and nothing is kept.
+Not claimed: that a sample older than all that is kept is used; on the schedule K was made for there is none.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from pcbench.protocols import Arrival, Leaf, Now
+
+
+class Sample(NamedTuple):
+    """What arrived of one sampling instant; q outputs, r numbers noted."""
+
+    taken: Array  # tick at which the observer believes it was taken
+    value: Array  # [q] with the plant's feedthrough D u removed
+    fresh: Array  # [q] bool
+    note: Array  # [r]
+
+
+class Line(NamedTuple):
+    """The newest K samples by the tick they were taken, oldest first, and the state before them."""
+
+    before: Any
+    samples: Sample  # each entry with a leading axis [K]; a place not yet filled is not fresh
+
+
+Update = Callable[[Any, Sample], Any]  # (state, sample) -> state at the sample's tick
+
+
+def start(state: Any, places: Leaf, outputs: int, noted: int) -> Line:
+    """Return a line with nothing in it, room for len(`places`) samples."""
+    K = places.shape[0]
+    empty = Sample(jnp.full(K, -1), jnp.zeros((K, outputs)), jnp.zeros((K, outputs), bool), jnp.zeros((K, noted)))
+    return Line(state, empty)
+
+
+def sample_of(now: Now, arrival: Arrival, D: Leaf) -> Sample:
+    """Return what arrives as a sample; D[q, m] u at the sample's tick is taken off its value."""
+    known = jnp.stack([D[j] @ now.past_u(arrival.age[j]) for j in range(D.shape[0])])
+    age = jnp.max(jnp.where(arrival.fresh, arrival.age, 0))  # the channels that come together were taken together
+    return Sample(now.tick - age, arrival.value - known, arrival.fresh, arrival.note)
+
+
+def replay(update: Update, line: Line, arrived: Sample) -> tuple[Line, Any]:
+    """Return the line with the sample that arrived in its place, and the state after the newest sample."""
+    if not line.samples.taken.shape[0]:
+        state = update(line.before, arrived)
+        return Line(state, line.samples), state
+    entries = _merged(line.samples, arrived)
+
+    def step(state: Any, sample: Sample) -> tuple[Any, Any]:  # an empty place leaves the state as it is
+        there = jnp.any(sample.fresh)
+        new = jax.tree.map(lambda a, b: jnp.where(there, a, b), update(state, sample), state)
+        return new, new
+
+    newest, states = lax.scan(step, line.before, entries)
+    before = jax.tree.map(lambda a: a[0], states)  # the oldest of K + 1 leaves the line
+    return Line(before, jax.tree.map(lambda a: a[1:], entries)), newest
+
+
+def _merged(samples: Sample, arrived: Sample) -> Sample:
+    """K samples in the order they were taken, and one more in its place: [K + 1]."""
+    later = samples.taken > arrived.taken
+    stays, moves = jnp.append(~later, False), jnp.append(False, later)  # what is newer than the arrival moves up by one
+
+    def one(a: Array, b: Array) -> Array:
+        s, m = (jnp.reshape(x, (-1, *[1] * b.ndim)) for x in (stays, moves))
+        return jnp.where(s, jnp.concatenate([a, b[None]]), jnp.where(m, jnp.concatenate([b[None], a]), b[None]))
+
+    return jax.tree.map(one, samples, arrived)

@@ -1,0 +1,177 @@
+"""Observers that find an unknown input by injecting a signal v of the output error: what the sliding-mode and the PI one share.
+
+    x' = A x + B u + E f;   e_y = y - C xhat,   s = Tp e_y                                   (5), (12)
+    xhat' = A xhat + B u + Gx e_y + Lx v,   v of s (and of its integral)                     fhat = E222^-1 v[p-r:], Remark 2
+    input = fhat - known(xhat), where a part of f is a known function of the state
+
+in original coordinates (`synthesis.unknown_input`). Errors are x - xhat. `field` is the observer where y is measured
+continuously. On samples of one constant age d it runs on the state d ago, xd, with B u(t - d), and is brought to now as KFBO:
+
+    xhat(t) = e^{A min(t, d)} xd(t) + response to the input since (+ int_0^d e^{A s} ds E fhat, option `reconstruct`)
+
+xd stays at xhat(0) before t = d. Between samples y is the last one (`hold`), or predicted (`predict`):
+wy' = C (A xd + B u(t - d)), wy := y at arrivals. A tick is one Runge-Kutta step of the field.
+
+Source: Peng, Appl. Sci. 2017, 7(1), 67; sampling and delay are ours. E is the paper's D. Time index: the estimate is of now,
+the value at tick k is read after the arrival there; fhat is of d ago and taken for that of now. `hold` does not know the
+schedule. Perfect start is exact where the plant moves by the same Runge-Kutta steps. Not claimed: an error of zero with an
+unknown input, or that the certificates, which are for continuous measurement, hold on samples.
+"""
+
+from collections.abc import Callable
+from typing import Any, Literal, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.dynamics import linear
+from pcbench.dynamics.integrate import rk4
+from pcbench.dynamics.linear import Matrix
+from pcbench.errors import UserError
+from pcbench.observers.parts.options import way
+from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.unknown_input import Split
+
+STABLE = 2.5  # gain times tick; a Runge-Kutta step follows e^{-a t} up to a h = 2.78
+Law = Callable[[Any, Array, Array], tuple[Array, Array]]  # (its numbers, s[p], w[p]) -> v[p], w'[p]
+
+
+class Gains(NamedTuple):
+    """n states, m inputs, p outputs, r unknown inputs."""
+
+    law: Any  # the numbers of v
+    F: Leaf  # [n + p, n + p] of [xd; y]: [A - Gx C, Gx; C A, 0], its last rows 0 where y is held
+    H: Leaf  # [n + p, m] of u(t - d): [B; C B], likewise
+    S: Leaf  # [p, n + p] s = S [xd; y] = Tp (y - C xd)
+    Lx: Leaf  # [n, p]
+    C: Leaf  # [p, n]
+    D: Leaf  # [p, m]
+    pick: Leaf  # [r, p] fhat = pick v
+    known: Any  # x[n] -> [r] the known part of f, or None
+    lag: Leaf  # [ticks] d
+    Phi: Leaf  # [n, n] one tick
+    Gamma: Leaf  # [n, m]
+    push: Leaf  # [n, r] of fhat, where the prediction carries it; else 0
+
+
+class Memory(NamedTuple):
+    """What stands between ticks; `ahead` and `pushed` are the same in all runs."""
+
+    xd: Array  # [n] the estimate of d ago
+    w: Array  # [p] integral of the law
+    y: Array  # [p] of d ago, as far as it is known
+    f: Array  # [r] the unknown input found, of d ago: kept because every estimate needs it
+    response: Array  # [n] to the input of the last d
+    ahead: Array  # [n, n] e^{A min(t, d)}
+    pushed: Array  # [n, r] int_0^min(t, d) e^{A s} ds E
+
+
+class Options(BaseModel):
+    """What the two have in common."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+    gains: Literal["design", "paper"] = way("design", description="by LMI, or as printed (for the arm)")
+    measurement: Literal["predict", "hold"] = Field("predict", description="y between samples")
+    reconstruct: bool = Field(False, description="the prediction to now carries the input found")
+
+
+def observer(law: Law) -> Observer:
+    """Return the observer that injects v by a law."""
+
+    def init(gains: Gains, xhat0: Array) -> Memory:
+        """Start from xhat(0) [n], as if its output had been measured."""
+        n, none = xhat0.shape[0], jnp.zeros(gains.C.shape[0])
+        f = jnp.zeros(gains.push.shape[1])
+        return Memory(xhat0, none, gains.C @ xhat0, f, jnp.zeros(n), jnp.eye(n), jnp.zeros_like(gains.push))
+
+    def note(gains: Gains, memory: Memory, now: Now) -> Array:
+        """Note nothing."""
+        return jnp.zeros(0)
+
+    def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+        """Take what arrived for y of d ago."""
+        known = jnp.stack([gains.D[j] @ now.past_u(arrival.age[j]) for j in range(gains.D.shape[0])])
+        y = jnp.where(arrival.fresh, arrival.value - known, memory.y)
+        return memory._replace(y=y, f=found(gains, memory.xd, memory.w, y))
+
+    def found(gains: Gains, xd: Array, w: Array, y: Array) -> Array:
+        v, _ = law(gains.law, gains.S @ jnp.append(xd, y), w)
+        return gains.pick @ v
+
+    def field(gains: Gains, memory: Memory, now: Now, y: Array) -> Memory:
+        """Return d memory/dt with y measured, less D u; what the tick moves exactly stands still."""
+        z, n = jnp.append(memory.xd, y), memory.xd.shape[0]
+        v, w_rate = law(gains.law, gains.S @ z, memory.w)
+        rate = gains.F @ z + gains.H @ now.past_u(gains.lag)
+        still = (jnp.zeros_like(a) for a in memory[3:])
+        return Memory(rate[:n] + gains.Lx @ v, w_rate, rate[n:], *still)
+
+    def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+        """Move by one tick, on the y that is held or predicted."""
+        started = now.tick >= gains.lag
+        moved = rk4(lambda t, m: field(gains, m, now._replace(t=t), m.y), now.t, memory, now.dt)
+        xd, w, y = (jnp.where(started, new, old) for new, old in zip(moved[:3], memory[:3], strict=True))
+        leaving = jnp.where(started, memory.ahead @ (gains.Gamma @ now.past_u(gains.lag)), 0.0)
+        response = gains.Phi @ memory.response + gains.Gamma @ now.u - leaving
+        ahead = jnp.where(started, memory.ahead, gains.Phi @ memory.ahead)
+        pushed = jnp.where(started, memory.pushed, gains.Phi @ memory.pushed + gains.push)
+        return Memory(xd, w, y, found(gains, xd, w, y), response, ahead, pushed)
+
+    def estimate(gains: Gains, memory: Memory) -> Array:
+        """Return xhat of now, and the unknown inputs, [n + r]."""
+        xhat = memory.ahead @ memory.xd + memory.response + memory.pushed @ memory.f
+        return jnp.append(xhat, memory.f - gains.known(xhat) if gains.known else memory.f)
+
+    return Observer(init, note, jump, flow, estimate, field)
+
+
+def gains_of(setting: Setting, split: Split, injection: tuple[Matrix, Matrix], law: Any, options: Options) -> Gains:
+    """Return the gains of an observer whose Gx, Lx and law are found."""
+    model, r, p = setting.model, len(split.E222), len(setting.model.C)
+    (A, B, C, *_), (Gx, Lx) = model, injection
+    predicts = float(options.measurement == "predict")
+    F = np.block([[A - Gx @ C, Gx], [predicts * C @ A, np.zeros((p, p))]])
+    H = np.vstack([B, predicts * C @ B])
+    S = np.hstack([-split.Tp @ C, split.Tp])
+    pick = np.hstack([np.zeros((r, p - r)), np.linalg.inv(split.E222)])
+    Phi, Gamma = linear.one_tick(model, setting.dt)
+    push = linear.one_tick(model._replace(B=np.asarray(model.E)), setting.dt)[1] * options.reconstruct
+    lag = np.asarray(setting.delay[0])
+    return Gains(law, F, H, S, Lx, C, model.feedthrough, pick, model.known, lag, Phi, Gamma, push)
+
+
+def carries(setting: Setting, options: Options) -> bool | None:
+    """Say whether the prediction to now carries the input found; None where there is nothing to predict."""
+    return options.reconstruct if setting.delay[0] else None
+
+
+def one_delay(setting: Setting, where: str) -> None:
+    """Raise UserError where channels have delays of their own."""
+    if len(set(setting.delay)) > 1:
+        raise UserError(
+            f"{where}: got channels with delays {setting.delay} (ticks), expected one for all: it runs on the state of one "
+            "delay ago; give equal delays, or take dkf."
+        )
+
+
+def short_tick(setting: Setting, gain: float, of: str, where: str) -> None:
+    """Raise UserError where a Runge-Kutta step of one tick cannot follow a gain [1/s]."""
+    if gain * setting.dt > STABLE:
+        raise UserError(
+            f"{where}: got a gain {of} of {gain:.3g} 1/s with a tick of {setting.dt:g} s, expected their product below "
+            f"{STABLE:g}, as a Runge-Kutta step needs; take a tick of at most {STABLE / gain:.2g} s, or other options."
+        )
+
+
+def printed_for(arm: dict[str, Any], setting: Setting, where: str) -> None:
+    """Raise UserError where gains printed for the arm, of these matrices A, C, E, are asked of another plant."""
+    for name, rows in arm.items():
+        M = getattr(setting.model, name)
+        if M is None or M.shape != np.shape(rows) or not np.allclose(M, rows, rtol=1e-12, atol=0):
+            raise UserError(
+                f"{where}: got gains = 'paper', which are printed for the arm, on another plant; expected 'design': leave the "
+                "option out."
+            )

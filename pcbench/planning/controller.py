@@ -1,0 +1,55 @@
+"""What closes a loop: the controller with its numbers, and the actuator line with room for what a schedule can ask for."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from jax.tree_util import Partial
+
+from pcbench.controllers import CONTROLLERS
+from pcbench.plants import PLANTS, numbers_of
+from pcbench.protocols import Controller
+from pcbench.simulation import actuator
+from pcbench.simulation.schedule import shared
+from pcbench.study import axes
+from pcbench.study.cells import Cell
+
+
+class Reach(NamedTuple):
+    """Ticks that a loop looks back and ahead."""
+
+    back: int  # commands it keeps
+    ahead: int
+
+
+def options(cell: Cell) -> Any:
+    """Return the options of a closed loop's controller: the scenario's, with the study's choices over them."""
+    s, chosen = cell.scenario, {k: v for k, v in cell.choices.loop().items() if v is not None}
+    return CONTROLLERS[s.controller].options.model_validate(dict(s.control) | chosen)
+
+
+def controller(cell: Cell) -> Controller | None:
+    """Return the control law of a cell; None of an open loop."""
+    name = cell.scenario.controller
+    return CONTROLLERS[name].controller(options(cell)) if name else None
+
+
+def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
+    """Return how far a loop looks.
+
+    Observers ask for inputs since the sample before those that may still be overtaken; the controller looks ahead until its
+    command acts.
+    """
+    s, delay = cell.scenario, axes.actuator_delay(cell.scenario)
+    believed_older = max(round(s.assumed_delay_error / s.dt), 0)
+    oldest = shared.oldest(shared.samples(axes.clocks(s), ticks), overtaking) + believed_older
+    longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
+    return Reach(actuator.rows_needed(delay, s.dt, ticks, oldest + 1), round(longest / s.dt) + 2)
+
+
+def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:
+    """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end."""
+    s, plant = cell.scenario, PLANTS[cell.scenario.plant]
+    delay, params = axes.actuator_delay(s), plant.prepare(numbers_of(s), s.dt, ticks)
+    model, inverse = Partial(plant.model, params), Partial(plant.inverse, params)
+    law = CONTROLLERS[s.controller].prepare(options(cell), delay, s.dt, reach.back, ticks, model, inverse)
+    return law, actuator.line(delay, s.dt, reach.back, ticks + reach.ahead)

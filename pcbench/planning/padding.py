@@ -1,0 +1,137 @@
+"""One shape for many cells: room for the largest of them, so that they share a compiled program.
+
+Room is what no number depends on: slots, rings, rows. A cell's own numbers and everything else in its layout stay as
+drafted, so that it has the same bits alone as among others.
+"""
+
+from collections.abc import Iterable, Iterator
+from functools import reduce
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.planning import controller
+from pcbench.simulation import conformance
+from pcbench.simulation.problem import Layout, Problem
+from pcbench.simulation.schedule import per_lane, shared
+from pcbench.study.cells import Cell
+from pcbench.synthesis.certificate import Certificate
+
+
+class Planned(NamedTuple):
+    """A cell ready to run."""
+
+    cell: Cell
+    layout: Layout
+    problem: Problem
+    certificates: dict[str, Certificate]
+    bound: NDArray[np.float64] | None  # [n] root-mean-square over the tail that no causal estimator beats, where known
+    carries_input: dict[str, bool | None]  # by observer, of its prediction to now
+    labels: tuple[str, ...]  # of the layout's observers; they go by their base in a closed loop, to share a program
+    reach: controller.Reach | None  # of a closed loop
+    told: dict[str, str]  # by label, the digest of its observer's options
+    digest: str = ""  # of its cell, in a study
+
+
+class Room(NamedTuple):
+    """What the largest of some cells needs."""
+
+    slots: int = 1  # arrivals at one tick
+    due: int = 0  # samples of a run on a schedule of its own
+    ring: int = 0  # packets on the network
+    early: int = 0  # packets on it at the start
+    back: int = 0  # ticks a closed loop looks back
+    ahead: int = 0  # and ahead
+    falls: int = 0  # jumps of the unknown input
+    rows: tuple[tuple[tuple[str, int], int], ...] = ()  # by plant and leaf of its numbers
+
+
+def ticks(cell: Cell) -> int:
+    """Return the horizon N in ticks."""
+    return round(cell.scenario.horizon / cell.scenario.dt)
+
+
+def tail_tick(cell: Cell) -> int:
+    """Return the tick at which the tail starts."""
+    return round(cell.scenario.tail / cell.scenario.dt)
+
+
+def room_of(p: Planned) -> Room:
+    """Return the room that one draft needs."""
+    plan, common = p.problem.schedule, isinstance(p.problem.schedule, shared.Schedule)
+    rows = {(p.cell.scenario.plant, i): len(a) for i, a in enumerate(jax.tree.leaves(p.problem.params)) if np.ndim(a)}
+    back, ahead = p.reach or (0, 0)
+    return Room(
+        plan.arrive.shape[1] if common else 1,
+        0 if common else plan.due.shape[1],
+        _rounded(p.layout.ring),
+        _rounded(len(plan.early)) if common else 0,
+        _rounded(back),
+        _rounded(ahead),
+        len(p.problem.jumps),
+        tuple(rows.items()),
+    )
+
+
+def larger(a: Room, b: Room) -> Room:
+    """Return room for both."""
+    rows = dict(a.rows)
+    for key, many in b.rows:
+        rows[key] = max(rows.get(key, 0), many)
+    return Room._make([*map(max, a[:-1], b[:-1]), tuple(rows.items())])
+
+
+def fitted(p: Planned, room: Room) -> Planned:
+    """Give a draft the shape that `room` asks for."""
+    plan, rows = p.problem.schedule, dict(room.rows)
+    if isinstance(plan, shared.Schedule):
+        plan = shared.pad_early(shared.pad_slots(plan, room.slots), room.early)
+    else:
+        plan = per_lane.padded(plan, room.due)
+    leaves, tree = jax.tree.flatten(p.problem.params)
+    wide = [
+        np.broadcast_to(a, (rows[p.cell.scenario.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
+        for i, a in enumerate(leaves)
+    ]
+    falling = np.pad(p.problem.jumps, (0, room.falls - len(p.problem.jumps)), constant_values=shared.NEVER)
+    problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide), jumps=falling)
+    layout = p.layout._replace(ring=room.ring)
+    if p.reach:
+        law, line = controller.close(p.cell, controller.Reach(room.back, room.ahead), ticks(p.cell))
+        problem, layout = problem._replace(control=law, line=line), layout._replace(commands=room.back)
+    return p._replace(problem=problem, layout=layout)
+
+
+def fit(drafts: list[Planned]) -> list[Planned]:
+    """Give drafts one shape, and check that their observers keep to the protocol."""
+    room = needed(drafts)
+    return [fitted(p, room) for p in checked(drafts)]
+
+
+def needed(drafts: Iterable[Planned]) -> Room:
+    """Return the room for the largest of some drafts."""
+    return reduce(larger, map(room_of, drafts), Room())
+
+
+def checked(drafts: Iterable[Planned]) -> Iterator[Planned]:
+    """Yield drafts as they come; raise UserError where an observer does not keep to the protocol, on some kind of plant."""
+    seen: set[Any] = set()
+    for p in drafts:
+        for label, observer in p.layout.observers:
+            if (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
+                seen.add(key)
+                conformance.check(label, observer, p.problem, p.layout.continuous)
+        yield p
+
+
+def key_of(p: Planned) -> Any:
+    """Return what decides the compiled program of a fitted cell."""
+    leaves, tree = jax.tree.flatten(p.problem)
+    return p.layout, tree, tuple(np.shape(a) for a in leaves)
+
+
+def _rounded(many: int) -> int:
+    """The next power of 2: few sizes, few programs."""
+    return 1 << (many - 1).bit_length() if many else 0

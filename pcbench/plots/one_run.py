@@ -1,0 +1,96 @@
+"""One run of each scenario tick by tick, thinned for the eye: what a report shows in time.
+
+It is the study's first seed in the scenario's first cell, simulated anew by `api.trace` and kept in the folder `examples`
+beside the tables, where it is found again.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+
+from pcbench import api
+from pcbench.dataset import store
+from pcbench.machine import provenance
+from pcbench.planning import setting
+from pcbench.plants import signals_of
+from pcbench.study import Study, observers_of, options_of, scenarios_of
+from pcbench.study.cells import cells, identity
+from pcbench.study.read import study_of
+
+KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
+POINTS = 300  # ticks that are kept
+UNIT = 1e-12  # a row of C shows a state as it is when it differs from a unit vector by less
+
+
+def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
+    """Return signal, series, kind, t [s], value of one run; made where it does not stand in the folder `out`.
+
+    `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, measured (as it has arrived and is
+    held; of signals that an output shows as they are) or target (of a closed loop).
+    """
+    place = None if out is None else store.target(str(out))
+    name = f"examples/{scenario.replace('/', '%2F')}.parquet"
+    key = _key(study, scenario)
+    found = None if place is None else store.get(place, name)
+    kept = None if found is None else store.whole(found)
+    if kept is not None and kept.schema.metadata.get(KEY) == key:
+        return kept.to_pandas()
+    made = _made(study, scenario)
+    if place is not None:
+        table = pa.Table.from_pandas(made, preserve_index=False)
+        about = {**(table.schema.metadata or {}), KEY: key}
+        store.put_table(place, name, store.sealed(table.replace_schema_metadata(about)))
+    return made
+
+
+def _key(study: Study, scenario: str) -> bytes:
+    """What an example was made of: the cell, the observers with their options, the run, and the release."""
+    cell, s = cells(study, scenario)[0], scenarios_of(study)[scenario]
+    options = {o: options_of(study, s, o).model_dump() for o in observers_of(study, scenario)}
+    said = [identity(cell, study.root_seed), options, study.first_seed, provenance.versions(), POINTS]
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest().encode()
+
+
+def _made(study: Study, scenario: str) -> pd.DataFrame:
+    axes = {name: [values[0]] for name, values in study.axes.items()}
+    here = study_of(study, {"scenarios": [scenario], "axes": axes}, [])
+    names, closed = observers_of(here, scenario), bool(scenarios_of(here)[scenario].controller)
+    groups = [[name] for name in names] if closed else [names]
+    parts = [part for group in groups for part in _series(here, scenario, group, closed)]
+    return pd.concat(parts, ignore_index=True)
+
+
+def _series(study: Study, scenario: str, observers: list[str], closed: bool) -> list[pd.DataFrame]:
+    trace = api.trace(study, observers, seed=study.first_seed)
+    thin = trace.iloc[:: -(-len(trace) // POINTS)]
+    s = scenarios_of(study)[scenario]
+    shown = _shown(study, scenario)
+    out = []
+    for signal, _ in signals_of(s):
+        columns = {(f"plant under {observers[0]}" if closed else "plant", "truth"): signal}
+        columns |= {(o, "estimate"): f"{o}.{signal}" for o in observers}
+        columns |= (
+            {("target", "target"): f"target.{signal}"} if observers[0] == observers_of(study, scenario)[0] else {}
+        )
+        columns |= {("measured", "measured"): f"y{shown[signal] + 1}"} if signal in shown and not closed else {}
+        for (series, kind), column in columns.items():
+            if column in thin:
+                values = {"signal": signal, "series": series, "kind": kind, "t": thin.t, "value": thin[column]}
+                out.append(pd.DataFrame(values))
+    return out
+
+
+def _shown(study: Study, scenario: str) -> dict[str, int]:
+    """Which output shows a state as it is, by state."""
+    C = setting(cells(study, scenario)[0]).model.C
+    states = [name for name, _ in signals_of(scenarios_of(study)[scenario])]
+    return {
+        states[j]: i
+        for i in range(len(C))
+        for j in range(C.shape[1])
+        if np.abs(C[i] - np.eye(C.shape[1])[j]).max() < UNIT
+    }

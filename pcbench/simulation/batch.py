@@ -1,0 +1,149 @@
+"""Many runs at once: calls of one compiled width, several at a time.
+
+A *job* is one cell's `Problem` with up to `width` seeds; short ones are padded, so that a run has the same bits alone and in
+any block. There is one program, compiled for one device and computing on one thread: on a processor it is called from as
+many threads as there are cores, so that a run has the same bits whatever runs beside it. Of accelerators each has its own.
+"""
+
+import operator
+import os
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from threading import Lock
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from pcbench.errors import UserError
+from pcbench.machine import process
+from pcbench.simulation import loop
+from pcbench.simulation.problem import Layout, Outcome, Problem
+
+WIDTH = 1024  # lanes a call
+HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
+ONE_THREAD: dict[str, str | bool] = {
+    "xla_cpu_multi_thread_eigen": False
+}  # small products shared out among threads: 3 times slower, other bits
+
+
+class Job(NamedTuple):
+    """The runs of one cell that are simulated in one call."""
+
+    problem: Problem
+    root_seed: int
+    seeds: np.ndarray  # at most `width`
+
+
+class Program(NamedTuple):
+    """A compiled call and what it took to make."""
+
+    call: Any  # (problem, root seed, seeds [L]) -> Outcome with arrays [..., L]
+    device: Any
+    width: int
+    compile_seconds: float
+    compiled: Any  # the executable itself, for those who want to read it
+    memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
+
+
+def places(count: int | None = None) -> list[Any]:
+    """Return the device that each of the calls at a time runs on: one a core, or one an accelerator; `count` of them."""
+    found = jax.devices()
+    if found[0].platform == "cpu":
+        return [found[0]] * (count or cores())
+    return found[:count]
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def program(layout: Layout, job: Job, device: Any = None) -> Program:
+    """Compile the call for jobs shaped like `job` on a device (default the first); once for each shape.
+
+    Raises UserError where jax would compute in float32.
+    """
+    if jax.dtypes.canonicalize_dtype(np.float64) != np.float64:
+        raise UserError(
+            "simulation: got float32 (jax_enable_x64 is off), expected float64: float32 rounds at 1e-7 of a signal, which is "
+            "the size of errors compared here; call pcbench.setup(), or run inside jax.enable_x64(True)."
+        )
+    leaves, tree = jax.tree.flatten(arguments(job, layout.width))
+    with _COMPILING:  # the second thread to ask waits for the first one's program
+        return _compiled(layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves))
+
+
+_COMPILING = Lock()
+
+
+@lru_cache(maxsize=64)
+def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -> Program:
+    place = jax.sharding.SingleDeviceSharding(device)
+    given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=place) for s, d in shapes])
+    start = perf_counter()
+    lowered = jax.jit(lambda *a: loop.simulate(layout, *a)).lower(*given)
+    call = lowered.compile(ONE_THREAD if device.platform == "cpu" else None)
+    took = perf_counter() - start
+    return Program(lambda *a: call(*jax.device_put(a, device)), device, layout.width, took, call, _memory(call))
+
+
+def _memory(call: Any) -> int:
+    """What a call works with, and three times what it takes and leaves: of this one, of the next, of what is read."""
+    try:
+        m = call.memory_analysis()
+        return int(m.temp_size_in_bytes + 3 * (m.argument_size_in_bytes + m.output_size_in_bytes))
+    except (AttributeError, NotImplementedError, RuntimeError):
+        return 0
+
+
+def compilations() -> int:
+    """Return how many programs this process has traced and compiled."""
+    return _compiled.cache_info().misses
+
+
+def arguments(job: Job, width: int) -> tuple[Problem, Any, Any]:
+    """Return what a call takes: arrays, with a short list of seeds padded by repeating it."""
+    return jax.tree.map(np.asarray, job.problem), np.asarray(job.root_seed), np.resize(job.seeds, width)
+
+
+def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
+    """Simulate jobs one after another; yield each with what it left, as NumPy arrays [..., L].
+
+    The next call is handed to the device before the last one's results are read.
+    """
+    waiting: list[tuple[Job, Any]] = []
+    for job in jobs:
+        waiting.append((job, made.call(*arguments(job, made.width))))
+        if len(waiting) > 1:
+            yield _read(*waiting.pop(0))
+    for job, out in waiting:
+        yield _read(job, out)
+
+
+def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, Outcome]]:
+    """Simulate jobs of one shape, `count` at a time (default: all cores or accelerators); yield them in order."""
+    at_once = places(count)
+    with ThreadPoolExecutor(len(at_once)) as pool:
+        programs = [program(layout, jobs[0], device) for device in at_once]
+        waiting = []
+        for i, job in enumerate(jobs):
+            made = programs[i % len(programs)]
+            waiting.append(pool.submit(in_float64, next, serial(made, [job])))
+            if len(waiting) > 2 * len(at_once):
+                yield waiting.pop(0).result()
+        for future in waiting:
+            yield future.result()
+
+
+def in_float64(function: Any, *arguments: Any) -> Any:
+    """Call a function with float64 on: jax keeps that switch for each thread."""
+    with process.float64():
+        return function(*arguments)
+
+
+def _read(job: Job, out: Outcome) -> tuple[Job, Outcome]:
+    mine = (..., slice(len(job.seeds)))
+    return job, jax.tree.map(operator.itemgetter(mine), jax.tree.map(np.asarray, out))

@@ -1,0 +1,70 @@
+"""Does an observer keep the protocol? Asked of its shapes alone, before anything is compiled or simulated."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from pcbench.errors import UserError, raised
+from pcbench.protocols import Arrival, Observer
+from pcbench.simulation.problem import Problem, present
+
+
+def check(label: str, observer: Observer, p: Problem, continuous: bool = False) -> None:
+    """Raise UserError, naming observer, function, what was found and what was expected, where a shape is wrong.
+
+    `estimate` must return [n], or [n + s] with the plant's unknowns, `note` a vector, and `jump` and `flow` the memory's own
+    structure, shapes and types; and so must `field`, where measurements are `continuous`.
+    """
+    n, q, k = p.x0.shape[0], p.noise_std.shape[0], jnp.asarray(1)
+    signals = len(p.band)
+    state, value = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((q,), float)
+
+    def jump(p: Problem, memory: Any, value: Any, note: Any) -> Any:
+        fresh, ticks = jnp.ones(q, bool), jnp.ones(q, int)
+        return observer.jump(p.gains[label], memory, present(p, k, False), Arrival(value, fresh, ticks, ticks, note, k))
+
+    def ask(name: str, f: Any, *args: Any) -> Any:
+        try:
+            return jax.eval_shape(f, p, *args)
+        except Exception as error:
+            raise UserError(
+                f"observer {label}: {name} cannot be traced ({raised(error)}); expected pure jax.numpy code "
+                "for one run, with jnp.where in place of if."
+            ) from error
+
+    memory = ask("init", lambda p, x: observer.init(p.gains[label], x), state)
+    note = ask("note", lambda p, m: jnp.asarray(observer.note(p.gains[label], m, present(p, k, False))), memory)
+    if note.ndim != 1:
+        raise UserError(
+            f"observer {label}: note returned shape {note.shape}, expected a vector [r]; use jnp.atleast_1d."
+        )
+    xhat = ask("estimate", lambda p, m: jnp.asarray(observer.estimate(p.gains[label], m)), memory)
+    if xhat.shape not in ((n,), (signals,)):
+        more = f", or ({signals},) with its unknown inputs" if signals > n else ""
+        raise UserError(
+            f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{more}; "
+            "return all of it."
+        )
+    _same(label, "jump", ask("jump", jump, memory, value, note), memory)
+    if continuous and observer.field is not None:
+        field = observer.field
+        _same(
+            label,
+            "field",
+            ask("field", lambda p, m, y: field(p.gains[label], m, present(p, k, True), y), memory, value),
+            memory,
+        )
+    flowed = ask("flow", lambda p, m: observer.flow(p.gains[label], m, present(p, k, True)), memory)
+    _same(label, "flow", flowed, memory)
+
+
+def _same(label: str, name: str, found: Any, memory: Any) -> None:
+    def form(tree: Any) -> Any:
+        return jax.tree.map(lambda a: f"{a.dtype}{list(a.shape)}", tree)
+
+    if str(jax.tree.structure(found)) != str(jax.tree.structure(memory)) or form(found) != form(memory):
+        raise UserError(
+            f"observer {label}: {name} returned {form(found)}, expected the memory that init returns, {form(memory)}; "
+            "keep its structure, shapes and types."
+        )

@@ -1,0 +1,102 @@
+"""Memories as they are kept between events: what flow leaves alone lies together, in one array.
+
+An event on schedules of their own takes a few lanes out of every array and puts them back. Most of a memory is changed by jumps
+only; packed, it costs two operations in all instead of two for each entry. Whole numbers and truth values are kept as floats,
+which hold them exactly up to 2^53.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from pcbench.simulation import lanes
+from pcbench.simulation.lanes import Lanes
+
+
+class Kept(NamedTuple):
+    """The leaves of a memory: those that flow moves, as they are, and the others packed."""
+
+    moving: list[Any]
+    still: Array  # [M, L]
+
+
+class Place(NamedTuple):
+    """Where a leaf's entries are kept, one after the other; a table's entry takes as many rows as it has."""
+
+    first: int
+    shape: tuple[int, ...]
+    rows: int | None
+    kind: Any
+
+
+class Packing(NamedTuple):
+    """Where each leaf of a memory is kept; what flow moves has no place."""
+
+    tree: Any
+    places: list[Place | None]
+
+    def whole(self, kept: Kept) -> Any:
+        """Return the memories that are kept so."""
+        moving = iter(kept.moving)
+        leaves = [next(moving) if place is None else _taken(kept.still, place) for place in self.places]
+        return jax.tree.unflatten(self.tree, leaves)
+
+    def moved(self, memories: Any, kept: Kept) -> Kept:
+        """Return what is kept after a flow to these memories."""
+        return kept._replace(moving=self._moving(self._leaves(memories)))
+
+    def pack(self, memories: Any) -> Kept:
+        """Return memories as they are kept."""
+        leaves = self._leaves(memories)
+        packed = [leaf for leaf, place in zip(leaves, self.places, strict=True) if place is not None]
+        rows = [jnp.atleast_2d(entry).astype(float) for leaf in packed for entry in leaf.parts.flat]
+        return Kept(self._moving(leaves), jnp.concatenate(rows) if rows else jnp.zeros((0, 1)))
+
+    def _leaves(self, memories: Any) -> list[Any]:
+        return jax.tree.leaves(memories, is_leaf=lanes.is_lanes)
+
+    def _moving(self, leaves: list[Any]) -> list[Any]:
+        return [leaf for leaf, place in zip(leaves, self.places, strict=True) if place is None]
+
+
+def packing(flow: Callable[[Any], Any], memories: Any) -> Packing:
+    """Return how to keep memories that `flow` (memories -> memories) moves: it is traced to see what it leaves alone."""
+    alone: list[bool] = []
+
+    def probe(before: Any) -> int:
+        pairs = zip(*(jax.tree.leaves(tree, is_leaf=lanes.is_lanes) for tree in (flow(before), before)), strict=True)
+        alone.extend(new is old for new, old in pairs)
+        return 0
+
+    jax.eval_shape(probe, memories)
+    leaves, tree = jax.tree.flatten(memories, is_leaf=lanes.is_lanes)
+    places: list[Place | None] = []
+    rows = 0
+    for leaf, left in zip(leaves, alone, strict=True):
+        if left and lanes.is_lanes(leaf) and leaf.parts.size:
+            places.append(Place(rows, leaf.parts.shape, leaf.rows, leaf.dtype))
+            rows += leaf.parts.size * (leaf.rows or 1)
+        else:
+            places.append(None)
+    return Packing(tree, places)
+
+
+def pick(kept: Kept, lane: Array) -> Kept:
+    """Take some lanes out; `lane` [K] holds their numbers."""
+    return Kept(lanes.pick(kept.moving, lane), kept.still.at[:, lane].get(mode="clip"))
+
+
+def put_back(kept: Kept, some: Kept, lane: Array) -> Kept:
+    """Put lanes taken out back in their places; a number beyond the last lane is of none."""
+    still = kept.still.at[:, lane].set(some.still, mode="drop")
+    return Kept(lanes.put_back(kept.moving, some.moving, lane), still)
+
+
+def _taken(still: Array, p: Place) -> Lanes:
+    each, size = math.prod(p.shape), p.rows or 1
+    blocks = [still[p.first + i * size : p.first + (i + 1) * size].astype(p.kind) for i in range(each)]
+    return lanes.lanes_of(p.shape, blocks if p.rows else [block[0] for block in blocks], p.rows)

@@ -1,0 +1,95 @@
+"""What a run is made of: the layout that fixes its program, the numbers of its cell, its state, and the present of a tick."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from pcbench.protocols import Controller, Gains, Leaf, Now, Observer, Plant
+from pcbench.simulation import actuator, metrics
+
+
+class Layout(NamedTuple):
+    """What fixes the compiled program; everything else is traced."""
+
+    plant: Plant
+    observers: tuple[tuple[str, Observer], ...]  # (label, functions)
+    width: int  # lanes
+    ring: int  # packets the network can hold
+    random_start: bool  # x(0) = x0 + spread0 @ normal instead of x0
+    watch: bool = True  # settling time and divergence, besides the streams
+    strides: bool = True  # flow goes by two ticks where it can; of no use where there is an event at nearly every tick
+    continuous: bool = False  # plant and observers are one field, and y is measured at each of its stages
+    drifting: bool = False  # the plant's numbers are of each run's own
+    controller: Controller | None = None  # of a closed loop, which has one observer
+    commands: int = 0  # rows of the closed loop's ring of commands
+    scattered: bool = False  # xhat(0) = xhat0 + scatter (2 uniform - 1) instead of xhat0
+
+
+class Problem(NamedTuple):
+    """The numbers of one cell: everything traced. N ticks, n states, s unknowns beside them, m inputs, q outputs."""
+
+    params: Any  # the plant's
+    gains: dict[str, Gains]  # by observer label
+    schedule: Any  # a Schedule, the same for every run; or Times: then each run draws its own
+    inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1)
+    dt: Leaf  # [s]
+    x0: Leaf  # [n] the start, or its mean
+    xhat0: Leaf  # [n]
+    spread0: Leaf  # [n, n] a square root of the start's covariance, where it is random
+    noise_std: Leaf  # [q]
+    band: Leaf  # [n + s] settling band of |e|
+    bound: Leaf  # [n + s] beyond it a run has diverged
+    windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
+    process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick; [0]: none
+    jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
+    control: Any = ()  # the controller's numbers
+    line: actuator.Line = actuator.NONE
+    scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
+
+
+class State(NamedTuple):
+    """What a block of lanes carries from tick to tick."""
+
+    x: Any
+    own: Any  # numbers the run has drawn for its plant; (): none
+    memories: Any  # by observer label
+    flight: Any  # packets on the network: measured values and notes
+    streams: dict[str, metrics.Stream]
+    watches: dict[str, metrics.Watch]
+    commands: Any = ()  # [R, m] of a closed loop
+    tracking: Any = ()  # metrics.Stream of the set point less the state, in a closed loop
+
+
+class Outcome(NamedTuple):
+    """What a block of lanes leaves, by observer label; every array ends in lanes [L]. n: what the observer estimates."""
+
+    streams: dict[str, metrics.Stream]  # [W, n, L]
+    watches: dict[str, metrics.Watch]  # [n, L]
+    final: dict[str, Array]  # [n, L] the error at tick N-1
+    tracking: Any = ()  # Stream [W, r, L] of a closed loop
+
+
+def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
+    """The present at tick k; u_k is known (`decided`) to the plant and to flow, not to note and jump.
+
+    In a closed loop the inputs are those that the `commands` [R, m] become.
+    """
+
+    def past_u(age: Array) -> Array:
+        if isinstance(commands, tuple):
+            return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
+        return actuator.read(p.line, commands, k - age, k if decided else k - 1)
+
+    return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
+
+
+def params_of(layout: Layout, p: Problem, own: Any) -> Any:
+    """Return the plant's numbers in the run that has drawn `own`."""
+    return layout.plant.of_run(p.params, own) if layout.drifting and layout.plant.of_run else p.params
+
+
+def truth(layout: Layout, params: Any, now: Now, x: Array) -> Array:
+    """Return what observers estimate, as it is: the state, and what the plant has of unknowns, [n + s]."""
+    return jnp.append(x, layout.plant.unknown(params, now, x)) if layout.plant.unknown else x

@@ -1,0 +1,148 @@
+"""Sampling that is random: for every run its own instants, arrivals and losses, from its own draws.
+
+A sample of clock c with index i has three uniform numbers of the stream `jitter` (its interval, its instant, its delay) and
+one of `loss`, addressed as all draws are, under the clock's first channel: changing one choice leaves the other draws alone.
+Everything is whole ticks. `Times` is traced, so one compiled program serves every profile, jitter, delay and loss.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from pcbench.protocols import Leaf
+from pcbench.simulation import draws
+from pcbench.simulation.schedule import shared
+from pcbench.simulation.schedule.shared import NEVER, Clock, Sample
+
+
+class Times(NamedTuple):
+    """How C clocks take their samples: numbers, all traced. M samples a clock, q channels; ticks."""
+
+    due: Leaf  # [C, M+1] instants before jitter, of clocks whose intervals are not random
+    low: Leaf  # [C] the least random interval, and
+    high: Leaf  # [C] the largest; 0 where intervals are not random
+    delay: Leaf  # [C] -1: one interval
+    jitter: Leaf  # [C]
+    spread: Leaf  # [C] jitter of the delay
+    loss: Leaf  # [C] probability
+    channel: Leaf  # [C] the first channel: the address of the clock's draws
+    clock_of: Leaf  # [q] the clock of each channel
+    error: Leaf  # the observers believe samples to be so much older than they are
+
+
+class Agenda(NamedTuple):
+    """What happens in every run; E samples of all clocks in the order they are taken, L runs."""
+
+    samples: Array  # [3, E, L] tick, clock, and which sample of its clock
+    arrives: Array  # [E, L] tick of the first, second ... arrival; NEVER: lost
+    which: Array  # [E, L] the row of the sample that arrives
+    slot: Array  # [E, L] how many arrive before it at the same tick
+    since: Array  # [E, L] ticks since the last tick at which anything arrived (from 0 before the first)
+
+
+def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
+    """Return the numbers of clocks over a horizon."""
+    count = max(_most(clock, ticks) for clock in clocks) + 1
+    due = np.full((len(clocks), count), NEVER)
+    limits = [shared.uniform_range(c.period) if c.profile == "uniform" else (0, 0) for c in clocks]
+    for row, clock in zip(due, clocks, strict=True):
+        instants = shared.instants(clock, ticks + clock.jitter)
+        row[: len(instants)] = instants
+    clock_of = [next(i for i, c in enumerate(clocks) if j in c.channels) for j in range(channels)]
+    return Times(
+        due,
+        np.array([low for low, _ in limits]),
+        np.array([high for _, high in limits]),
+        np.array([-1 if c.delay is None else c.delay for c in clocks]),
+        np.array([c.jitter for c in clocks]),
+        np.array([c.spread for c in clocks]),
+        np.array([c.loss for c in clocks], float),
+        np.array([c.channels[0] for c in clocks]),
+        np.array(clock_of),
+        np.asarray(error),
+    )
+
+
+def _most(clock: Clock, ticks: int) -> int:
+    """The most samples a clock can take at ticks 0 .. `ticks`."""
+    if clock.profile == "uniform":
+        return (ticks + clock.jitter) // shared.uniform_range(clock.period)[0] + 1
+    return len(shared.instants(clock, ticks + clock.jitter)) - 1
+
+
+def padded(t: Times, samples: int) -> Times:
+    """Add instants that never come, so that the times of one study share a shape."""
+    more = samples - t.due.shape[1]
+    return t._replace(due=np.pad(t.due, [(0, 0), (0, more)], constant_values=NEVER))
+
+
+def clock_times(t: Times, c: int, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
+    """Return when every sample of clock c is taken and when it arrives (NEVER: lost), [M, L] each."""
+    count = t.due.shape[1]
+    timing, losing = (
+        draws.uniforms(root_seed, seeds, s, t.channel[c], count, n) for s, n in (("jitter", 3), ("loss", 1))
+    )
+    step = t.low[c] + _whole(timing[:, 0], t.high[c] - t.low[c] + 1)
+    random = jnp.cumsum(jnp.concatenate([jnp.zeros_like(step[:1]), step[1:]]), 0)
+    due = jnp.where(t.high[c] > 0, random, t.due[c][:, None])
+    moved = _whole(timing[:, 1], 2 * t.jitter[c] + 1) - t.jitter[c]
+    taken = due + jnp.where(jnp.arange(count)[:, None] > 0, moved, 0)
+    late = _whole(timing[:, 2], t.spread[c] + 1)
+    arrives = jnp.where(t.delay[c] < 0, taken[1:], taken[:-1] + t.delay[c]) + late[:-1]
+    return taken[:-1], jnp.where(losing[:-1, 0] < t.loss[c], NEVER, jnp.minimum(arrives, NEVER))
+
+
+def _whole(uniform: Array, many: Array) -> Array:
+    return jnp.floor(uniform * many).astype(int)
+
+
+def agenda(t: Times, root_seed: Array, seeds: Array) -> Agenda:
+    """Return what happens in every run, in order: at one tick the older sample arrives first."""
+    each = [clock_times(t, c, root_seed, seeds) for c in range(t.due.shape[0])]
+    taken, arrives = (jnp.concatenate(part) for part in zip(*each, strict=True))
+    clock = jnp.concatenate([jnp.full_like(own, c) for c, (own, _) in enumerate(each)])
+    number = jnp.concatenate([jnp.broadcast_to(jnp.arange(len(own))[:, None], own.shape) for own, _ in each])
+    order = jnp.argsort(taken, axis=0, stable=True)
+    taken, arrives, clock, number = (jnp.take_along_axis(a, order, 0) for a in (taken, arrives, clock, number))
+    which = jnp.argsort(arrives, axis=0, stable=True)
+    arrives = jnp.take_along_axis(arrives, which, 0)
+    row = jnp.broadcast_to(jnp.arange(len(arrives))[:, None], arrives.shape)
+    again = jnp.concatenate([jnp.zeros_like(arrives[:1], bool), arrives[1:] == arrives[:-1]])
+    slot = row - lax.cummax(jnp.where(again, 0, row), 0)
+    earlier = jnp.take_along_axis(arrives, jnp.maximum(row - slot - 1, 0), 0)
+    since = arrives - jnp.where(row > slot, earlier, 0)
+    return Agenda(jnp.stack([taken, clock, number]), arrives, which, slot, since)
+
+
+def realised(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
+    """Return the samples of one run as `shared.samples` does for clocks that are not random."""
+    t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0))
+    out = []
+    for c, clock in enumerate(clocks):
+        taken, arrives = clock_times(t, c, jnp.asarray(root_seed), jnp.asarray([seed]))
+        pairs = zip(taken[:, 0].tolist(), arrives[:, 0].tolist(), strict=True)
+        out += [Sample(j, i, a, b) for i, (a, b) in enumerate(pairs) if a <= ticks for j in clock.channels]
+    return out
+
+
+def room(clocks: list[Clock], ticks: int, error: int) -> int:
+    """Return how many packets the network must be able to hold, whatever the draws."""
+    longest = max(shared.ages(c, ticks)[1] for c in clocks) + abs(error)
+    return sum(longest // shared.intervals(c, ticks)[0] + 1 for c in clocks)
+
+
+def overtaking(clocks: list[Clock], ticks: int) -> int:
+    """Return how many newer samples may arrive before one, whatever the draws."""
+    least = [shared.intervals(c, ticks)[0] for c in clocks]
+
+    def ahead(own: int, other: int) -> int:
+        if own == other:  # ages that differ by the spread at most
+            return max(clocks[own].spread - 1, 0) // least[own]
+        span = shared.ages(clocks[own], ticks)[1] - shared.ages(clocks[other], ticks)[0] - 1
+        return span // least[other] + 1 if span >= 1 else 0
+
+    many = range(len(clocks))
+    return max(sum(ahead(own, other) for other in many) for own in many)

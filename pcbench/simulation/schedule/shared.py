@@ -1,0 +1,257 @@
+"""The delayed sampler as integer data: which sample is taken and which arrives at every tick.
+
+Everything is a whole number of ticks. One *packet* is one sampling instant: whatever channels are sampled at that tick
+travel under one number, each with a delay of its own, so a packet may arrive in parts. At a tick, arrivals are handed
+over one packet at a time, the oldest first; each has a slot. Where sampling is random, every run has a schedule of its own
+(`per_lane`).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int32]
+Bools = NDArray[np.bool_]
+NEVER = 2**30  # the arrival of a lost sample
+
+
+class Schedule(NamedTuple):
+    """N + 1 ticks, q channels, S arrival slots a tick; -1 means nothing."""
+
+    sense: Ints  # [N+1] the packet taken at this tick
+    sampled: Bools  # [N+1, q] the channels in it
+    sample: Ints  # [N+1, q] which sample of its channel, from 0
+    note: Ints  # [N+1] the packet for which observers note what they will need
+    arrive: Ints  # [N+1, S] the packets that arrive
+    sent: Ints  # [N+1, S] the tick at which each was taken; below 0 where measuring began earlier
+    believed: Ints  # [N+1, S] the tick at which the observers believe it was taken
+    fresh: Bools  # [N+1, S, q] the channels that arrive with it
+    number: Ints  # [N+1, S, q] which sample of its channel
+    since: Ints  # [N+1, S] ticks since the last tick at which anything arrived (from 0 before the first)
+    event: Bools  # [N+1] anything taken or arriving
+    next_event: Ints  # [N+1] the first later tick with an event, or N + 1
+    early: Ints  # [E, q] which sample of each channel, of the packets taken before tick 0
+
+
+class Sample(NamedTuple):
+    """One channel measured once."""
+
+    channel: int
+    number: int  # which sample of its channel, from 0
+    taken: int  # tick
+    arrives: int  # tick, not before `taken`; NEVER where it is lost
+
+
+class Clock(NamedTuple):
+    """One sensor: channels that are sampled, delayed and lost together. Times in ticks."""
+
+    channels: tuple[int, ...]
+    period: int  # the mean where intervals vary
+    delay: int | None  # None: one interval, a sample arrives when the next is taken
+    profile: str | tuple[int, ...] = "periodic"  # of the intervals: a name in PROFILES, or intervals in turn
+    jitter: int = 0  # a sample (but the first) is taken up to this much early or late
+    spread: int = 0  # jitter of the delay: a sample arrives up to this much later
+    loss: float = 0.0  # probability that a sample never arrives
+    early: bool = False  # measuring began before tick 0: `period` is between arrivals, the first of them at tick 0
+    swing: tuple[float, float] = (0.0, 0.0)  # (a [ticks], w [rad a tick]) of an age delay + a sin(w k), at arrival k
+
+    @property
+    def random(self) -> bool:
+        """Whether every run has times of its own."""
+        return self.profile == "uniform" or self.jitter > 0 or self.spread > 0 or self.loss > 0
+
+
+PROFILES = {
+    "periodic": "every interval the period",
+    "sine": "T_i = period (1 + 0.5 sin(0.6 i)), i = 1, 2, ...: the profile of Li, Wang, Tian as decided",
+    "uniform": "every interval uniform over 0.5 to 1.5 periods, for each seed",
+}
+
+
+def interval(clock: Clock, i: int) -> int:
+    """Return the interval between samples i-1 and i of a clock whose intervals are not random."""
+    if isinstance(clock.profile, tuple):
+        return clock.profile[(i - 1) % len(clock.profile)]
+    return max(1, round(clock.period * (1 + 0.5 * np.sin(0.6 * i)))) if clock.profile == "sine" else clock.period
+
+
+def uniform_range(period: int) -> tuple[int, int]:
+    """Return the least and the largest interval of the profile `uniform`."""
+    low = max(1, -(-period // 2))
+    return low, max(low, 3 * period // 2)
+
+
+def instants(clock: Clock, ticks: int) -> list[int]:
+    """Return when samples are due, from tick 0 to the first beyond `ticks`; the mean where they are random."""
+    out = [0]
+    while out[-1] <= ticks:
+        out.append(out[-1] + (clock.period if clock.profile == "uniform" else interval(clock, len(out))))
+    return out
+
+
+def intervals(clock: Clock, ticks: int) -> list[int]:
+    """Return every interval between successive samples that can occur, lost ones counted as taken."""
+    if clock.profile == "uniform":
+        low, high = uniform_range(clock.period)
+        due = list(range(low, high + 1))
+    elif clock.profile == "periodic":
+        due = [clock.period]
+    else:
+        due = sorted(
+            set(np.diff(instants(clock, ticks + clock.jitter)).tolist())
+        )  # jitter may bring one in from beyond
+    j = 2 * clock.jitter
+    return list(range(max(due[0] - j, 1), due[-1] + j + 1)) if j else due
+
+
+def age(clock: Clock, arrives: int) -> int:
+    """Return the age, in whole ticks, of the sample that arrives at a tick, of a clock with a delay of the time."""
+    swing, pace = clock.swing
+    return round((clock.delay or 0) + swing * np.sin(pace * arrives))
+
+
+def ages(clock: Clock, ticks: int) -> tuple[int, int]:
+    """Return the least and the largest age of a sample when it arrives."""
+    if any(clock.swing):
+        found = sorted(age(clock, arrives) for arrives in instants(clock, ticks)[:-1])
+    else:
+        found = intervals(clock, ticks) if clock.delay is None else [clock.delay]
+    return found[0], found[-1] + clock.spread
+
+
+def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
+    """Return every sample of clocks without randomness, taken up to tick `ticks`, from 0 on or before (`Clock.early`)."""
+    out = []
+    for clock in clocks:
+        due, last = instants(clock, ticks), None
+        for i, taken in enumerate(due[:-1]):
+            arrives = due[i + 1] if clock.delay is None else taken + clock.delay
+            if clock.early:
+                taken, arrives = taken - age(clock, taken), taken
+                if taken == last:  # as late as the time that has passed: nothing new comes
+                    continue
+                last = taken
+            out += [Sample(channel, i, taken, arrives) for channel in clock.channels]
+    return out
+
+
+def overtaking(found: list[Sample]) -> int:
+    """Return how many newer samples may arrive before one: the places an observer needs to keep them in order."""
+    each = np.array(sorted({(s.taken, s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
+    taken, arrives = each.T
+    counts, shift = np.zeros(len(each), int), 1
+    while shift < len(each) and (taken[shift:] < arrives[:-shift]).any():
+        counts[:-shift] += (arrives[shift:] < arrives[:-shift]) & (taken[shift:] > taken[:-shift])
+        shift += 1
+    return int(counts.max(initial=0))
+
+
+def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -> Schedule:
+    """Lay samples out over ticks 0 .. `ticks`; what is taken or arrives later is left out.
+
+    The observers believe that every sample is `error` ticks older than it is, but that none was taken before tick 0: they
+    note what they need where they believe it to be taken. An error below 0 must leave every age at 0 or more. A sample taken
+    before tick 0 has measured the start, as if at tick 0.
+    """
+    instants = sorted({s.taken for s in samples if s.taken <= ticks})
+    packet = {tick: i for i, tick in enumerate(instants)}
+    by_arrival: dict[int, dict[int, list[Sample]]] = {}
+    for s in samples:
+        if s.taken <= ticks and s.arrives <= ticks:
+            by_arrival.setdefault(s.arrives, {}).setdefault(s.taken, []).append(s)
+    slots = max((len(group) for group in by_arrival.values()), default=1)
+    n, q = ticks + 1, channels
+    out = Schedule(
+        sense=np.full(n, -1, np.int32),
+        sampled=np.zeros((n, q), bool),
+        sample=np.full((n, q), -1, np.int32),
+        note=np.full(n, -1, np.int32),
+        arrive=np.full((n, slots), -1, np.int32),
+        sent=np.zeros((n, slots), np.int32),
+        believed=np.zeros((n, slots), np.int32),
+        fresh=np.zeros((n, slots, q), bool),
+        number=np.full((n, slots, q), -1, np.int32),
+        since=np.zeros((n, slots), np.int32),
+        event=np.zeros(n, bool),
+        next_event=np.full(n, n, np.int32),
+        early=np.full((sum(tick < 0 for tick in instants), q), -1, np.int32),
+    )
+    for s in samples:
+        if s.taken < 0:
+            out.early[packet[s.taken], s.channel] = s.number
+        elif s.taken <= ticks:
+            out.sense[s.taken] = packet[s.taken]
+            out.sampled[s.taken, s.channel] = True
+            out.sample[s.taken, s.channel] = s.number
+        if s.taken <= ticks and 0 <= s.taken - error <= ticks:
+            out.note[s.taken - error] = packet[s.taken]
+    last = 0
+    for tick in sorted(by_arrival):
+        for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
+            out.arrive[tick, slot] = packet[taken]
+            out.sent[tick, slot] = taken
+            out.believed[tick, slot] = max(taken - error, 0)
+            out.since[tick, slot] = tick - last
+            for s in group:
+                out.fresh[tick, slot, s.channel] = True
+                out.number[tick, slot, s.channel] = s.number
+        last = tick
+    out.event[:] = (out.sense >= 0) | (out.note >= 0) | (out.arrive >= 0).any(1)
+    for tick in range(ticks - 1, -1, -1):
+        out.next_event[tick] = tick + 1 if out.event[tick + 1] else out.next_event[tick + 1]
+    return out
+
+
+def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
+    """Sample channel j every period[j] ticks from tick 0 on; each sample arrives delay[j] ticks later."""
+    each = [Clock((j,), every, late) for j, (every, late) in enumerate(zip(period, delay, strict=True))]
+    return schedule(samples(each, ticks), ticks, len(period))
+
+
+def at_every_tick(ticks: int, channels: int) -> Schedule:
+    """Take all channels at every tick and hand them over at once: `schedule` of period 1 and delay 0, without its loops."""
+    k = np.arange(ticks + 1, dtype=np.int32)
+    row, each, yes = k[:, None], np.repeat(k[:, None], channels, 1), np.ones((ticks + 1, channels), bool)
+    since = np.minimum(row, 1)
+    return Schedule(
+        k, yes, each, k, row, row, row, yes[:, None], each[:, None], since, yes[:, 0], k + np.int32(1), each[:0]
+    )
+
+
+def oldest(found: list[Sample], overtaking: int) -> int:
+    """Return the age, at the latest arrival, of the sample before the newest and before all that it may still overtake."""
+    each = np.array(sorted({(max(s.taken, 0), s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
+    taken, arrives = each.T
+    back = 2 * overtaking + 1
+    before = np.concatenate([np.zeros(back, int), taken])[: len(taken)]
+    return int((np.maximum.accumulate(arrives) - before).max(initial=0))
+
+
+def in_flight(plan: Schedule) -> int:
+    """Return how many packets the network must be able to hold so that none is overwritten before it arrives."""
+    latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, plan.note)), len(plan.early) - 1)
+    waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
+    return int(waiting.max())
+
+
+def pad_early(plan: Schedule, packets: int) -> Schedule:
+    """Add packets from before tick 0 that nothing reads, so that schedules of one study share a shape."""
+    return plan._replace(early=np.pad(plan.early, [(0, packets - len(plan.early)), (0, 0)], constant_values=-1))
+
+
+def pad_slots(plan: Schedule, slots: int) -> Schedule:
+    """Add empty arrival slots so that schedules of one study share a shape."""
+    more = slots - plan.arrive.shape[1]
+
+    def wider(x: NDArray, fill: int) -> NDArray:
+        return np.pad(x, [(0, 0), (0, more)] + [(0, 0)] * (x.ndim - 2), constant_values=fill)
+
+    return plan._replace(
+        arrive=wider(plan.arrive, -1),
+        sent=wider(plan.sent, 0),
+        believed=wider(plan.believed, 0),
+        fresh=wider(plan.fresh, 0),
+        number=wider(plan.number, -1),
+        since=wider(plan.since, 0),
+    )

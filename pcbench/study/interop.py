@@ -1,0 +1,96 @@
+"""A linear plant of one's own from scipy.signal or python-control, and back.
+
+    study = pcbench.lti(scipy.signal.StateSpace(A, B, C, D), sampling_period=0.1, delay=0.2, noise_std=0.01)
+    pcbench.run(study, observers=["dkf", "pccebo"])
+
+Neither library is imported here but to give a system back: whatever has A, B, C, D and dt is a state-space system, and whatever
+has `to_ss` (scipy's transfer functions) becomes one.
+"""
+
+import re
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import UserError, unknown
+from pcbench.study import Study
+from pcbench.study.lti import Lti
+from pcbench.study.read import parse
+
+
+def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:
+    """Return a study of a linear plant, to be given to `run`, `trace` or `design`.
+
+    `system` is a scipy.signal.StateSpace, dlti (any representation with `to_ss`) or control.StateSpace; n states, m inputs,
+    q outputs. Continuous systems are simulated exactly under an input held over `tick` (default 0.001 s), discrete ones at
+    their own dt. `experiment` holds the keys of a study's `[lti]` table: sampling_period, delay and noise_std must be given
+    (one number, or one for each output), others such as input, x0, horizon, observers may be. State names are taken from
+    control's labels where they are plain names. Raises UserError where the system's time base is unknown or a key does not fit.
+    """
+    matrices = _state_space(system)
+    for key in experiment:
+        if key not in Lti.model_fields or key in ("A", "B", "C", "D", "dt"):
+            known = [field for field in Lti.model_fields if field not in ("A", "B", "C", "D", "dt")]
+            raise unknown("pcbench.lti", "key of an experiment", key, known)
+    labels = [str(label) for label in getattr(system, "state_labels", None) or []]
+    named = {"states": labels} if labels and all(re.fullmatch(r"[A-Za-z]\w*", label) for label in labels) else {}
+    given = {key: _plain(value) for key, value in experiment.items() if value is not None}
+    return parse({"name": name, "lti": matrices | named | given}, "pcbench.lti")
+
+
+def to_scipy(study: Study) -> Any:
+    """Return a study's own plant as scipy.signal's StateSpace (continuous) or dlti (discrete)."""
+    from scipy import signal
+
+    *matrices, dt = _own(study)
+    return signal.StateSpace(*matrices, **({} if dt is None else {"dt": dt}))
+
+
+def to_control(study: Study) -> Any:
+    """Return a study's own plant as control.StateSpace with its state names; needs `pip install "pcbench[control]"`."""
+    try:
+        import control
+    except ImportError:
+        raise UserError('to_control: python-control is not installed; run pip install "pcbench[control]".') from None
+    *matrices, dt = _own(study)
+    assert study.lti is not None
+    labels = [text.split("[")[0].strip() for text in study.lti.states or []]
+    return control.StateSpace(*matrices, 0 if dt is None else dt, **({"states": labels} if labels else {}))
+
+
+def _state_space(system: Any) -> dict[str, Any]:
+    """The [lti] table's matrices of a system."""
+    form = system if all(hasattr(system, key) for key in "ABCD") else getattr(system, "to_ss", lambda: None)()
+    if form is None:
+        raise UserError(
+            f"pcbench.lti: got {type(system).__name__}, expected a state-space system of scipy.signal or python-control; "
+            "convert it with control.ss(system)."
+        )
+    dt = form.dt
+    if dt is True or (dt is None and hasattr(form, "state_labels")):
+        raise UserError(
+            f"pcbench.lti: got a system with dt = {dt}, whose time base is not said, expected seconds; give it dt in seconds"
+            + (", or 0 for a continuous one." if dt is None else ".")
+        )
+    matrices = {key: _plain(np.asarray(getattr(form, key), float)) for key in "ABCD"}
+    return matrices | ({"dt": float(dt)} if dt else {})
+
+
+def _own(
+    study: Study,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], Any]:
+    if study.lti is None:
+        raise UserError(
+            f"{study.name}: has no plant of its own, expected a study with [lti] or one made by pcbench.lti."
+        )
+    own = study.lti
+    A, B, C = (np.array(rows, float) for rows in (own.A, own.B, own.C))
+    return A, B, C, np.zeros((len(C), B.shape[1])) if own.D is None else np.array(own.D, float), own.dt
+
+
+def _plain(value: Any) -> Any:
+    """Arrays and tuples as the lists that a study holds."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    return [_plain(v) for v in value] if isinstance(value, tuple | list) else value

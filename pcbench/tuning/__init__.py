@@ -1,1 +1,0 @@
-"""Fair tuning: every observer gets the same effort on the same training runs, and is judged on others."""
