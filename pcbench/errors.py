@@ -1,4 +1,4 @@
-"""One sentence for what a user did wrong (where, what was found, what was expected, what to do), or what a user's code raised."""
+"""What a user did wrong, or a user's code raised, as one sentence: where, what was found, what was expected, what to do."""
 
 import difflib
 import os

@@ -5,8 +5,8 @@ import pytest
 
 from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation.schedule.shared import Clock
-from pcbench.study import axes
+from pcbench.simulation.schedule.sampling import Clock
+from pcbench.study import axes, fits, times
 
 CART, TANK, LOOP = (SCENARIOS[name] for name in ("cart/white", "csth/10s", "helicopter/varying"))
 
@@ -47,31 +47,31 @@ def test_a_value_for_each_channel_is_as_many_as_there_are_channels():
 
 
 def test_channels_of_the_same_period_and_delay_are_one_clock_in_ticks():
-    assert axes.clocks(TANK) == [Clock((j,), 1, d) for j, d in enumerate((2, 5, 7))]
+    assert times.clocks(TANK) == [Clock((j,), 1, d) for j, d in enumerate((2, 5, 7))]
     mixed = TANK._replace(delay=(20.0, 50.0, 20.0), jitter=10.0, delay_jitter=30.0, loss=0.2, profile=(10.0, 30.0))
     rest = ((1, 3), 1, 3, 0.2)
-    assert axes.clocks(mixed) == [Clock((0, 2), 1, 2, *rest), Clock((1,), 1, 5, *rest)]
-    (clock,) = axes.clocks(LOOP)
+    assert times.clocks(mixed) == [Clock((0, 2), 1, 2, *rest), Clock((1,), 1, 5, *rest)]
+    (clock,) = times.clocks(LOOP)
     assert (clock.channels, clock.period, clock.delay, clock.early) == ((0, 1), 200, 30, True)
     assert clock.swing == pytest.approx((15.0, 2e-3))
 
 
 def test_commands_are_as_late_as_samples_unless_said_and_swing_with_them():
     t = np.array([0.0, 0.4, 3.0])
-    np.testing.assert_allclose(axes.actuator_delay(LOOP)(t), 0.03 + 0.015 * np.sin(2 * t), rtol=1e-15)
+    np.testing.assert_allclose(times.actuator_delay(LOOP)(t), 0.03 + 0.015 * np.sin(2 * t), rtol=1e-15)
     other = LOOP._replace(actuator_delay=0.1)
-    np.testing.assert_allclose(axes.actuator_delay(other)(t), 0.1 + 0.015 * np.sin(2 * t), rtol=1e-15)
+    np.testing.assert_allclose(times.actuator_delay(other)(t), 0.1 + 0.015 * np.sin(2 * t), rtol=1e-15)
 
 
 def test_commands_are_never_less_than_half_a_tick_late_as_their_delay_swings():
     """Ticks of 1 ms: the least delay of 0.6 ms is taken, one of 0.4 ms refused."""
-    axes.fits(LOOP._replace(actuator_delay=0.0156), "test")
+    fits.fits(LOOP._replace(actuator_delay=0.0156), "test")
     for swung in ({"actuator_delay": 0.0154}, {"delay": (0.0154, 0.0154)}):
         with pytest.raises(
             UserError, match=r"expected at least half a tick on the way to the plant.*write at least 0\.016"
         ):
-            axes.fits(LOOP._replace(**swung), "test")
-    axes.fits(LOOP._replace(actuator_delay=0.03, delay=(0.0152, 0.0152)), "test")
+            fits.fits(LOOP._replace(**swung), "test")
+    fits.fits(LOOP._replace(actuator_delay=0.03, delay=(0.0152, 0.0152)), "test")
 
 
 @pytest.mark.parametrize(
@@ -86,29 +86,29 @@ def test_commands_are_never_less_than_half_a_tick_late_as_their_delay_swings():
     ],
 )
 def test_an_observer_is_given_the_schedules_that_it_takes_and_no_other(observer, takes, refuses):
-    axes.works_on(observer, CART._replace(**takes), "test")
+    fits.works_on(observer, CART._replace(**takes), "test")
     with pytest.raises(UserError, match=f"test: {observer} in cart/white got .*leave {observer} out"):
-        axes.works_on(observer, CART._replace(**refuses), "test")
+        fits.works_on(observer, CART._replace(**refuses), "test")
 
 
 def test_a_nonlinear_plant_is_given_to_observers_that_need_no_linear_model():
     for observer in ("ekf", "high-gain"):
-        axes.works_on(observer, LOOP, "test")
+        fits.works_on(observer, LOOP, "test")
     with pytest.raises(UserError, match=r"dkf in helicopter/varying got a nonlinear plant.*take one of high-gain, ekf"):
-        axes.works_on("dkf", LOOP, "test")
+        fits.works_on("dkf", LOOP, "test")
 
 
 def test_one_clock_is_one_period_and_one_delay():
     for changes in ({}, {"delay": (20.0,) * 3, "sampling_period": (10.0, 20.0, 10.0)}):
         with pytest.raises(UserError, match="pccebo in csth/10s got channels with periods"):
-            axes.works_on("pccebo", TANK._replace(**changes), "test")
-    axes.works_on("pccebo", TANK._replace(delay=(20.0,) * 3), "test")
-    axes.works_on("dkf", TANK, "test")
+            fits.works_on("pccebo", TANK._replace(**changes), "test")
+    fits.works_on("pccebo", TANK._replace(delay=(20.0,) * 3), "test")
+    fits.works_on("dkf", TANK, "test")
 
 
 def test_what_measures_at_every_stage_has_no_schedule_and_no_noise():
     sine = SCENARIOS["arm/sine"]
-    axes.fits(sine, "test")
+    fits.fits(sine, "test")
     for changes in (
         {"delay": (1e-4, 0.0)},
         {"noise_std": (0.0, 1e-3)},
@@ -116,4 +116,4 @@ def test_what_measures_at_every_stage_has_no_schedule_and_no_noise():
         {"sampling_period": (1e-4, 2e-4)},
     ):
         with pytest.raises(UserError, match="measures continuously and without noise"):
-            axes.fits(sine._replace(**changes), "test")
+            fits.fits(sine._replace(**changes), "test")

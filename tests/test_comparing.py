@@ -11,7 +11,7 @@ from scipy.stats import ttest_ind_from_stats
 from small_study import STUDY, sealed_again
 
 import pcbench
-from pcbench.dataset import compare, merge, store
+from pcbench.dataset import compare, merge, parquet, store
 from pcbench.errors import UserError
 
 
@@ -35,7 +35,7 @@ def stepwise(p):
 def change(out, column, factor, rows):
     """Multiply numbers of stats.parquet, as another release might."""
     place = store.target(out)
-    table = store.parsed(store.get(place, "stats.parquet"))
+    table = parquet.parsed(store.get(place, "stats.parquet"))
     frame = table.to_pandas()
     chosen = frame.eval(rows)
     assert chosen.any()

@@ -9,7 +9,7 @@ from commands import call
 from small_study import STUDY, same, tables
 
 import pcbench
-from pcbench.dataset import block_files, store, verify
+from pcbench.dataset import block_files, parquet, store, verify
 from pcbench.errors import UserError
 from pcbench.plots import one_run
 
@@ -66,7 +66,7 @@ def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     study = pcbench.opened(copy).study
     made = one_run.of(study, "cart/slow", copy)
     (path,) = (copy / "examples").iterdir()
-    content, table = path.read_bytes(), store.parsed(store.get(store.target(copy), f"examples/{path.name}"))
+    content, table = path.read_bytes(), parquet.parsed(store.get(store.target(copy), f"examples/{path.name}"))
     values = table["value"].to_numpy().copy()
     values[3] += 1.0
     changed = table.set_column(table.schema.get_field_index("value"), "value", [values])

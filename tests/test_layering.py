@@ -13,7 +13,9 @@ import pcbench
 
 ROOT = Path(pcbench.__file__).parent
 TABLE = (ROOT.parent / "CONTRIBUTING.md").read_text()
-FLOORS = [re.findall(r"`pcbench/(\w+)(?:\.py)?`", row) for row in re.findall(r"^\| (`pcbench/.*?) \|", TABLE, re.M)]  # top to bottom
+FLOORS = [
+    re.findall(r"`pcbench/(\w+)(?:\.py)?`", row) for row in re.findall(r"^\| (`pcbench/.*?) \|", TABLE, re.M)
+]  # top to bottom
 FLOOR = {room: i for i, rooms in enumerate(FLOORS) for room in rooms}
 NO_JAX = ["errors", "synthesis", "synthesis.chain", "synthesis.chain_lyapunov", "synthesis.sampled", "synthesis.late",
           "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "synthesis.unknown_input",
@@ -24,7 +26,9 @@ NO_JAX = ["errors", "synthesis", "synthesis.chain", "synthesis.chain_lyapunov", 
 
 def modules():
     """The files of the package by the names of their modules."""
-    names = {".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in ROOT.rglob("*.py")}
+    names = {
+        ".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): p for p in ROOT.rglob("*.py")
+    }
     return {name: p for name, p in names.items() if name not in ("__init__", "__main__")}
 
 

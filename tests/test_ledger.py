@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pcbench
-from pcbench.dataset import block_files, store
+from pcbench.dataset import block_files, parquet, store
 from pcbench.dataset.block_files import Block
 from pcbench.errors import UserError
 
@@ -111,7 +111,7 @@ def rewritten(change):
     def rewrite(content):
         table = pq.read_table(pa.BufferReader(content))
         said = block_files.about(table)
-        return store.encoded(block_files.sealed(change(table, said), said)).to_pybytes()
+        return parquet.encoded(block_files.sealed(change(table, said), said)).to_pybytes()
 
     return rewrite
 
@@ -121,7 +121,7 @@ def unsealed(content):
     table = pq.read_table(pa.BufferReader(content))
     i, values = table.schema.get_field_index("mae"), table["mae"].to_numpy().copy()
     values[3] = np.nextafter(values[3], 1.0)
-    return store.encoded(table.set_column(i, table.schema.field(i), [values])).to_pybytes()
+    return parquet.encoded(table.set_column(i, table.schema.field(i), [values])).to_pybytes()
 
 
 CHANGES = {

@@ -3,7 +3,7 @@
 import pytest
 
 from pcbench.errors import UserError
-from pcbench.simulation.schedule.shared import Clock
+from pcbench.simulation.schedule.sampling import Clock
 from pcbench.study import limits
 
 

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from pcbench.machine import process
 from pcbench.simulation.schedule import shared
-from pcbench.simulation.schedule.shared import Clock
+from pcbench.simulation.schedule.sampling import Clock
 
 INITIAL, MEASUREMENT, PROCESS = 0, 1, 5  # numbers of streams
 SEED, LATE, EVERY = 5, 37, 20

@@ -17,7 +17,8 @@ from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer, Plant
 from pcbench.simulation import batch, draws, events_per_lane, loop, steps
 from pcbench.simulation.schedule import per_lane
-from pcbench.simulation.schedule.shared import NEVER, Clock
+from pcbench.simulation.schedule.sampling import Clock
+from pcbench.simulation.schedule.shared import NEVER
 
 WIDE = 40
 QUICK = {"xla_backend_optimization_level": 0}  # where numbers come out whole: compiled several times as fast

@@ -20,12 +20,13 @@ from pcbench.observers import OBSERVERS, pco
 from pcbench.observers.parts.prediction import Motion, Point
 from pcbench.observers.parts.reordering import Sample
 from pcbench.simulation import loop
-from pcbench.simulation.schedule import shared
-from pcbench.simulation.schedule.shared import NEVER, Clock
+from pcbench.simulation.schedule import sampling, shared
+from pcbench.simulation.schedule.sampling import Clock
+from pcbench.simulation.schedule.shared import NEVER
 from pcbench.synthesis import reduced_order
 
 SCHEDULES = {  # ticks: intervals in turn; the least and the largest age (None: one interval); the share that is lost
-    "sine": ([shared.interval(Clock((0,), 60, None, "sine"), i) for i in range(1, 20)], None, 0.0),
+    "sine": ([sampling.interval(Clock((0,), 60, None, "sine"), i) for i in range(1, 20)], None, 0.0),
     "any intervals": ([33, 89, 41, 60, 77, 30, 52], None, 0.0),
     "one age": ([70, 25, 40], (80, 80), 0.0),
     "jitter and loss": ([50, 31, 69, 48], (40, 60), 0.4),

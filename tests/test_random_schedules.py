@@ -18,9 +18,10 @@ from hypothesis import strategies as st
 from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import draws
-from pcbench.simulation.schedule import per_lane, shared
-from pcbench.simulation.schedule.shared import NEVER, Clock, Sample
-from pcbench.study import axes
+from pcbench.simulation.schedule import per_lane, sampling, shared
+from pcbench.simulation.schedule.sampling import Clock
+from pcbench.simulation.schedule.shared import NEVER, Sample
+from pcbench.study import fits
 
 ROOM = 128  # samples a clock: one shape for every example
 SEEDS = 8
@@ -68,7 +69,7 @@ def shortest(clock):
     if isinstance(clock.profile, tuple):
         return min(clock.profile)
     if clock.profile == "sine":
-        return min(shared.interval(clock, i) for i in range(1, ROOM + 1))
+        return min(sampling.interval(clock, i) for i in range(1, ROOM + 1))
     return max(1, (clock.period + 1) // 2) if clock.profile == "uniform" else clock.period
 
 
@@ -195,10 +196,10 @@ def packets(clocks, ticks, seed):
 @example(clocks=[Clock((0,), 20, None, (20, 20, 3), 1)], ticks=39, seed=2)  # the third is taken at 39, not at 40
 def test_intervals_and_ages_are_whole_ticks_in_the_ranges_that_are_claimed(clocks, ticks, seed):
     for clock in clocks:
-        claimed = shared.intervals(clock, ticks)
+        claimed = sampling.intervals(clock, ticks)
         assert claimed == sorted(set(claimed))
         assert claimed[0] >= 1
-        least, most = shared.ages(clock, ticks)
+        least, most = sampling.ages(clock, ticks)
         found = one_clock(clock, ticks, 0, seed)
         beyond = one_clock(clock, ticks + 100, 0, seed)
         assert {b - a for (a, _), (b, _) in pairwise(beyond) if a <= ticks} <= set(claimed)
@@ -222,9 +223,9 @@ def test_every_claimed_interval_and_both_ends_of_the_ages_occur(clock):
     ticks = LONGEST if clock.random else 3 * LONGEST
     runs = [one_clock(clock, ticks, 0, seed) for seed in range(40)]
     gaps = {b - a for run in runs for (a, _), (b, _) in pairwise(run)}
-    assert gaps == set(shared.intervals(clock, ticks))
+    assert gaps == set(sampling.intervals(clock, ticks))
     ages = {arrives - taken for run in runs for taken, arrives in run if arrives < NEVER}
-    assert (min(ages), max(ages)) == shared.ages(clock, ticks)
+    assert (min(ages), max(ages)) == sampling.ages(clock, ticks)
 
 
 @settings(max_examples=60)
@@ -439,5 +440,5 @@ def test_jitter_is_bounded_by_a_short_interval_that_it_brings_into_the_horizon()
     """Due at 5, 10.001 and 10.011 s: with a jitter of 1 s the last two may be swapped before the end at 10 s."""
     scenario = SCENARIOS["cart/variable"]._replace(profile=(5.0, 5.001, 0.01), jitter=1.0)
     with pytest.raises(UserError, match=r"intervals down to 0\.01 s"):
-        axes.fits(scenario, "here")
-    axes.fits(scenario._replace(jitter=0.004), "here")
+        fits.fits(scenario, "here")
+    fits.fits(scenario._replace(jitter=0.004), "here")

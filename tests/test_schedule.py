@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcbench.simulation.schedule import shared
+from pcbench.simulation.schedule import sampling, shared
 from pcbench.simulation.schedule.shared import Sample, in_flight, pad_slots, periodic, schedule
 
 channels = st.integers(1, 3)
@@ -119,14 +119,14 @@ def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
 
 
 def test_intervals_in_turn_come_in_their_turn_and_a_sine_as_it_swings():
-    turn, sine = shared.Clock((0,), 9, 3, (5, 8, 6)), shared.Clock((0,), 20, 3, "sine")
-    assert shared.instants(turn, 40) == [0, 5, 13, 19, 24, 32, 38, 43]
+    turn, sine = sampling.Clock((0,), 9, 3, (5, 8, 6)), sampling.Clock((0,), 20, 3, "sine")
+    assert sampling.instants(turn, 40) == [0, 5, 13, 19, 24, 32, 38, 43]
     intervals = [round(20 * (1 + 0.5 * np.sin(0.6 * i))) for i in range(1, 6)]
-    assert shared.instants(sine, 200)[:6] == [0, *np.cumsum(intervals)]
-    assert shared.intervals(turn, 40) == [5, 6, 8]
+    assert sampling.instants(sine, 200)[:6] == [0, *np.cumsum(intervals)]
+    assert sampling.intervals(turn, 40) == [5, 6, 8]
 
 
 @pytest.mark.parametrize("period", [1, 7, 50, 80])
 def test_intervals_of_a_periodic_clock_are_its_period(period):
-    clock = shared.Clock((0,), period, 3)
-    assert shared.intervals(clock, 50) == sorted(set(np.diff(shared.instants(clock, 50)).tolist()))
+    clock = sampling.Clock((0,), period, 3)
+    assert sampling.intervals(clock, 50) == sorted(set(np.diff(sampling.instants(clock, 50)).tolist()))

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import pcbench
-from pcbench.dataset import merge, store, verify
+from pcbench.dataset import merge, parquet, store, verify
 from pcbench.errors import UserError
 
 TABLE = pa.table({"seed": list(range(1000)), "mae": [0.1 * i for i in range(1000)]})
@@ -50,7 +50,7 @@ def test_what_is_put_is_there_in_a_folder_and_in_a_bucket(place, s3):
         store.put_table(each, "runs/scenario=x/part.parquet", TABLE)
         store.put_json(each, "provenance.json", {"a": 1})
         assert store.names(each) == ["provenance.json", "runs/scenario=x/part.parquet"]
-        assert store.parsed(store.get(each, "runs/scenario=x/part.parquet")).equals(TABLE)
+        assert parquet.parsed(store.get(each, "runs/scenario=x/part.parquet")).equals(TABLE)
         assert store.get(each, "nothing") is None
         store.remove(each, "provenance.json")
         store.remove(each, "provenance.json")
@@ -70,11 +70,11 @@ def test_a_study_in_a_bucket_is_that_in_a_folder(s3, tmp_path):
 
 
 def test_equal_tables_give_equal_bytes():
-    assert store.encoded(TABLE).equals(store.encoded(TABLE.slice(0)))
+    assert parquet.encoded(TABLE).equals(parquet.encoded(TABLE.slice(0)))
 
 
 def test_a_page_that_was_touched_is_seen():
-    content = bytearray(store.encoded(TABLE))
+    content = bytearray(parquet.encoded(TABLE))
     content[len(content) // 2] ^= 1
     with (
         pytest.raises(OSError, match=r"(?i)crc|checksum|corrupt|decompress"),
@@ -145,7 +145,7 @@ def test_what_a_killed_writer_left_is_cleared_and_a_living_ones_is_not(place):
 
 
 def test_two_writers_of_one_name_leave_one_whole_file(place):
-    content = store.encoded(TABLE).to_pybytes()
+    content = parquet.encoded(TABLE).to_pybytes()
     threads = [threading.Thread(target=store.put, args=(place, "runs/a.parquet", content)) for _ in range(8)]
     for t in threads:
         t.start()

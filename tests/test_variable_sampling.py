@@ -14,8 +14,8 @@ from pcbench.errors import UserError
 from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.planning import in_memory
-from pcbench.simulation.schedule import per_lane, shared
-from pcbench.simulation.schedule.shared import Clock
+from pcbench.simulation.schedule import per_lane, sampling, shared
+from pcbench.simulation.schedule.sampling import Clock
 from pcbench.study import read
 
 PAGE = {  # t: (x1, pco, pi-pco), noise off
@@ -65,7 +65,7 @@ def wild(case, clock, observer, options):
         samples = per_lane.realised([clock], case.ticks, channels, 0, case.seed)
     plan = shared.pad_slots(shared.schedule(samples, case.ticks, channels), 4 if clock.spread else 1)
     known = setting(case)._replace(
-        overtaking=per_lane.overtaking([clock], case.ticks), intervals=tuple(shared.intervals(clock, case.ticks))
+        overtaking=per_lane.overtaking([clock], case.ticks), intervals=tuple(sampling.intervals(clock, case.ticks))
     )
     design = OBSERVERS[observer].design(known, OBSERVERS[observer].options(**options))
     layout, p = problem(case, {})

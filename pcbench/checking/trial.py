@@ -14,11 +14,12 @@ import numpy as np
 from pcbench import planning
 from pcbench.checking.loading import Found
 from pcbench.errors import UserError, raised
+from pcbench.plants import PLANTS
 from pcbench.protocols import Observer, Plant
 from pcbench.scenarios import Scenario
 from pcbench.simulation.problem import Problem, present, truth
 from pcbench.simulation.schedule import shared
-from pcbench.study import Choices
+from pcbench.study import Choices, times
 from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
@@ -79,7 +80,7 @@ def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
     drafted = planning.draft(cell, {}, known)
     p, n, q = drafted.problem, known.ticks, len(scenario.delay)
     if overtaken is not None:
-        taken = shared.samples(planning.axes.clocks(scenario), n)
+        taken = shared.samples(times.clocks(scenario), n)
         late = [s._replace(arrives=s.arrives + (3 * overtaken // 2 if s.number % 3 == 1 else 0)) for s in taken]
         known = known._replace(overtaking=shared.overtaking(late))
         p = p._replace(schedule=shared.schedule(late, n, q))
@@ -95,7 +96,7 @@ def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
 
 def plant_of(scenario: Scenario) -> Plant:
     """Return the functions of a scenario's plant."""
-    return planning.PLANTS[scenario.plant].plant
+    return PLANTS[scenario.plant].plant
 
 
 def designed(found: Found, case: Case) -> Design:

@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import store
+from pcbench.dataset import parquet, store
 from pcbench.dataset.columns import SCHEMA
 from pcbench.errors import UserError
 
@@ -80,7 +80,7 @@ def _whole(place: store.Target, block: Block) -> pa.Table | str:
     if content is None:
         return "it is gone"
     try:
-        return store.parsed(content)
+        return parquet.parsed(content)
     except (pa.ArrowException, OSError, ValueError) as error:  # UnicodeDecodeError is a ValueError
         return (str(error).splitlines() or [type(error).__name__])[0].rstrip(".")
 

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, fill, ownership, store, summary
+from pcbench.dataset import block_files, fill, ownership, parquet, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
 from pcbench.dataset.verify import difference
@@ -104,7 +104,7 @@ def _pieces(parts: list[Part]) -> Iterator[tuple[str, Any, int]]:
                 raise UserError(f"{part.place.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
             yield block.name, content, twice
         else:
-            yield block.name, store.encoded(cut(block_files.read(part.place, part.there), block)), twice
+            yield block.name, parquet.encoded(cut(block_files.read(part.place, part.there), block)), twice
 
 
 def cut(table: pa.Table, block: Block) -> pa.Table:

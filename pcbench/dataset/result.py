@@ -8,7 +8,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
 
-from pcbench.dataset import block_files, columns, fill, ownership, store, summary
+from pcbench.dataset import block_files, columns, fill, ownership, parquet, store, summary
 from pcbench.dataset.verify import FAIR
 from pcbench.errors import UserError, said
 from pcbench.study import Study, observers_of
@@ -26,7 +26,7 @@ def opened(out: str | Path) -> "Result":
         )
     result = Result(claimed.study, place, out, fill.Effort())
     if (found := store.get(place, FAIR)) is not None:
-        if (table := store.whole(found)) is None:
+        if (table := parquet.whole(found)) is None:
             raise UserError(
                 f"{place.name}/{FAIR}: is damaged, expected it as it was written; run the study again to have it made anew."
             )

@@ -12,7 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench import statistics
-from pcbench.dataset import block_files, columns, store
+from pcbench.dataset import block_files, columns, parquet, store
 from pcbench.dataset.block_files import Block, Range
 from pcbench.dataset.ownership import Claim
 from pcbench.dataset.summary_parts import Gathered, adjusted
@@ -129,7 +129,7 @@ def table(place: store.Target, name: str) -> pa.Table | None:
     if content is None or said is None or said["digests"].get(name) != digest_of(content):
         return None
     try:
-        return store.parsed(content)
+        return parquet.parsed(content)
     except (pa.ArrowException, OSError, ValueError):
         return None
 

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pcbench import statistics
-from pcbench.dataset import store
+from pcbench.dataset import parquet
 
 ROWS = 20_000  # that are gathered before they are written
 
@@ -43,7 +43,7 @@ class Gathered:
 
 def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
     """Put Holm's adjusted p-values into the rows of pairs: one family a scenario, signal and metric."""
-    file = store.opened(content)
+    file = parquet.opened(content)
     families: dict[tuple[str, ...], list[float]] = {}
     keys = ["scenario", "signal", "metric"]
     for batch in file.iter_batches(columns=[*keys, "p_value"], use_threads=False):

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench import planning
-from pcbench.dataset import block_files, executors, fill, ownership, store, summary, task
+from pcbench.dataset import block_files, executors, fill, ownership, parquet, store, summary, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
 from pcbench.planning import padding
@@ -196,7 +196,7 @@ def _others(place: store.Target, claimed: Claim) -> Iterator[str]:
         yield f"{ownership.TEXT}: is not of the study that was run; run that again to have it written anew."
     for name in [n for n in store.names(place) if n.startswith("examples/") or n == FAIR]:
         content = store.get(place, name)
-        if content is None or store.whole(content) is None:
+        if content is None or parquet.whole(content) is None:
             yield f"{name}: is not as it was written; remove it to have it made anew."
 
 
@@ -208,6 +208,6 @@ def _closing_differs(place: store.Target, claimed: Claim, kept: list[Block]) -> 
     out = []
     for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
         there = summary.table(place, name)
-        if there is None or not there.equals(store.parsed(made)):
+        if there is None or not there.equals(parquet.parsed(made)):
             out.append(f"{name}: does not follow from the blocks; run the study again to have it made anew.")
     return out

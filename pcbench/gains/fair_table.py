@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pcbench.dataset import run_study, store
+from pcbench.dataset import parquet, run_study, store
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import How
 from pcbench.dataset.verify import FAIR
@@ -34,7 +34,7 @@ def report(made: Prepared, result: Result, out: str | Path | None, how: How) -> 
     result.fair = table(made.versions, made.aim, training.stats, result.stats)
     if out is not None:
         found = pa.Table.from_pandas(result.fair, preserve_index=False)
-        store.put_table(store.target(str(out)), FAIR, store.sealed(found))
+        store.put_table(store.target(str(out)), FAIR, parquet.sealed(found))
     return result
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import tomli_w
 
-from pcbench.dataset import store
+from pcbench.dataset import parquet, store
 from pcbench.errors import UserError
 from pcbench.gains.parameters import Vector
 
@@ -104,7 +104,7 @@ def _read(place: store.Target, about: str) -> list[Point]:
             )
         return []
     try:
-        table = store.parsed(content)
+        table = parquet.parsed(content)
         said = (table.schema.metadata or {}).get(ABOUT, b"").decode()
         free, slopes = ([c for c in table.column_names if c.startswith(k)] for k in ("free.", "slope."))
         rows = table.to_pylist()

@@ -5,24 +5,19 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from pcbench import planning
 from pcbench.dataset import store
 from pcbench.errors import UserError
-from pcbench.gains import gradient, history, minimise, parameters
+from pcbench.gains import gradient, history, minimise, parameters, ways
 from pcbench.gains.held_out import against, judge
 from pcbench.gains.history import History, Judged, Point
 from pcbench.gains.objective import Goal, goal
 from pcbench.gains.parameters import Vector
 from pcbench.machine import process
 from pcbench.observers import entry_of
-from pcbench.planning import in_memory
-from pcbench.planning.padding import Planned
-from pcbench.simulation import batch
-from pcbench.simulation.schedule.shared import Schedule
 from pcbench.study import Study, given, options_of, read
 from pcbench.study.cells import Cell, digest
 from pcbench.synthesis.certificate import Design, Setting
@@ -30,10 +25,8 @@ from pcbench.synthesis.certificate import Design, Setting
 BUDGET = 60
 TRAINING = (3_000_000_000, 256)  # first seed and how many: no study of the usual seeds meets them
 JUDGES = (3_500_000_000, 1024)
-METHODS = ("descent", "search")
 BACK = 0.999  # part of a decay that a gain found for it is proven to have when it is one among others
 Tell = Callable[[str, float], None]
-Evaluate = Callable[[Vector], tuple[float, Vector]]
 
 
 class NoStart(UserError):
@@ -96,9 +89,9 @@ def tune(
             return entry_of(observer).design(known, parameters.put(options, every, at)).gains
 
         (p,) = planning.plan(study)
-        _estimates(p, aim, where)
-        how = _method(method, aim, p, where)
-        evaluate = _evaluate(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
+        ways.check_estimates(p, aim, where)
+        how = ways.method_for(method, aim, p, where)
+        evaluate = ways.evaluated(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
         trials = History(place, about, parameters.entries(every), tell)
         tell("begin", float(budget))
         _descend(how, trials, start, evaluate, budget, where)
@@ -154,7 +147,7 @@ def freed(
     return parameters.start(observer, options, designed.certificate.numbers, used, where)
 
 
-def _descend(how: str, trials: History, start: Vector, evaluate: Evaluate, budget: int, where: str) -> None:
+def _descend(how: str, trials: History, start: Vector, evaluate: ways.Evaluate, budget: int, where: str) -> None:
     def ask(at: Vector) -> tuple[float, Vector]:
         first = not trials.points
         value, slope = trials.ask(at, evaluate)
@@ -186,62 +179,8 @@ def _check(budget: int, training: tuple[int, int], judges: tuple[int, int], wher
         )
 
 
-def _estimates(p: Planned, aim: Goal, where: str) -> None:
-    """Raise UserError where the observer does not estimate the goal's signal."""
-    ((label, observer),) = p.layout.observers
-    found = jax.eval_shape(
-        lambda g, x: observer.estimate(g, observer.init(g, x)), p.problem.gains[label], p.problem.xhat0
-    )
-    if aim.signal >= found.shape[0]:
-        raise UserError(
-            f"{where}: --signal: got {aim.name}, which {p.labels[0]} does not estimate, expected one that it does; name "
-            "another."
-        )
-
-
 def _shown(seeds: tuple[int, int]) -> str:
     return f"{seeds[0]}:{sum(seeds)}"
-
-
-def _method(asked: str | None, aim: Goal, p: Planned, where: str) -> str:
-    """Return descent where there is a gradient, or else search; raise UserError where descent is asked for in vain."""
-    if asked not in (None, *METHODS):
-        raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
-    against = {
-        f"{aim.metric} has no gradient": not aim.smooth,
-        "its steps cannot be differentiated": not entry_of(p.labels[0]).smooth,
-        "each run has a schedule of its own": not isinstance(p.problem.schedule, Schedule),
-        "a closed loop is not differentiated": p.layout.controller is not None,
-    }
-    reasons = [reason for reason, holds in against.items() if holds]
-    if asked == "descent" and reasons:
-        raise UserError(f"{where}: --method: got descent, but {reasons[0]}; expected search; leave it out.")
-    return asked or ("search" if reasons else "descent")
-
-
-def _evaluate(how: str, p: Planned, aim: Goal, root_seed: int, seeds: Any, design: Callable[[Vector], Any]) -> Evaluate:
-    """What evaluates a point: infinite where its gains are refused or a run diverges."""
-    (label, _), *_ = p.layout.observers
-    back = gradient.backwards(p, aim, root_seed, seeds)
-
-    def with_slope(at: Vector) -> tuple[float, Vector]:
-        mean, slopes, lost = back(design(at))
-        if lost:
-            return float("inf"), np.full(len(at), np.nan)
-        return aim.of(mean), aim.slope(mean) * gradient.chain(slopes, design, at)
-
-    def alone(at: Vector) -> tuple[float, Vector]:
-        here = p._replace(problem=p.problem._replace(gains={label: design(at)}))
-        (left,) = in_memory.results(here, batch.run(p.layout, list(in_memory.jobs(here, root_seed, seeds)))).values()
-        return aim.over(left[aim.base][aim.signal], left["diverged"]), np.zeros(0)
-
-    def at(point: Vector) -> tuple[float, Vector]:
-        try:
-            return with_slope(point) if how == "descent" else alone(point)
-        except (UserError, ValidationError):  # its design refuses, or it is no option
-            return float("inf"), np.full(len(point), np.nan)
-
-    return at
 
 
 def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:

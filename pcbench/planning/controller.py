@@ -10,7 +10,7 @@ from pcbench.plants import PLANTS, numbers_of
 from pcbench.protocols import Controller
 from pcbench.simulation import actuator
 from pcbench.simulation.schedule import shared
-from pcbench.study import axes
+from pcbench.study import times
 from pcbench.study.cells import Cell
 
 
@@ -39,9 +39,9 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     Observers ask for inputs since the sample before those that may still be overtaken; the controller looks ahead until its
     command acts.
     """
-    s, delay = cell.scenario, axes.actuator_delay(cell.scenario)
+    s, delay = cell.scenario, times.actuator_delay(cell.scenario)
     believed_older = max(round(s.assumed_delay_error / s.dt), 0)
-    oldest = shared.oldest(shared.samples(axes.clocks(s), ticks), overtaking) + believed_older
+    oldest = shared.oldest(shared.samples(times.clocks(s), ticks), overtaking) + believed_older
     longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
     return Reach(actuator.rows_needed(delay, s.dt, ticks, oldest + 1), round(longest / s.dt) + 2)
 
@@ -49,7 +49,7 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
 def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:
     """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end."""
     s, plant = cell.scenario, PLANTS[cell.scenario.plant]
-    delay, params = axes.actuator_delay(s), plant.prepare(numbers_of(s), s.dt, ticks)
+    delay, params = times.actuator_delay(s), plant.prepare(numbers_of(s), s.dt, ticks)
     model, inverse = Partial(plant.model, params), Partial(plant.inverse, params)
     law = CONTROLLERS[s.controller].prepare(options(cell), delay, s.dt, reach.back, ticks, model, inverse)
     return law, actuator.line(delay, s.dt, reach.back, ticks + reach.ahead)

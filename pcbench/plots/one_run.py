@@ -13,7 +13,7 @@ import pandas as pd
 import pyarrow as pa
 
 from pcbench import api
-from pcbench.dataset import store
+from pcbench.dataset import parquet, store
 from pcbench.machine import provenance
 from pcbench.planning import setting
 from pcbench.plants import signals_of
@@ -36,14 +36,14 @@ def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
     name = f"examples/{scenario.replace('/', '%2F')}.parquet"
     key = _key(study, scenario)
     found = None if place is None else store.get(place, name)
-    kept = None if found is None else store.whole(found)
+    kept = None if found is None else parquet.whole(found)
     if kept is not None and kept.schema.metadata.get(KEY) == key:
         return kept.to_pandas()
     made = _made(study, scenario)
     if place is not None:
         table = pa.Table.from_pandas(made, preserve_index=False)
         about = {**(table.schema.metadata or {}), KEY: key}
-        store.put_table(place, name, store.sealed(table.replace_schema_metadata(about)))
+        store.put_table(place, name, parquet.sealed(table.replace_schema_metadata(about)))
     return made
 
 

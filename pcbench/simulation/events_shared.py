@@ -1,6 +1,6 @@
 """Events on one schedule for all runs: at a tick every lane senses, or jumps, together.
 
-Whole-number data (`schedule.shared.Schedule`) say where the events are; they are traced, so one compiled program serves every period
+Whole-number data (a `Schedule`) say where the events are; they are traced, so one compiled program serves every period
 and delay. Packets in flight are kept in rings by packet number.
 """
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 
 from pcbench.errors import UserError
 from pcbench.scenarios import Scenario
-from pcbench.study import Choices, Study, choices_of, limits, observers_of, options_of, scenarios_of
+from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
 from pcbench.study.axes import AXES
 
@@ -49,7 +49,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
                 )
             changed = changed._replace(unknown_input=choices.unknown_input)
         _of_the_loop(changed, choices, where)
-        axis.fits(changed, where if where == scenario else f"{where}: {scenario}")
+        fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
         values = {name: axis.plain(name, getattr(changed, name), name in apart) for name in AXES}
         own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}

@@ -5,8 +5,8 @@ most OVERTAKING newer ones arrive before one. A study has at most CELLS cells in
 """
 
 from pcbench.errors import UserError
-from pcbench.simulation.schedule import per_lane, shared
-from pcbench.simulation.schedule.shared import Clock
+from pcbench.simulation.schedule import per_lane, sampling
+from pcbench.simulation.schedule.sampling import Clock
 
 TICKS = 1_000_000
 SAMPLES = 100_000
@@ -35,13 +35,13 @@ def ticks_of(horizon: float, tick: float, where: str) -> int:
 def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) -> None:
     """Raise UserError where samples are too many for a run, on their way at a time, or out of order; `dt` [s] is the tick."""
     for clock in clocks:
-        least = shared.intervals(clock, ticks)[0]
+        least = sampling.intervals(clock, ticks)[0]
         if ticks // least > SAMPLES:
             raise UserError(
                 f"{where}: got a sample every {least * dt:g} s over {ticks * dt:g} s, expected at most {SAMPLES:,} samples of "
                 f"a channel; write a sampling_period of at least {-(-ticks // SAMPLES) * dt:g}."
             )
-        longest = shared.ages(clock, ticks)[1]
+        longest = sampling.ages(clock, ticks)[1]
         if longest // least > IN_FLIGHT:
             raise UserError(
                 f"{where}: got samples up to {longest * dt:g} s late and only {least * dt:g} s apart, expected at most "

@@ -20,6 +20,7 @@ from pcbench.study import (
     Choices,
     Study,
     checked_options,
+    fits,
     labels_of,
     observers_of,
     options_of,
@@ -82,7 +83,7 @@ def parse(raw: dict[str, Any], where: str) -> Study:
         for observer in observers_of(study, name):
             options_of(study, known[name], observer)
             for cell in every:
-                axis.works_on(observer, cell.scenario, where)
+                fits.works_on(observer, cell.scenario, where)
     return study
 
 

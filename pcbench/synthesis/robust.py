@@ -7,7 +7,8 @@
 with G_i G_i' = Q_i the process noise over an interval, V V' = R that of a sample, W e what counts of the error. h2 bounds the
 covariance of W e by Z, hinf its energy by g times that of the (normalised) noise. Each may be joined with decay; one P for
 all is sufficient, not necessary. Where the plant integrates, a constant sensor error comes out in the estimate as it is,
-whatever the gain: no energy gain is less. Solved at the scale of the noise, re-checked by `error_bounds` in the plant's own units.
+whatever the gain: no energy gain is less. Solved at the scale of the noise, re-checked by `error_bounds` in the
+plant's own units.
 Source: standard (Boyd et al., Linear Matrix Inequalities in System and Control Theory, 1994; de Oliveira et al., 1999), in
 the form that Y = P L makes affine.
 """

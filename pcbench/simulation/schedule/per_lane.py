@@ -14,8 +14,9 @@ from jax import Array, lax
 
 from pcbench.protocols import Leaf
 from pcbench.simulation import draws
-from pcbench.simulation.schedule import shared
-from pcbench.simulation.schedule.shared import NEVER, Clock, Sample
+from pcbench.simulation.schedule import sampling
+from pcbench.simulation.schedule.sampling import Clock
+from pcbench.simulation.schedule.shared import NEVER, Sample
 
 
 class Times(NamedTuple):
@@ -47,9 +48,9 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
     """Return the numbers of clocks over a horizon."""
     count = max(_most(clock, ticks) for clock in clocks) + 1
     due = np.full((len(clocks), count), NEVER)
-    limits = [shared.uniform_range(c.period) if c.profile == "uniform" else (0, 0) for c in clocks]
+    limits = [sampling.uniform_range(c.period) if c.profile == "uniform" else (0, 0) for c in clocks]
     for row, clock in zip(due, clocks, strict=True):
-        instants = shared.instants(clock, ticks + clock.jitter)
+        instants = sampling.instants(clock, ticks + clock.jitter)
         row[: len(instants)] = instants
     clock_of = [next(i for i, c in enumerate(clocks) if j in c.channels) for j in range(channels)]
     return Times(
@@ -69,8 +70,8 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
 def _most(clock: Clock, ticks: int) -> int:
     """The most samples a clock can take at ticks 0 .. `ticks`."""
     if clock.profile == "uniform":
-        return (ticks + clock.jitter) // shared.uniform_range(clock.period)[0] + 1
-    return len(shared.instants(clock, ticks + clock.jitter)) - 1
+        return (ticks + clock.jitter) // sampling.uniform_range(clock.period)[0] + 1
+    return len(sampling.instants(clock, ticks + clock.jitter)) - 1
 
 
 def padded(t: Times, samples: int) -> Times:
@@ -130,18 +131,18 @@ def realised(clocks: list[Clock], ticks: int, channels: int, root_seed: int, see
 
 def room(clocks: list[Clock], ticks: int, error: int) -> int:
     """Return how many packets the network must be able to hold, whatever the draws."""
-    longest = max(shared.ages(c, ticks)[1] for c in clocks) + abs(error)
-    return sum(longest // shared.intervals(c, ticks)[0] + 1 for c in clocks)
+    longest = max(sampling.ages(c, ticks)[1] for c in clocks) + abs(error)
+    return sum(longest // sampling.intervals(c, ticks)[0] + 1 for c in clocks)
 
 
 def overtaking(clocks: list[Clock], ticks: int) -> int:
     """Return how many newer samples may arrive before one, whatever the draws."""
-    least = [shared.intervals(c, ticks)[0] for c in clocks]
+    least = [sampling.intervals(c, ticks)[0] for c in clocks]
 
     def ahead(own: int, other: int) -> int:
         if own == other:  # ages that differ by the spread at most
             return max(clocks[own].spread - 1, 0) // least[own]
-        span = shared.ages(clocks[own], ticks)[1] - shared.ages(clocks[other], ticks)[0] - 1
+        span = sampling.ages(clocks[own], ticks)[1] - sampling.ages(clocks[other], ticks)[0] - 1
         return span // least[other] + 1 if span >= 1 else 0
 
     many = range(len(clocks))

@@ -11,6 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.simulation.schedule.sampling import Clock, age, instants
+
 Ints = NDArray[np.int32]
 Bools = NDArray[np.bool_]
 NEVER = 2**30  # the arrival of a lost sample
@@ -41,83 +43,6 @@ class Sample(NamedTuple):
     number: int  # which sample of its channel, from 0
     taken: int  # tick
     arrives: int  # tick, not before `taken`; NEVER where it is lost
-
-
-class Clock(NamedTuple):
-    """One sensor: channels that are sampled, delayed and lost together. Times in ticks."""
-
-    channels: tuple[int, ...]
-    period: int  # the mean where intervals vary
-    delay: int | None  # None: one interval, a sample arrives when the next is taken
-    profile: str | tuple[int, ...] = "periodic"  # of the intervals: a name in PROFILES, or intervals in turn
-    jitter: int = 0  # a sample (but the first) is taken up to this much early or late
-    spread: int = 0  # jitter of the delay: a sample arrives up to this much later
-    loss: float = 0.0  # probability that a sample never arrives
-    early: bool = False  # measuring began before tick 0: `period` is between arrivals, the first of them at tick 0
-    swing: tuple[float, float] = (0.0, 0.0)  # (a [ticks], w [rad a tick]) of an age delay + a sin(w k), at arrival k
-
-    @property
-    def random(self) -> bool:
-        """Whether every run has times of its own."""
-        return self.profile == "uniform" or self.jitter > 0 or self.spread > 0 or self.loss > 0
-
-
-PROFILES = {
-    "periodic": "every interval the period",
-    "sine": "T_i = period (1 + 0.5 sin(0.6 i)), i = 1, 2, ...: the profile of Li, Wang, Tian as decided",
-    "uniform": "every interval uniform over 0.5 to 1.5 periods, for each seed",
-}
-
-
-def interval(clock: Clock, i: int) -> int:
-    """Return the interval between samples i-1 and i of a clock whose intervals are not random."""
-    if isinstance(clock.profile, tuple):
-        return clock.profile[(i - 1) % len(clock.profile)]
-    return max(1, round(clock.period * (1 + 0.5 * np.sin(0.6 * i)))) if clock.profile == "sine" else clock.period
-
-
-def uniform_range(period: int) -> tuple[int, int]:
-    """Return the least and the largest interval of the profile `uniform`."""
-    low = max(1, -(-period // 2))
-    return low, max(low, 3 * period // 2)
-
-
-def instants(clock: Clock, ticks: int) -> list[int]:
-    """Return when samples are due, from tick 0 to the first beyond `ticks`; the mean where they are random."""
-    out = [0]
-    while out[-1] <= ticks:
-        out.append(out[-1] + (clock.period if clock.profile == "uniform" else interval(clock, len(out))))
-    return out
-
-
-def intervals(clock: Clock, ticks: int) -> list[int]:
-    """Return every interval between successive samples that can occur, lost ones counted as taken."""
-    if clock.profile == "uniform":
-        low, high = uniform_range(clock.period)
-        due = list(range(low, high + 1))
-    elif clock.profile == "periodic":
-        due = [clock.period]
-    else:
-        due = sorted(
-            set(np.diff(instants(clock, ticks + clock.jitter)).tolist())
-        )  # jitter may bring one in from beyond
-    j = 2 * clock.jitter
-    return list(range(max(due[0] - j, 1), due[-1] + j + 1)) if j else due
-
-
-def age(clock: Clock, arrives: int) -> int:
-    """Return the age, in whole ticks, of the sample that arrives at a tick, of a clock with a delay of the time."""
-    swing, pace = clock.swing
-    return round((clock.delay or 0) + swing * np.sin(pace * arrives))
-
-
-def ages(clock: Clock, ticks: int) -> tuple[int, int]:
-    """Return the least and the largest age of a sample when it arrives."""
-    if any(clock.swing):
-        found = sorted(age(clock, arrives) for arrives in instants(clock, ticks)[:-1])
-    else:
-        found = intervals(clock, ticks) if clock.delay is None else [clock.delay]
-    return found[0], found[-1] + clock.spread
 
 
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:

@@ -1,0 +1,32 @@
+"""The least error that any causal estimator can have in a cell."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.dynamics import linear
+from pcbench.planning.padding import tail_tick
+from pcbench.planning.setting import is_random
+from pcbench.plants import nonlinear
+from pcbench.simulation.schedule import shared
+from pcbench.study import times
+from pcbench.study.cells import Cell
+from pcbench.synthesis import riccati
+from pcbench.synthesis.certificate import Setting
+
+
+def bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
+    """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
+    s = cell.scenario
+    wrong = nonlinear(s.plant) or s.drift or cell.parameters or s.unknown_input
+    exact = not wrong and all(s.noise_std)  # no bound without noise
+    clocks = times.clocks(cell.scenario)
+    if not exact or is_random(clocks):
+        return None
+    doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
+    samples = [(s.arrives, s.taken, s.channel) for s in shared.samples(clocks, known.ticks)]
+    added = known._replace(process_std=s.process_std).process_noise  # what is, not what designers assume
+    noise = linear.noise_doublings(known.model, added, known.dt, len(doubled))
+    variance = riccati.posterior_variance(
+        doubled, noise, known.model.C, known.noise_variance, known.P0, samples, known.ticks
+    )
+    return np.sqrt(variance[tail_tick(cell) :].mean(0))

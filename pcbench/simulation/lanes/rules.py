@@ -1,0 +1,117 @@
+"""Single primitives over lanes: elementwise, structural, folds, products, rows of a table."""
+
+from functools import reduce
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pcbench.simulation.lanes import (
+    Lanes,
+    is_lanes,
+    lanes_of,
+    primitives,
+)
+
+FOLDS = dict(
+    zip(
+        primitives.FOLDS,
+        (jnp.add, jnp.maximum, jnp.minimum, jnp.multiply, jnp.logical_and, jnp.logical_or),
+        strict=True,
+    )
+)
+WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
+
+
+def entries_of(x: Any, shape: tuple[int, ...]) -> np.ndarray:
+    """The entries of an operand, an ordinary array's taken out one by one, broadcast to `shape`."""
+    if not is_lanes(x):
+        flat = jax.lax.reshape(jnp.asarray(x), (np.size(x),))
+        x = lanes_of(np.shape(x), [jax.lax.index_in_dim(flat, i, keepdims=False) for i in range(np.size(x))])
+    return np.broadcast_to(x.parts, shape)
+
+
+def elementwise(eqn: Any, args: list[Any]) -> Lanes:
+    """Apply a primitive to each number."""
+    shape = eqn.outvars[0].aval.shape
+    parts = [entries_of(a, shape) for a in args]
+    out = np.empty(shape, object)
+    for i in np.ndindex(shape):
+        entries = [p[i] for p in parts]
+        width = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
+        keep = eqn.primitive.name == "select_n" and not jnp.ndim(entries[0])  # a shared choice stays one scalar
+        first = entries[:1] if keep else []
+        out[i] = eqn.primitive.bind(*first, *(jnp.broadcast_to(e, width) for e in entries[len(first) :]), **eqn.params)
+    return Lanes(out)
+
+
+def structural(eqn: Any, args: list[Any]) -> Any:
+    """Apply a primitive that moves numbers about, to their places."""
+    shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
+    entries = [e for a, s in zip(args, shapes, strict=True) for e in entries_of(a, s).flat]
+    offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
+    with jax.ensure_compile_time_eval():  # where each entry goes: the primitive applied to the entries' numbers
+        numbers = [
+            jnp.asarray(o + np.arange(int(np.prod(s))).reshape(s)) for o, s in zip(offsets, shapes, strict=False)
+        ]
+        places = np.asarray(eqn.primitive.bind(*numbers, **eqn.params))
+    if not places.size:  # nothing is left that could differ
+        return jnp.zeros(places.shape, eqn.outvars[0].aval.dtype)
+    width = next(jnp.shape(e) for e in entries if jnp.ndim(e))
+    return lanes_of(places.shape, [jnp.broadcast_to(entries[p], width) for p in places.flat])
+
+
+def fold(eqn: Any, args: list[Any]) -> Lanes:
+    """Fold numbers over axes."""
+    parts, axes = args[0].parts, primitives.fold_axes(eqn.params)
+    rest = tuple(i for i in range(parts.ndim) if i not in axes)
+    flat = parts.transpose(*rest, *axes).reshape(*(parts.shape[i] for i in rest), -1)
+    shape = flat.shape[:-1]
+    return lanes_of(shape, [reduce(FOLDS[eqn.primitive.name], flat[i]) for i in np.ndindex(shape)])
+
+
+def products(eqn: Any) -> int:
+    """Return how many products a dot_general takes."""
+    (contract, _), _ = primitives.products_of(eqn.params)
+    return int(np.prod(eqn.outvars[0].aval.shape) * np.prod([eqn.invars[0].aval.shape[i] for i in contract]))
+
+
+def dot(eqn: Any, args: list[Any]) -> Lanes:
+    """Write a product of matrices out."""
+    (ca, cb), (ba, bb) = primitives.products_of(eqn.params)
+    shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
+    out = eqn.outvars[0].aval.shape
+    inner = int(np.prod([shapes[0][i] for i in ca]))
+    lhs, rhs = (entries_of(a, s) for a, s in zip(args, shapes, strict=True))
+
+    def arranged(p: np.ndarray, batch: Any, contract: Any) -> np.ndarray:  # -> [batch, free, contract], flattened
+        free = [i for i in range(p.ndim) if i not in (*batch, *contract)]
+        sizes = [int(np.prod([p.shape[i] for i in axes])) for axes in (batch, free, contract)]
+        return p.transpose(*batch, *free, *contract).reshape(sizes)
+
+    a, b = arranged(lhs, ba, ca), arranged(rhs, bb, cb)
+    sums = [
+        reduce(jnp.add, (a[k, i, c] * b[k, j, c] for c in range(inner)))
+        for k in range(a.shape[0])
+        for i in range(a.shape[1])
+        for j in range(b.shape[1])
+    ]
+    return lanes_of(out, sums)
+
+
+def rows_of_table(eqn: Any, args: list[Any]) -> Lanes:
+    """A gather of whole rows from a table that all lanes share, each lane's own rows, in one gather."""
+    table, own = jnp.asarray(args[0]), args[1].parts[..., 0]
+    columns = table.reshape(table.shape[0], -1).T
+    each = columns.at[:, jnp.stack(list(own.flat))]
+    found = each.get(mode="clip", wrap_negative_indices=False)  # [entries, rows, L]; -1 is no last row
+    shape = eqn.outvars[0].aval.shape
+    return lanes_of(shape, [found[e, r] for r in range(own.size) for e in range(columns.shape[0])])
+
+
+def takes_rows(eqn: Any, args: list[Any]) -> bool:
+    """Return whether a gather takes whole rows of one table."""
+    if is_lanes(args[0]) or not is_lanes(args[1]):
+        return False
+    return primitives.takes_rows(eqn.params, eqn.invars[0].aval.shape, len(args[1].shape))

@@ -1,0 +1,23 @@
+"""What a study names: its scenarios, its observers, and the labels under which they have options."""
+
+from pcbench.observers import OBSERVERS, base_of
+from pcbench.scenarios import SCENARIOS, Scenario
+from pcbench.study.schema import Study
+
+OWN = "lti"  # the scenario of a study's own plant
+
+
+def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
+    """Return every scenario a study may name: the published ones, and `lti` where it brings a plant of its own."""
+    return SCENARIOS if study.lti is None else SCENARIOS | {OWN: study.lti.scenario(OWN, f"{where or study.name}: lti")}
+
+
+def labels_of(study: Study) -> list[str]:
+    """Return what names an observer: its own name, or name-anything with options (study's or scenario's) under it."""
+    given = [key for s in scenarios_of(study).values() if s.name in study.scenarios for key in s.options]
+    return list(dict.fromkeys([*OBSERVERS, *(key for key in [*given, *study.options] if base_of(key) is not None)]))
+
+
+def observers_of(study: Study, scenario: str) -> list[str]:
+    """Return the observers that run in a scenario: the study's, or else the scenario's own."""
+    return list(study.observers or scenarios_of(study)[scenario].observers)

@@ -1,0 +1,87 @@
+"""The options of observers, and the choices of scenarios: given, checked, complete."""
+
+from typing import Any
+
+from pydantic import BaseModel, ValidationError
+
+from pcbench.errors import UserError, shown, unknown
+from pcbench.observers import OBSERVERS, base_of, entry_of
+from pcbench.scenarios import Scenario
+from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
+from pcbench.study import axes
+from pcbench.study.schema import Choices, Study
+from pcbench.study.sentences import sentence
+
+LEAST = 1e-30  # a number of an option is 0 or no smaller: the square of the least noise is larger
+
+
+def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
+    """Return an observer's options, checked and complete: see `given`."""
+    return checked_options(observer, given(study, scenario, observer), f"{study.name}: options.{observer}")
+
+
+def given(study: Study, scenario: Scenario, observer: str) -> dict[str, Any]:
+    """Return the options that are given: the scenario's, with the study's put over them, the label's own over its name's."""
+    out: dict[str, Any] = {}
+    for label in dict.fromkeys([base_of(observer) or observer, observer]):
+        out |= dashes(dict(scenario.options.get(label, {}))) | dashes(study.options.get(label, {}))
+    return out
+
+
+def choices_of(study: Study) -> Choices:
+    """Return the study's `[options.scenario]`."""
+    return Choices.model_validate(dashes(study.options.get("scenario", {})))
+
+
+def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
+    """Return the options that a table holds for an observer's label, or for 'scenario'."""
+    if name != "scenario" and base_of(name) is None:
+        raise unknown(where, "observer with options (or 'scenario')", name, [*OBSERVERS, "scenario"])
+    model = Choices if name == "scenario" else entry_of(name).options
+    for key in dashes(given):
+        if key not in model.model_fields:
+            raise unknown(where, "key here", key, model.model_fields)
+    underscored(given, where)
+    for key, value in given.items():
+        _of_sensible_size(value, f"{where}.{key}")
+    try:
+        options = model.model_validate(dashes(given))
+    except ValidationError as error:
+        raise sentence(where, error, model) from None
+    if isinstance(options, Choices):
+        for key, signal, valid in (("input", options.input, SIGNALS), ("unknown_input", options.unknown_input, SINGLE)):
+            if signal is not None and signal not in valid:
+                raise unknown(f"{where}.{key}", "input", signal, valid)
+        if options.path is not None and options.path not in PATHS:
+            raise unknown(f"{where}.path", "path", options.path, PATHS)
+        if options.random_start and options.start_spread:
+            raise UserError(f"{where}: got random_start and start_spread, expected one of them; leave the other out.")
+    return options
+
+
+def dashes(given: dict[str, Any]) -> dict[str, Any]:
+    """Return a table with keys as Python names them."""
+    return {key.replace("-", "_"): value for key, value in given.items()}
+
+
+def underscored(given: dict[str, Any], where: str, but: str = "\n") -> dict[str, Any]:
+    """Return a table with keys as Python names them, but for those that begin so; raise UserError for one given twice."""
+    out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in given.items()}
+    if len(out) < len(given):
+        twice = next(key for key in given if "-" in key and key.replace("-", "_") in given)
+        raise UserError(f"{where}: got {twice} twice, with - and with _, expected it once; remove one.")
+    return out
+
+
+def _of_sensible_size(value: Any, where: str) -> None:
+    """Raise UserError where a number, or one in a list, is so large or so small that its square is of no use."""
+    inside = value.values() if isinstance(value, dict) else value if isinstance(value, list) else []
+    for each in inside:
+        _of_sensible_size(each, where)
+    if not isinstance(value, int | float) or value != value:
+        return
+    if LEAST <= abs(value) <= axes.LARGEST or value == 0:
+        return
+    raise UserError(
+        f"{where}: got {shown(value)}, expected 0 or a number of {LEAST:g} to {axes.LARGEST:g} in size; write SI units."
+    )

@@ -1,0 +1,84 @@
+"""What a study file may say: scenarios x observers x axes x seeds, choices, and what to tune for."""
+
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from pcbench.scenarios.signals import PATHS
+from pcbench.study.lti import Lti
+
+Values = list[Any]
+TUNINGS = ("paper", "design", "tuned")  # gains as printed (a scenario's), by design for what is known, by tuning
+
+
+class Choices(BaseModel):
+    """`[options.scenario]`: choices left open by a scenario's source, for all scenarios of a study."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+    random_start: bool = Field(
+        False,
+        description="draw x(0) from N(xhat(0), P0) for each seed, or xhat(0) in a box about x(0) where there is one",
+    )
+    start_spread: float = Field(0.0, ge=0, description="draw x(0) about x0 for each seed, by this part of its size")
+    input: str | None = Field(None, description="name of the input signal")
+    unknown_input: str | None = Field(None, description="name of the signal that pushes a plant with an unknown input")
+    feedforward: bool | None = Field(None, description="a controller knows the input that its path needs")
+    predictor: bool | None = Field(
+        None, description="a controller acts on the state predicted to its command's arrival"
+    )
+    path: str | None = Field(None, description="what a controller follows: " + ", ".join(PATHS))
+    drift_sign: Literal[-1, 1] = Field(1, description="the operator lost in print, in the cart's drift")
+    precision: str = Field("float64", description="float64: no other is offered")
+
+    def loop(self) -> dict[str, Any]:
+        """Return what is chosen of a closed loop, None where it is the scenario's."""
+        return {"feedforward": self.feedforward, "predictor": self.predictor, "path": self.path}
+
+    @field_validator("precision")
+    @classmethod
+    def _enough(cls, precision: str) -> str:
+        if precision != "float64":
+            raise ValueError("float64: float32 rounds at 1e-7 of a signal, which is the size of errors compared here")
+        return precision
+
+
+class Tune(BaseModel):
+    """`[tune]`: what gains are tuned for, and the effort, the same for every observer of a study."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+    objective: str = Field("rmse", description="metric of the tables to make small")
+    signal: str | None = Field(None, description="of which signal; default: the first that a closing table shows")
+    budget: int = Field(60, ge=1, le=100_000, description="times that all training runs are simulated")
+    training: int = Field(256, ge=2, le=100_000, description="training runs; their seeds are far from a study's")
+
+
+class Study(BaseModel):
+    """A study as it stands in a TOML file; seconds and SI units."""
+
+    model_config = ConfigDict(extra="forbid")
+    name: str = Field(pattern=r"^\w[\w./+-]*$", max_length=100)
+    scenarios: list[str] = Field(min_length=1)
+    observers: list[str] | None = None
+    seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
+    first_seed: int = Field(0, ge=0, le=4_000_000_000, strict=True)
+    root_seed: int = Field(0, ge=0, lt=2**32, strict=True)
+    axes: dict[str, Values] = {}
+    options: dict[str, dict[str, Any]] = {}
+    lti: Lti | None = None
+    tuning: str | list[str] = Field("paper", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them")
+    tune: Tune = Tune()
+
+    @field_validator("tuning", mode="before")
+    @classmethod
+    def _known(cls, given: Any) -> Any:
+        asked = [given] if isinstance(given, str) else given
+        if not isinstance(asked, list) or not asked or any(each not in TUNINGS for each in asked):
+            raise ValueError(f"{', '.join(map(repr, TUNINGS))}, or a list of them")
+        if len(set(asked)) < len(asked):
+            raise ValueError("each of them once")
+        return given
+
+    @property
+    def tunings(self) -> list[str]:
+        """Return whose gains are asked for, as a list."""
+        return [self.tuning] if isinstance(self.tuning, str) else list(self.tuning)

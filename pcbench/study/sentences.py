@@ -1,0 +1,47 @@
+"""What pydantic found wrong, as pcbench says it: where, what was found, what was expected, what to write instead."""
+
+from pydantic import BaseModel, ValidationError
+
+from pcbench.errors import UserError, short, shown, unknown
+from pcbench.study.lti import Lti
+
+KINDS = ("float", "str")  # how pydantic's names end for a value that may be of several kinds
+
+
+def sentence(where: str, error: ValidationError, model: type[BaseModel]) -> UserError:
+    """The first of pydantic's findings as a sentence; of a value that may be of several kinds, the one that comes nearest."""
+    findings = sorted(
+        error.errors(), key=lambda each: each["type"] != "extra_forbidden"
+    )  # a name that is none explains others
+    loc, kind = findings[0]["loc"], findings[0]["type"]
+    place = _place(loc)
+    if kind == "extra_forbidden":
+        inside = ".".join(str(part) for part in loc[:-1])
+        names = (Lti if inside == "lti" else model).model_fields
+        return unknown(f"{where}: {inside}" if inside else where, "key here", str(loc[-1]), names)
+    if kind == "missing":
+        return UserError(f"{where}: {place} is missing; write {loc[-1]} = ...")
+    same = [each for each in findings if each["loc"][:1] == loc[:1] and _place(each["loc"]).startswith(place)]
+    deepest = max(len(_place(each["loc"])) for each in same)
+    near = [each for each in same if len(_place(each["loc"])) == deepest]
+    expected = " or ".join(dict.fromkeys(_expected(each["msg"]) for each in near))
+    place = _place(near[0]["loc"])
+    return UserError(f"{where}: {place + ': ' if place else ''}got {shown(near[0]['input'])}, expected {expected}.")
+
+
+def _place(loc: tuple[int | str, ...]) -> str:
+    """Where pydantic found something, as TOML writes it; without its names for the kinds that a value may be of."""
+    parts = [part for i, part in enumerate(loc) if not i or not _is_kind(str(part))]
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{short(part)}" for part in parts).removeprefix(".")
+
+
+def _is_kind(part: str) -> bool:
+    return part.rstrip("]").endswith(KINDS) or part.startswith("literal[")
+
+
+def _expected(message: str) -> str:
+    """Pydantic's message as what was expected."""
+    text = message.removeprefix("Value error, ").removeprefix("Input should be ")
+    text = text.replace("dictionary", "table").replace("table or instance of Lti", "table")
+    text = text.replace("String should", "a string that should").replace("List should", "a list that should")
+    return (text[0].lower() + text[1:]).rstrip(".")
