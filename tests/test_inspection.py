@@ -43,12 +43,14 @@ def test_verify_finds_a_number_that_was_changed_and_nothing_else(copy):
 
 
 def test_commands_on_a_dataset_answer(copy, tmp_path):
-    assert "Every run is there" in call("status", str(copy)).stdout
-    done = call("verify", str(copy), "--sample", "1")
-    assert "all 12 blocks are whole; 1 of 1 came out again" in done.stdout, done.stderr
-    assert "none was computed again" in call("verify", str(copy), "--sample", "0").stdout
-    done = call("merge", str(copy), str(copy), "--out", str(tmp_path / "m"))
-    assert "160 runs stood in more than one" in done.stdout, done.stderr
+    for words, said in (
+        (["status", copy], "Every run is there"),
+        (["verify", copy, "--sample", "1"], "all 12 blocks are whole; 1 of 1 came out again"),
+        (["verify", copy, "--sample", "0"], "none was computed again"),
+        (["merge", copy, copy, "--out", tmp_path / "m"], "160 runs stood in more than one"),
+    ):
+        done = call(*words)
+        assert said in " ".join(done.stdout.split()), done.stderr  # where a line ends depends on the folder's name
     for words in (
         ["status", str(tmp_path)],
         ["verify", str(tmp_path)],
