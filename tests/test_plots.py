@@ -11,6 +11,7 @@ import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
 from pcbench.plots import frames
+from pcbench.report import maps
 
 STUDY = {
     "name": "map",
@@ -113,6 +114,8 @@ def test_diverged_runs_lose_and_are_said_in_per_cent():
     figure = plots.divergence(result)
     texts = [t.get_text() for ax in axes_of(figure) for t in ax.texts]
     assert "100" in texts
+    drawn = maps.heatmap(frames.rows(result, None, None, "divergence"), "delay", "noise_std", "divergence")
+    assert drawn.text == "Ranges [%]: pccebo 0 to 0, kfbo 100 to 100."
     assert "diverged runs [%]" in figure.get_suptitle()
 
 

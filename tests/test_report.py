@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 
+import pandas as pd
 import pytest
 from commands import call
 
@@ -13,7 +14,7 @@ import pcbench
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.plots import palette
-from pcbench.report import figures, page
+from pcbench.report import figures, lines, page
 from pcbench.statistics import wording
 
 STUDY = {
@@ -69,6 +70,10 @@ def test_its_table_has_the_numbers_of_the_tables(folder, text):
     mine = result.stats.query("metric == 'tail_rmse' and signal == 'position'")
     for observer, median in mine.groupby("observer")["mean"].median().items():
         assert re.search(rf"</span>{observer}</td><td>\d+</td><td>{median:.4g}</td>", text), observer
+    rows = re.findall(r"</span>(\S+)</td><td>(\d+)</td><td>([^<]+)</td>", text)
+    order = [(-int(wins), float(median)) for _, wins, median in rows]
+    assert order == sorted(order), "who wins most stands first"
+    assert order[0][0] < order[-1][0] <= 0
     assert "8 combinations of axis values" in text
     assert result.provenance["study_sha256"] in text
     assert "pcbench run study.toml" in text
@@ -152,6 +157,20 @@ def test_a_label_keeps_its_colour_whatever_stands_beside_it():
     assert len({s.dash for s in three.values()}) == 3
 
 
+def test_a_label_has_its_bases_colour_where_that_stands_not_beside_it():
+    assert palette.styles(["kfbo", "dkf-bias"])["dkf-bias"].colour == palette.COLOURS["dkf"]
+    both = palette.styles(["dkf", "dkf-bias"])
+    assert both["dkf"].colour == palette.COLOURS["dkf"] != both["dkf-bias"].colour
+
+
+def test_a_run_in_time_says_in_words_where_it_ends():
+    rows = [("plant", "truth", t, float(t)) for t in range(3)]
+    rows += [("kfbo", "estimate", t, 0.5 * t) for t in range(3)] + [("measured", "measured", 2, 9.0)]
+    drawn = lines.time(pd.DataFrame(rows, columns=["series", "kind", "t", "value"]), ["kfbo"], "position", "m", 3)
+    assert drawn.text == "At the end: plant 2, kfbo 1 m."
+    assert drawn.title == "One run in time (seed 3)"
+
+
 GROWING = {"name": "grow", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 2}
 
 
@@ -188,5 +207,11 @@ def test_one_run_is_sure_of_nothing_and_divergence_is_said(tmp_path):
     assert " ± ?" in text
 
 
-def test_what_a_user_names_cannot_end_the_script(text):
-    assert "<" not in re.search(r"^const SPECS = (.*);$", text, re.M).group(1)
+def test_what_a_user_names_cannot_end_the_script(folder, text):
+    result, unit = pcbench.opened(folder), "</script><script>m"
+    result.stats["unit"] = unit
+    named = page.page(result)
+    assert unit not in named
+    assert f"[{unit}]" in json.dumps(specs(named)), "it stands there, as a text"
+    for each in (text, named):
+        assert "<" not in re.search(r"^const SPECS = (.*);$", each, re.M).group(1)
