@@ -36,6 +36,7 @@ from pcbench.simulation import batch
 from pcbench.study import read
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
+FEW = ["kfbo"]  # of a small form: every program is one observer's
 WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's study; from the cheapest runs to dear ones
     "cart/white": (200_000, 4096, ["pccebo", "kfbo", "dkf"]),
     "csth/10s-noise": (120_000, 4096, ["chain", "equal-delay", "dkf"]),
@@ -74,7 +75,7 @@ def writing(turns: int, small: bool) -> None:
     """Print what files cost of studies of about a minute."""
     whole = task.compute
     for scenario, (seeds, block, observers) in WRITTEN.items():
-        seeds, block = (32, 16) if small else (seeds, block)
+        seeds, block, observers = (32, 16, observers[:1]) if small else (seeds, block, observers)
         study = {"name": "cost", "scenarios": [scenario], "observers": observers}
         with executors.here() as execute:
             timed(study | {"seeds": 16 if small else 2048}, execute)
@@ -96,7 +97,7 @@ def writing(turns: int, small: bool) -> None:
 def workers(turns: int, small: bool) -> None:
     """Print how much of two workers a study gets, on work that costs more than its files, and what the machine would give."""
     study = {"name": "cost", "scenarios": ["arm/sampled"], "observers": ["smo", "pio"], "seeds": 512 * 8}
-    study = STUDY | {"seeds": 32} if small else study
+    study = STUDY | {"seeds": 32, "observers": FEW} if small else study
     seconds: dict[str, list[float]] = {}
     with ExitStack() as stack:
         clusters = [stack.enter_context(executors.dask("local", count)) for count in (1, 2)]
@@ -133,6 +134,7 @@ def simulating(work: partial[Any], tasks: Iterable[task.Task]) -> Iterator[task.
 
 def memory(turns: int, small: bool) -> None:
     """Print the peak memory of studies of several sizes, each in a process of its own."""
+    base = STUDY | {"observers": FEW} if small else STUDY
     sizes: dict[str, tuple[int, dict[str, Any]]] = {
         f"{many} seeds, 1 cell": (many, {}) for many in ((16,) if small else (1024, 16384, 262144))
     }
@@ -140,7 +142,7 @@ def memory(turns: int, small: bool) -> None:
     sizes |= {f"64 seeds, {n} cells": (64, {"noise_std": [0.01 * (1 + i) for i in range(n)]}) for n in many_cells}
     found = []
     for what, (seeds, axes) in sizes.items():
-        code = f"from benchmarks import studies; studies.peak({STUDY | {'seeds': seeds, 'axes': axes}!r})"
+        code = f"from benchmarks import studies; studies.peak({base | {'seeds': seeds, 'axes': axes}!r})"
         done = subprocess.run(
             [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=Path(__file__).parent.parent
         )
