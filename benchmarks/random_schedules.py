@@ -58,7 +58,7 @@ def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bo
     (cell,) = cells.cells_of(study)
     if not small:
         return next(planning.drafts(study, [cell]))
-    cell = cell._replace(scenario=cell.scenario._replace(horizon=2.0, tail=1.0))
+    cell = cell.having(horizon=2.0, tail=1.0)
     draft = next(planning.drafts(study, [cell]))
     return draft._replace(layout=draft.layout._replace(width=FEW))
 

@@ -32,7 +32,6 @@ from turns import Row, Timed, take
 
 from pcbench import planning
 from pcbench.machine import process
-from pcbench.planning import padding
 from pcbench.simulation import batch, draws
 from pcbench.simulation.problem import Layout, Outcome, Problem
 from pcbench.study import read
@@ -187,7 +186,7 @@ def main() -> None:
     for random in (False, True):
         given = {"observers": OBSERVERS, "options": {"scenario": {"random_start": random}}}
         (planned,) = planning.plan(read.study_of(read.load(SCENARIO, []), given, []))
-        ticks = 500 if options.small else padding.ticks(planned.cell)
+        ticks = 500 if options.small else planned.cell.times.ticks
         windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
         problems[random] = planned.problem._replace(windows=windows)
         layout = planned.layout._replace(width=FEW) if options.small else planned.layout

@@ -15,7 +15,7 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import draws, trace
 from pcbench.simulation.schedule import shared
 from pcbench.study import Choices, Study, options_of
-from pcbench.study.cells import Cell
+from pcbench.study.cells import cell_of
 
 REACH = controller.Reach(1024, 256)  # room for every test's delays and periods
 EARLY, SLOTS = 64, 2
@@ -34,9 +34,9 @@ def planned(
     s = SCENARIOS["helicopter/" + name]._replace(horizon=seconds, tail=seconds / 2)
     s = s._replace(**{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()})
     study = Study(name="t", scenarios=[s.name], seeds=1)
-    cell = Cell(s, 0, {}, parameters or {}, Choices(**(choices or {})))
+    cell = cell_of(s, 0, {}, parameters or {}, Choices(**(choices or {})))
     (p,) = padding.fit([planning.draft(cell, {observer: options_of(study, s, observer)})])
-    law, line = controller.close(cell, REACH, padding.ticks(cell))
+    law, line = controller.close(cell, REACH, cell.times.ticks)
     plan = shared.pad_early(shared.pad_slots(p.problem.schedule, SLOTS), EARLY)
     layout = p.layout._replace(ring=EARLY, commands=REACH.back)
     return p._replace(problem=p.problem._replace(control=law, line=line, schedule=plan), layout=layout)
@@ -54,7 +54,7 @@ def estimate(got: trace.Recording) -> np.ndarray:
 
 def expected(p: Planned, observer: Any = None, seed: int = 0) -> reference.Trace:
     """Return the reference's run of the same case, [N+1, 4], [N+1, 6], [N+1, 2]."""
-    s, choices, N = p.cell.scenario, p.cell.choices, padding.ticks(p.cell)
+    s, choices, N = p.cell.scenario, p.cell.choices, p.cell.times.ticks
     delay, (swing, pace), a = s.delay[0], s.delay_swing, s.drift
     period = round(s.sampling_period[0] / s.dt)
     case = reference.Scenario(

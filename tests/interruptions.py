@@ -1,11 +1,11 @@
 """A tuning that is stopped by Ctrl-C in the middle."""
 
-from pcbench.gains import tune
+from pcbench.gains import ways
 
 
 def stop_tuning_at(number, monkeypatch):
     """Raise KeyboardInterrupt when a tuning evaluates its `number`-th point; return the list that counts evaluations."""
-    real, count = tune._evaluate, [0]
+    real, count = ways.evaluated, [0]
 
     def interrupted(*given):
         evaluate = real(*given)
@@ -18,6 +18,6 @@ def stop_tuning_at(number, monkeypatch):
 
         return at
 
-    monkeypatch.setattr(tune, "_evaluate", interrupted)
+    monkeypatch.setattr(ways, "evaluated", interrupted)
     monkeypatch.setattr("pcbench.gains.history.PAUSE", 0.0)
     return count

@@ -13,7 +13,6 @@ from pcbench.cli.screen import results
 from pcbench.errors import UserError
 from pcbench.machine import process
 from pcbench.planning import controller, in_memory
-from pcbench.planning.padding import tail_tick
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import batch, draws
 from pcbench.study import Study
@@ -55,7 +54,7 @@ def test_a_diverged_run_is_frozen_and_its_time_kept(blown):
 @pytest.mark.slow
 def test_sums_are_those_of_the_recorded_run():
     p = planned("high-gain", SECOND)
-    got, found, tail = record(p), swept(p), tail_tick(p.cell)
+    got, found, tail = record(p), swept(p), p.cell.times.tail
     e, off = got.x - estimate(got), got.target - got.x[:, :2]
     for metric, want in (
         ("mae", np.abs(e[:-1]).mean(0)),

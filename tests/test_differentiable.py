@@ -39,7 +39,7 @@ def planned(scenario, observers):
     study = read.study_of(scenario, {"observers": list(observers)}, [])
     cell = cells.cells(study, scenario)[0]
     horizon, tail = SHORT[scenario]
-    cell = cell._replace(scenario=cell.scenario._replace(horizon=horizon, tail=tail))
+    cell = cell.having(horizon=horizon, tail=tail)
     (p,) = padding.fit([planning.draft(cell, {o: options_of(study, cell.scenario, o) for o in observers})])
     return study, p._replace(layout=p.layout._replace(width=len(SEEDS)))
 
@@ -48,7 +48,7 @@ def planned(scenario, observers):
 @pytest.mark.parametrize("scenario", CASES)
 def test_they_are_the_metrics_of_the_tables(scenario):
     study, p = planned(scenario, tuple(CASES[scenario]))
-    n, tail = padding.ticks(p.cell), padding.tail_tick(p.cell)
+    n, tail = p.cell.times.ticks, p.cell.times.tail
     got = METRICS(p.layout, p.problem, n, tail, study.root_seed, SEEDS)
     out = jax.tree.map(np.asarray, SIMULATE(p.layout, p.problem, study.root_seed, SEEDS))
     for label in p.labels:

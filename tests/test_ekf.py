@@ -11,8 +11,8 @@ from pcbench.observers import ekf
 from pcbench.planning import padding
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import draws, trace
-from pcbench.study import Choices, Study, options_of
-from pcbench.study.cells import Cell
+from pcbench.study import Study, options_of
+from pcbench.study.cells import cell_of
 
 SECONDS = 0.4
 
@@ -33,9 +33,9 @@ def test_on_the_arm_it_equals_the_reference(period, delay):
     s = base._replace(horizon=SECONDS, tail=SECONDS / 2, input="sine", noise_std=(1e-3, 2e-3),
                       sampling_period=(period * base.dt,) * 2, delay=(delay * base.dt,) * 2)  # fmt: skip
     options = options_of(Study(name="t", scenarios=[s.name]), s, "ekf")
-    (p,) = padding.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), {"ekf": options})])
+    (p,) = padding.fit([planning.draft(cell_of(s), {"ekf": options})])
     got = jax.tree.map(np.asarray, trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0)))
-    N = padding.ticks(p.cell)
+    N = p.cell.times.ticks
     noise = np.asarray(draws.measurement_noise(0, 0, N // period + 1, 2)).T * s.noise_std
     arrivals = {
         i * period + delay: [(i * period, got.x[i * period, 1:3] + noise[i])] for i in range((N - delay) // period + 1)
@@ -51,7 +51,7 @@ def test_its_design_says_how_far_a_tick_lets_states_and_unknowns_walk():
     s = SCENARIOS["arm/sampled"]._replace(
         horizon=0.1, tail=0.05, unknown_std=(3.0,), process_std=(1e-3, 2e-3, 0.0, 4e-3)
     )
-    gains = ekf.design(planning.setting(Cell(s, 0, {}, {}, Choices())), ekf.Options(walk=0.5)).gains
+    gains = ekf.design(planning.setting(cell_of(s)), ekf.Options(walk=0.5)).gains
     np.testing.assert_allclose(gains.Q, np.diag([1e-6, 4e-6, 0.0, 16e-6, 0.5 * 9.0 * s.dt]), rtol=1e-12)
     np.testing.assert_allclose(gains.P0, np.diag([1.0, 1.0, 1.0, 1.0, 9.0]), rtol=1e-12)
 

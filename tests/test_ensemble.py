@@ -10,13 +10,12 @@ from pcbench.planning import in_memory
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import batch, metrics
 from pcbench.simulation.problem import Outcome
-from pcbench.study import Choices
-from pcbench.study.cells import Cell
+from pcbench.study.cells import cell_of
 
 
 @pytest.mark.parametrize("many", [1, 1023, 1024, 1025, 2500])
 def test_every_seed_is_in_one_job(many):
-    p = planning.draft(Cell(SCENARIOS["cart/nominal"], 0, {}, {}, Choices()), {})
+    p = planning.draft(cell_of(SCENARIOS["cart/nominal"]), {})
     jobs = list(in_memory.jobs(p, 7, np.arange(100, 100 + many)))
     np.testing.assert_array_equal(np.concatenate([job.seeds for job in jobs]), np.arange(100, 100 + many))
     assert max(len(job.seeds) for job in jobs) <= p.layout.width
@@ -50,7 +49,7 @@ def outcome(size):
 
 @pytest.mark.parametrize("falls", [[], [2], [2**30]])
 def test_recovery_is_a_metric_where_something_jumps_within_the_horizon(falls):
-    cell = Cell(SCENARIOS["cart/nominal"]._replace(horizon=0.004, tail=0.002), 0, {}, {}, Choices())
+    cell = cell_of(SCENARIOS["cart/nominal"]._replace(horizon=0.004, tail=0.002))
     p = planning.draft(cell, {})
     p = p._replace(problem=p.problem._replace(jumps=np.array(falls, int)), labels=("mine",))
     p = p._replace(layout=p.layout._replace(observers=(("o", None),)))

@@ -5,7 +5,7 @@ import pytest
 
 import pcbench
 from pcbench import planning
-from pcbench.gains import tune
+from pcbench.gains import ways
 from pcbench.gains.objective import goal
 from pcbench.machine import process
 from pcbench.observers import entry_of
@@ -26,7 +26,7 @@ def brute_force(grid):
 
         (p,) = planning.plan(study)
         seeds = np.arange(HALF["training"][0], sum(HALF["training"]))
-        value = tune._evaluate("search", p, goal("tail_rmse", cell.scenario, None, "test"), 0, seeds, gains)
+        value = ways.evaluated("search", p, goal("tail_rmse", cell.scenario, None, "test"), 0, seeds, gains)
         return min((value(np.array(L))[0], L) for L in grid)
 
 

@@ -48,7 +48,7 @@ def outcome(path, changes=(), most=0):
 def ticks_of(study):
     """The ticks of all cells of a study, for all observers."""
     every = [(name, cell) for name in study.scenarios for cell in cells(study, name)]
-    return sum(planning.ticks(cell) * len(observers_of(study, name)) for name, cell in every)
+    return sum(cell.times.ticks * len(observers_of(study, name)) for name, cell in every)
 
 
 def written(folder, content):

@@ -183,7 +183,7 @@ def test_the_limits_leave_room_for_what_is_published(tmp_path):
     for name in read.SCENARIOS:
         read.load(name)
     (cell,) = planned(lti(horizon="100.0", sampling_period="0.1"), tmp_path)
-    assert planning.ticks(cell.cell) == 100_000 < limits.TICKS
+    assert cell.cell.times.ticks == 100_000 < limits.TICKS
 
 
 def test_a_riccati_equation_without_noise_is_refused_in_one_sentence(tmp_path):

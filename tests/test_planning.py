@@ -9,13 +9,12 @@ from pcbench import planning
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import Choices
-from pcbench.study.cells import Cell
+from pcbench.study.cells import cell_of
 
 
 def cell(name, parameters=None, **changes):
     """A scenario with its fields changed, as a cell."""
-    return Cell(SCENARIOS[name]._replace(**changes), 0, {}, parameters or {}, Choices())
+    return cell_of(SCENARIOS[name]._replace(**changes), parameters=parameters)
 
 
 def bound(name, parameters=None, **changes):

@@ -21,8 +21,8 @@ from pcbench.planning import in_memory, padding
 from pcbench.scenarios import SCENARIOS
 from pcbench.scenarios.signals import SIGNALS
 from pcbench.simulation import draws, trace
-from pcbench.study import Choices, Study
-from pcbench.study.cells import Cell
+from pcbench.study import Study
+from pcbench.study.cells import cell_of
 
 OBSERVERS = ("smo", "pio", "dkf")
 FINDERS = {"smo": ui.SMO, "pio": ui.PIO}
@@ -41,7 +41,7 @@ def planned(te, d, option=None, others=None, **changes):
     s = s._replace(sampling_period=(te * TICK,) * 2, delay=(d * TICK,) * 2, **changes)
     given = dict.fromkeys(FINDERS, option or {}) | (others or {})
     options = {o: entry_of(o).options(**{**s.options.get(o, {}), **given.get(o, {})}) for o in OBSERVERS}
-    return planning.draft(Cell(s, 0, {}, {}, Choices()), options)
+    return planning.draft(cell_of(s), options)
 
 
 @cache

@@ -9,15 +9,15 @@ from pcbench.machine import process
 from pcbench.planning import padding
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation.schedule import per_lane, shared
-from pcbench.study import Choices, read
-from pcbench.study.cells import Cell
+from pcbench.study import read
+from pcbench.study.cells import cell_of, cells_of
 
 
 def drafts(axes, observers=("pccebo", "dkf"), scenario="cart/white"):
     raw = {"name": "t", "scenarios": [scenario], "observers": list(observers), "axes": axes}
     study = read.parse(raw, "t")
     with process.float64():
-        return list(planning.drafts(study, planning.cells_of(study)))
+        return list(planning.drafts(study, cells_of(study)))
 
 
 @pytest.mark.parametrize(
@@ -50,13 +50,13 @@ def test_cells_whose_runs_have_times_of_their_own_have_room_for_the_most_samples
         many = small.problem.schedule.due.shape[1]
         np.testing.assert_array_equal(p.problem.schedule.due[:, :many], small.problem.schedule.due)
         assert (p.problem.schedule.due[:, many:] == shared.NEVER).all()
-        assert p.layout.ring >= per_lane.room(planning.axes.clocks(p.cell.scenario), padding.ticks(p.cell), 0)
+        assert p.layout.ring >= per_lane.room(p.cell.times.clocks, p.cell.times.ticks, 0)
 
 
 def test_falls_of_an_unknown_input_that_fill_a_list_never_come():
     """A square falls or rises every second, a sine never: in the tail from 1 s on, at 1, 2 and 3 s."""
     arm = SCENARIOS["arm/sampled"]._replace(horizon=3.5, tail=1.0, input="zero")
-    cells = [Cell(arm._replace(unknown_input=name), 0, {}, {}, Choices()) for name in ("square", "arm-sine")]
+    cells = [cell_of(arm._replace(unknown_input=name)) for name in ("square", "arm-sine")]
     square, sine = padding.fit([planning.draft(cell, {}) for cell in cells])
     assert square.problem.jumps.tolist() == [2000, 4000, 6000]
     assert sine.problem.jumps.tolist() == [shared.NEVER] * 3

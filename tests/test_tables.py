@@ -150,8 +150,7 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     from pcbench import planning
     from pcbench.planning import in_memory, padding
     from pcbench.scenarios import SCENARIOS
-    from pcbench.study import Choices
-    from pcbench.study.cells import Cell
+    from pcbench.study.cells import cell_of
 
     s = SCENARIOS["cart/slow"]._replace(bound=20.0)
     options = {
@@ -168,7 +167,7 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
             "kfbo",
         )
     }
-    (p,) = padding.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
+    (p,) = padding.fit([planning.draft(cell_of(s), options)])
     (done,) = in_memory.execute(read.parse({"name": "x", "scenarios": ["cart/slow"], "seeds": 3}, "x"), [p])
     found = done.results["kfbo"]
     trace = pcbench.trace(

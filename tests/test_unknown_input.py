@@ -24,8 +24,7 @@ from pcbench.plants import PLANTS, arm
 from pcbench.scenarios import SCENARIOS
 from pcbench.scenarios.signals import SIGNALS
 from pcbench.simulation import trace
-from pcbench.study import Choices
-from pcbench.study.cells import Cell
+from pcbench.study.cells import cell_of
 from pcbench.synthesis.unknown_input import injection, split
 
 SIGNAL_NAMES = ["link_angle", "link_velocity", "motor_angle", "motor_velocity", "input"]
@@ -53,7 +52,7 @@ def planned(scenario, observers, dt, ticks):
     s = SCENARIOS[scenario]
     s = s._replace(dt=dt, sampling_period=(dt, dt), horizon=ticks * dt, tail=ticks * dt / 2)
     options = {o: entry_of(o).options(**s.options.get(o, {})) for o in observers}
-    (p,) = padding.fit([planning.draft(Cell(s, 0, {}, {}, Choices()), options)])
+    (p,) = padding.fit([planning.draft(cell_of(s), options)])
     return p
 
 
@@ -133,7 +132,7 @@ def pushed(p, name, size):
     """The plant's numbers under another unknown input."""
     s = p.cell.scenario
     numbers = PLANTS["arm"].numbers._replace(unknown_input=name)
-    params = arm.prepare(numbers, s.dt, padding.ticks(p.cell))
+    params = arm.prepare(numbers, s.dt, p.cell.times.ticks)
     return params._replace(d=size * params.d)
 
 

@@ -19,8 +19,8 @@ from pcbench.protocols import Observer, Plant
 from pcbench.scenarios import Scenario
 from pcbench.simulation.problem import Problem, present, truth
 from pcbench.simulation.schedule import shared
-from pcbench.study import Choices, times
-from pcbench.study.cells import Cell
+from pcbench.study import times
+from pcbench.study.cells import cell_of
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
 SLOTS, SPAN = 3, 8  # arrivals a tick that there is room for; the horizon in sampling periods
@@ -75,7 +75,7 @@ def cases(scenario: Scenario, takes: str) -> list[Case]:
 
 def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
     """Lay out one schedule; where samples are `overtaken`, every third is so many and a half ticks later."""
-    cell = Cell(scenario, 0, {}, {}, Choices())
+    cell = cell_of(scenario)
     known = planning.setting(cell)
     drafted = planning.draft(cell, {}, known)
     p, n, q = drafted.problem, known.ticks, len(scenario.delay)

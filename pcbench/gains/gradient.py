@@ -17,7 +17,6 @@ from pydantic import ValidationError
 from pcbench.errors import UserError
 from pcbench.gains.objective import Goal
 from pcbench.gains.parameters import Vector
-from pcbench.planning import padding
 from pcbench.planning.padding import Planned
 from pcbench.simulation import batch, differentiable
 
@@ -37,7 +36,7 @@ def backwards(p: Planned, goal: Goal, root_seed: int, seeds: Any) -> Callable[[A
     """Return what gives, for gains of a planned cell's one observer, the mean over runs and its derivatives."""
     (label, _), *_ = p.layout.observers
     layout = p.layout._replace(width=min(LANES, len(seeds)))
-    n, tail = padding.ticks(p.cell), padding.tail_tick(p.cell)
+    n, tail = p.cell.times.ticks, p.cell.times.tail
     tree = jax.tree.structure(p.problem.gains[label])
 
     def mean(reals: list[Array], others: list[Any], problem: Any, seeds: Array, weights: Array) -> tuple[Array, Array]:

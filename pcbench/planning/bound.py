@@ -4,11 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.dynamics import linear
-from pcbench.planning.padding import tail_tick
 from pcbench.planning.setting import is_random
 from pcbench.plants import nonlinear
 from pcbench.simulation.schedule import shared
-from pcbench.study import times
 from pcbench.study.cells import Cell
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Setting
@@ -19,7 +17,7 @@ def bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     s = cell.scenario
     wrong = nonlinear(s.plant) or s.drift or cell.parameters or s.unknown_input
     exact = not wrong and all(s.noise_std)  # no bound without noise
-    clocks = times.clocks(cell.scenario)
+    clocks = cell.times.clocks
     if not exact or is_random(clocks):
         return None
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
@@ -29,4 +27,4 @@ def bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     variance = riccati.posterior_variance(
         doubled, noise, known.model.C, known.noise_variance, known.P0, samples, known.ticks
     )
-    return np.sqrt(variance[tail_tick(cell) :].mean(0))
+    return np.sqrt(variance[cell.times.tail :].mean(0))

@@ -40,10 +40,10 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     command acts.
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
-    believed_older = max(round(s.assumed_delay_error / s.dt), 0)
-    oldest = shared.oldest(shared.samples(times.clocks(s), ticks), overtaking) + believed_older
+    believed_older = max(cell.times.error, 0)
+    oldest = shared.oldest(shared.samples(cell.times.clocks, ticks), overtaking) + believed_older
     longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
-    return Reach(actuator.rows_needed(delay, s.dt, ticks, oldest + 1), round(longest / s.dt) + 2)
+    return Reach(actuator.rows_needed(delay, s.dt, ticks, oldest + 1), times.whole(longest, s) + 2)
 
 
 def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:

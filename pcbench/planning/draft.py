@@ -11,14 +11,14 @@ from pcbench.errors import UserError
 from pcbench.observers import base_of, entry_of
 from pcbench.planning import controller, padding
 from pcbench.planning.bound import bound
-from pcbench.planning.padding import Planned, tail_tick, ticks
+from pcbench.planning.padding import Planned
 from pcbench.planning.setting import is_random, setting
 from pcbench.plants import PLANTS, numbers_of
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import per_lane, shared
-from pcbench.study import Study, observers_of, options_of, times
+from pcbench.study import Study, observers_of, options_of
 from pcbench.study.cells import Cell, cells_of, identity, told
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
@@ -35,15 +35,13 @@ def drafts(study: Study, every: list[Cell], wanted: Container[tuple[str, int]] |
     """
     most: dict[str, tuple[int, int]] = {}
     for cell in every:
-        if not is_random(times.clocks(cell.scenario)):
+        if not is_random(cell.times.clocks):
             known, plant = setting(cell), cell.scenario.plant
             overtaking, reach = most.get(plant, (0, 0))
             most[plant] = max(overtaking, known.overtaking), max(reach, known.reach)
     for cell in every:
         known = setting(cell)
-        if not is_random(
-            times.clocks(cell.scenario)
-        ):  # where sampling is random, room for more costs more than a program
+        if not is_random(cell.times.clocks):  # where sampling is random, room for more costs more than a program
             overtaking, reach = most[cell.scenario.plant]
             known = known._replace(overtaking=overtaking, reach=reach)
         options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, cell.scenario.name)}
@@ -60,7 +58,7 @@ def width(cell: Cell) -> int:
 def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None) -> Planned:
     """Lay out one cell for the observers that `options` names; its layout does not yet fit others."""
     s, known = cell.scenario, known or setting(cell)
-    plant, n = PLANTS[s.plant], ticks(cell)
+    plant, n = PLANTS[s.plant], cell.times.ticks
     designs = {o: _design(o, known, given) for o, given in options.items()}
     names = {o: (base_of(o) or o) if s.controller else o for o in options}
     truth = {"drift": s.drift, "drift_sign": float(cell.choices.drift_sign)} | cell.parameters
@@ -81,9 +79,9 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         noise_std=np.array(s.noise_std),
         band=np.array(s.settle_band),
         bound=np.broadcast_to(np.asarray(s.bound, float), signals),
-        windows=np.array([[0, tail_tick(cell)], [tail_tick(cell), n - 1], [n - 1, n]]),
+        windows=np.array([[0, cell.times.tail], [cell.times.tail, n - 1], [n - 1, n]]),
         process_std=np.array(s.process_std),
-        jumps=np.array([tick for tick in jumps(s.unknown_input, s.dt, n - 1) if tick >= tail_tick(cell)], int),
+        jumps=np.array([tick for tick in jumps(s.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
         scatter=np.array(s.start_box) * around,
     )
     observers = tuple((names[o], entry_of(o).observer) for o in options)
@@ -119,7 +117,7 @@ def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
     s, m = cell.scenario, known.model.B.shape[1]
     if s.controller:
         return np.full((1, m), np.nan)
-    u = inputs(s.input, s.dt * np.arange(ticks(cell) + 1, dtype=float), m)
+    u = inputs(s.input, s.dt * np.arange(cell.times.ticks + 1, dtype=float), m)
     if u.shape[1] != m:
         raise UserError(
             f"{s.name}: got the input '{s.input}', which has {u.shape[1]} columns, expected one signal, or one for each of the "
@@ -130,8 +128,8 @@ def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
 
 def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, int]:
     """Return a cell's schedule and the packets it needs room for; of one run (root seed, seed), where it is random."""
-    s, clocks, n = cell.scenario, times.clocks(cell.scenario), ticks(cell)
-    error, channels = round(s.assumed_delay_error / s.dt), len(s.delay)
+    s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
+    error, channels = cell.times.error, len(s.delay)
     if s.continuous:
         return shared.at_every_tick(n, channels), 1
     if is_random(clocks) and run is None:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.planning.padding import Planned, key_of, tail_tick, ticks
+from pcbench.planning.padding import Planned, key_of
 from pcbench.simulation import batch, metrics
 from pcbench.simulation.problem import Outcome
 from pcbench.study import Study
@@ -33,7 +33,7 @@ def jobs(planned: Planned, root_seed: int, seeds: NDArray[np.int64]) -> Iterator
 def results(planned: Planned, outcomes: Iterable[tuple[batch.Job, Outcome]]) -> Results:
     """Return the metrics that the outcomes of one cell's jobs hold, joined."""
     parts: dict[str, list[dict[str, NDArray[Any]]]] = {label: [] for label in planned.labels}
-    n, tail, dt = ticks(planned.cell), tail_tick(planned.cell), planned.cell.scenario.dt
+    n, tail, dt = planned.cell.times.ticks, planned.cell.times.tail, planned.cell.scenario.dt
     falls = bool((planned.problem.jumps < n).any())
     for _, outcome in outcomes:
         for label, (name, _) in zip(planned.labels, planned.layout.observers, strict=True):

@@ -48,16 +48,6 @@ class Room(NamedTuple):
     rows: tuple[tuple[tuple[str, int], int], ...] = ()  # by plant and leaf of its numbers
 
 
-def ticks(cell: Cell) -> int:
-    """Return the horizon N in ticks."""
-    return round(cell.scenario.horizon / cell.scenario.dt)
-
-
-def tail_tick(cell: Cell) -> int:
-    """Return the tick at which the tail starts."""
-    return round(cell.scenario.tail / cell.scenario.dt)
-
-
 def room_of(p: Planned) -> Room:
     """Return the room that one draft needs."""
     plan, common = p.problem.schedule, isinstance(p.problem.schedule, shared.Schedule)
@@ -99,7 +89,7 @@ def fitted(p: Planned, room: Room) -> Planned:
     problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide), jumps=falling)
     layout = p.layout._replace(ring=room.ring)
     if p.reach:
-        law, line = controller.close(p.cell, controller.Reach(room.back, room.ahead), ticks(p.cell))
+        law, line = controller.close(p.cell, controller.Reach(room.back, room.ahead), p.cell.times.ticks)
         problem, layout = problem._replace(control=law, line=line), layout._replace(commands=room.back)
     return p._replace(problem=problem, layout=layout)
 

@@ -7,18 +7,16 @@ from jax.tree_util import Partial
 
 from pcbench.dynamics import linear
 from pcbench.errors import unknown
-from pcbench.planning.padding import ticks
 from pcbench.plants import PLANTS, numbers_of, parameters_of
 from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import per_lane, sampling, shared
-from pcbench.study import times
 from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import Setting
 
 
 def setting(cell: Cell) -> Setting:
     """Return what a designer is told: the nominal model and the believed delay, whatever is true of the plant."""
-    s, clocks, n = cell.scenario, times.clocks(cell.scenario), ticks(cell)
+    s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     period, delay = [0] * len(s.delay), [0] * len(s.delay)
     plant, many = PLANTS[s.plant], len(s.unknown_std)
     params = plant.prepare(numbers_of(s), s.dt, n) if plant.model else None
@@ -29,7 +27,7 @@ def setting(cell: Cell) -> Setting:
             else:
                 period[j] = clock.period
             late = period[j] if clock.delay is None else clock.delay
-            delay[j] = late + clock.spread // 2 + round(s.assumed_delay_error / s.dt)
+            delay[j] = late + clock.spread // 2 + cell.times.error
     return Setting(
         s.name,
         plant.nominal(numbers_of(s)),
@@ -42,7 +40,7 @@ def setting(cell: Cell) -> Setting:
         s.drift_intensity if s.drift else 0.0,
         _overtaking(clocks, n),
         s.process_std or s.assumed_process_std,
-        round(s.assumed_delay_error / s.dt),
+        cell.times.error,
         max(-(-late // every) for late, every in zip(delay, period, strict=True)),
         s.unknown_std,
         s.unknown0 or (0.0,) * many,

@@ -14,8 +14,8 @@ from pcbench.planning import in_memory, padding
 from pcbench.reproduce import arm_gains, arm_table
 from pcbench.reproduce.claim import Claim, found, statement
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import Choices, Study, options_of
-from pcbench.study.cells import Cell
+from pcbench.study import Study, options_of
+from pcbench.study.cells import cell_of
 
 SEEDS = 256
 
@@ -97,7 +97,7 @@ def _chatter(dt: float) -> float:
     base = SCENARIOS["arm/sine"]
     one = base._replace(dt=dt, horizon=10.0 + dt, sampling_period=(dt, dt))
     study = Study(name="step", scenarios=["arm/sine"], seeds=1)
-    drafted = planning.draft(Cell(one, 0, {}, {}, Choices()), {"pio": options_of(study, one, "pio")})
+    drafted = planning.draft(cell_of(one), {"pio": options_of(study, one, "pio")})
     (done,) = in_memory.execute(study, padding.fit([drafted]))
     return float(done.results["pio"]["tail_peak"][2, 0])
 

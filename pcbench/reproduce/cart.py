@@ -13,8 +13,8 @@ from pcbench.planning import in_memory, padding
 from pcbench.reproduce import cart_theorem
 from pcbench.reproduce.claim import MISPRINT, OPEN, REPRODUCED, Claim, digits, found, statement
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import Choices, Study, options_of
-from pcbench.study.cells import Cell, cells
+from pcbench.study import Study, options_of
+from pcbench.study.cells import cell_of, cells
 from pcbench.synthesis import riccati
 
 SEEDS = 256
@@ -102,7 +102,7 @@ def _under_noise() -> list[Claim]:
     study = Study(name="noise", scenarios=["cart/gaussian"], observers=["pccebo", "kfbo", "dkf"], seeds=SEEDS)
     late = SCENARIOS["cart/gaussian"]._replace(horizon=43.142, tail=40.0)  # the tail is one period of the sawtooth
     options = {name: options_of(study, late, name) for name in ("pccebo", "kfbo")}
-    (done,) = in_memory.execute(study, padding.fit([planning.draft(Cell(late, 0, {}, {}, Choices()), options)]))
+    (done,) = in_memory.execute(study, padding.fit([planning.draft(cell_of(late), options)]))
     a, b = (np.sqrt(done.results[name]["tail_mse"][0].mean()) for name in options)
     claim = "6.2 Gaussian: PCCEBO stays better (rms over a sawtooth period after 40 s)"
     stays = statement(claim, "better responses", f"pccebo {a:.2f} m, kfbo {b:.2f} m", bool(a < b))

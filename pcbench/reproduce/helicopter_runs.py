@@ -19,7 +19,7 @@ from pcbench.protocols import Arrival, Now
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import trace
 from pcbench.study import Choices, Study, options_of
-from pcbench.study.cells import Cell
+from pcbench.study.cells import cell_of
 
 VISCOSITY = np.array([0.8, 0.318])
 TAIL = 10_000  # tick
@@ -85,7 +85,7 @@ def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str,
     parameters = {k: v for k, v in changes.items() if k == "m"}
     s = SCENARIOS["helicopter/" + name]._replace(**{k: v for k, v in changes.items() if k not in parameters})
     options = options_of(Study(name="reproduce", scenarios=[s.name]), s, observer)
-    return planning.draft(Cell(s, 0, {}, parameters, Choices(**choices)), {observer: options})
+    return planning.draft(cell_of(s, parameters=parameters, choices=Choices(**choices)), {observer: options})
 
 
 def _recorded(p: Planned) -> trace.Recording:

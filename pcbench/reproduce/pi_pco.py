@@ -23,8 +23,8 @@ from pcbench.planning import in_memory, padding
 from pcbench.reproduce import pi_pco_equations
 from pcbench.reproduce.claim import Claim, found, statement
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.study import Choices, Study, options_of
-from pcbench.study.cells import Cell
+from pcbench.study import Study, options_of
+from pcbench.study.cells import cell_of
 
 SEEDS = 1024
 ALIKE = 1e-5  # the least that a tail's error counts for: nothing on the cart is seen so closely
@@ -76,7 +76,7 @@ def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario 
         given = {"pco": {"Kp": Kp}, "pi-pco": {"Kp": Kp, "Ki": Ki}}
         study = Study(name="variance", scenarios=["cart/variable"], options=given, seeds=seeds)
         options = {name: options_of(study, scenario, name) for name in given}
-        drafts.append(planning.draft(Cell(scenario, number, {}, {}, Choices()), options))
+        drafts.append(planning.draft(cell_of(scenario, number), options))
     for (F, k), done in zip(grid, in_memory.execute(study, padding.fit(drafts)), strict=True):
         pco, pi = (done.results[name]["tail_mse"][0] / scenario.noise_std[0] ** 2 for name in ("pco", "pi-pco"))
         rows = (pco, pi, pi - pco)

@@ -14,6 +14,7 @@ from pcbench.scenarios import Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
 from pcbench.study.axes import AXES
+from pcbench.study.times import Times, times_of, whole
 
 
 class Cell(NamedTuple):
@@ -24,18 +25,35 @@ class Cell(NamedTuple):
     values: dict[str, Any]  # by axis, seconds and SI units: what the tables say
     parameters: dict[str, Any]  # the plant's, where the scenario or an axis changes them
     choices: Choices
+    times: Times
 
     @property
     def key(self) -> tuple[str, int]:
         """Return its scenario's name and its number: what a study knows it by."""
         return self.scenario.name, self.number
 
+    def having(self, **changes: Any) -> "Cell":
+        """Return the cell with fields of its scenario changed, its times with them."""
+        scenario = self.scenario._replace(**changes)
+        return self._replace(scenario=scenario, times=times_of(scenario))
+
+
+def cell_of(
+    scenario: Scenario,
+    number: int = 0,
+    values: dict[str, Any] | None = None,
+    parameters: dict[str, Any] | None = None,
+    choices: Choices | None = None,
+) -> Cell:
+    """Return a scenario as a cell, with its times in ticks."""
+    return Cell(scenario, number, values or {}, parameters or {}, choices or Choices(), times_of(scenario))
+
 
 def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     """Return every combination of the axes in one scenario, in the order of the axes as written."""
     base, where = scenarios_of(study)[scenario], where or study.name
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
-    limits.require_few_cells(math.prod(len(values) for values in axes.values()), round(base.horizon / base.dt), where)
+    limits.require_few_cells(math.prod(len(values) for values in axes.values()), whole(base.horizon, base), where)
     choices, out, apart = choices_of(study), [], channels_apart(study)
     for index, point in enumerate(itertools.product(*axes.values())):
         given = dict(zip(axes, point, strict=True))
@@ -53,7 +71,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         values = {name: axis.plain(name, getattr(changed, name), name in apart) for name in AXES}
         own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
-        out.append(Cell(changed, index, values, dict(base.parameters) | own, choices))
+        out.append(cell_of(changed, index, values, dict(base.parameters) | own, choices))
     return out
 
 
@@ -85,7 +103,7 @@ def channels_apart(study: Study) -> set[str]:
 def identity(cell: Cell, root_seed: int) -> str:
     """Return the digest of all that decides the numbers of a cell but its observers; equal for equal numbers."""
     said = cell._asdict() | {"scenario": cell.scenario._asdict(), "choices": cell.choices.model_dump()}
-    del said["number"], said["values"]
+    del said["number"], said["values"], said["times"]
     text = json.dumps(said | {"root_seed": root_seed}, sort_keys=True, default=_plain)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 

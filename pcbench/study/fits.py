@@ -11,12 +11,12 @@ from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import sampling
 from pcbench.study import limits
 from pcbench.study.axes import plain
-from pcbench.study.times import clocks
+from pcbench.study.times import clocks, whole
 
 
 def fits(s: Scenario, where: str) -> None:
     """Raise UserError where a scenario's times do not fit together."""
-    ticks = round(s.horizon / s.dt)
+    ticks = whole(s.horizon, s)
     if s.continuous:
         _at_every_stage(s, where)
     _loop(s, where)
@@ -88,7 +88,7 @@ def _loop(s: Scenario, where: str) -> None:
 
 def _long_enough(s: Scenario, name: str, mean: float, least: float, where: str) -> None:
     """Raise UserError where a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 may."""
-    t = (np.arange(round(s.horizon / s.dt) + 1) + 0.5) * s.dt
+    t = (np.arange(whole(s.horizon, s) + 1) + 0.5) * s.dt
     lowest = mean + float(np.min(s.delay_swing[0] * np.sin(s.delay_swing[1] * t)))
     if lowest < least - 1e-9 and (s.delay_swing[0] or mean):
         need = math.ceil((mean - lowest + least) / s.dt - 1e-6) * s.dt

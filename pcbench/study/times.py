@@ -1,7 +1,7 @@
-"""Seconds to ticks: the one place where a cell becomes whole numbers."""
+"""Seconds to ticks: the one place where a scenario's times become whole numbers."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,20 +9,35 @@ from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule.sampling import Clock
 
 
+class Times(NamedTuple):
+    """The times of a cell in ticks."""
+
+    ticks: int  # N, of the horizon
+    tail: int  # where the tail begins
+    error: int  # by which observers believe every sample to be older than it is
+    clocks: list[Clock]
+
+
+def times_of(s: Scenario) -> Times:
+    """Return a scenario's times in ticks."""
+    return Times(whole(s.horizon, s), whole(s.tail, s), whole(s.assumed_delay_error, s), clocks(s))
+
+
+def whole(seconds: float, s: Scenario) -> int:
+    """Return a time in ticks of a scenario, the nearest."""
+    return round(seconds / s.dt)
+
+
 def clocks(s: Scenario) -> list[Clock]:
     """Return the sensors of a scenario in ticks: channels of equal period and delay are one."""
-
-    def whole(seconds: float) -> int:
-        return round(seconds / s.dt)
-
     groups: dict[Any, list[int]] = {}
     for j, times in enumerate(zip(s.sampling_period, s.delay, strict=True)):
         groups.setdefault(times, []).append(j)
-    profile = s.profile if isinstance(s.profile, str) else tuple(whole(v) for v in s.profile)
+    profile = s.profile if isinstance(s.profile, str) else tuple(whole(v, s) for v in s.profile)
     swing = (s.delay_swing[0] / s.dt, s.delay_swing[1] * s.dt)
-    rest = (profile, whole(s.jitter), whole(s.delay_jitter), s.loss, s.early, swing)
+    rest = (profile, whole(s.jitter, s), whole(s.delay_jitter, s), s.loss, s.early, swing)
     return [
-        Clock(tuple(channels), whole(period), None if delay is None else whole(delay), *rest)
+        Clock(tuple(channels), whole(period, s), None if delay is None else whole(delay, s), *rest)
         for (period, delay), channels in groups.items()
     ]
 
