@@ -53,7 +53,7 @@ def test_no_setting_of_jax_changes_a_draw(setting):
     code = """
 import jax, numpy as np
 jax.config.update("jax_enable_x64", True)
-from pcbench import draws
+from pcbench.simulation import draws
 noise = jax.jit(lambda: draws.measurement_noise(0, 0, 3)[0])()
 other = jax.jit(lambda: draws.uniforms(np.asarray(7), np.array([5]), "jitter", np.asarray(2), 1, 3)[0, :, 0])()
 print([*map(float, noise), *map(float, other)])
