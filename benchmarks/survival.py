@@ -4,7 +4,8 @@
 
 A study is started, killed with SIGKILL at a random moment, and started again in the same folder until it ends by itself; then
 its files are compared, byte for byte, with those of a run that nobody disturbed; and so on until there were so many kills.
-With --small the study has an eighth of the seeds and is killed twice. Meanwhile a reader polls the folder with pyarrow, DuckDB
+With --small the study has one observer, an eighth of the seeds and is killed twice.
+Meanwhile a reader polls the folder with pyarrow, DuckDB
 and Polars: whatever it sees must be whole blocks, no row twice.
 """
 
@@ -105,7 +106,7 @@ def main() -> None:
     parser.add_argument("--dask", action="store_true", help="run on two local Dask workers")
     options = parser.parse_args()
     most = options.kills or (2 if options.small else 100)
-    extra = ["--seeds", str(FEW if options.small else SEEDS)]
+    extra = ["--seeds", str(FEW), "--observers", "kfbo"] if options.small else ["--seeds", str(SEEDS)]
     extra += ["--dask", "local", "--workers", "2"] if options.dask else []
     draw, seen, kills, rounds = random.Random(options.seed), Counter[str](), 0, 0
     with tempfile.TemporaryDirectory() as folder:

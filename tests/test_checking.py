@@ -213,7 +213,7 @@ def test_a_design_may_refuse_a_schedule_but_not_all():
     assert "refusal of all 6 schedules" in failing(verdicts(ENTRY._replace(design=picky)))["design"]
 
 
-@pytest.mark.parametrize("observer", ["dkf", "pccebo", "kfbo"])
+@pytest.mark.parametrize("observer", ["dkf", *(pytest.param(o, marks=pytest.mark.slow) for o in ("pccebo", "kfbo"))])
 @pytest.mark.parametrize("model", [CART, ODD], ids=["cart", "odd"])
 def test_the_replay_is_the_run(observer, model):
     """The order of events is the rollout's: the same estimates as a recording, to rounding."""

@@ -128,6 +128,7 @@ def short(monkeypatch):
         monkeypatch.setitem(SCENARIOS, name, SCENARIOS[name]._replace(horizon=1.0, tail=0.5))
 
 
+@pytest.mark.slow
 def test_tables_of_a_study_hold_status_fractions_and_tracking(short, tmp_path):
     raw = {
         "name": "loops", "scenarios": ["helicopter/constant"], "observers": ["high-gain", "high-gain-robust"], "seeds": 6,

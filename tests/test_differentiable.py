@@ -57,7 +57,7 @@ def test_they_are_the_metrics_of_the_tables(scenario):
             np.testing.assert_allclose(values, want[name], rtol=1e-12, atol=1e-14, err_msg=f"{label} {name}")
 
 
-@pytest.mark.parametrize(("ticks", "tail"), [(60, 25), (63, 1), (8, 7)])
+@pytest.mark.parametrize(("ticks", "tail"), [(60, 25), pytest.param(63, 1, marks=pytest.mark.slow), (8, 7)])
 def test_they_are_sums_over_the_ticks_of_a_recorded_run(ticks, tail):
     """Whatever is left of the last chunk; every error differs from all others."""
     case = Case(ODD, 7, 12, ticks=ticks, h=0.02, noise_std=0.3, seed=4)

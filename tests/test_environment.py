@@ -48,6 +48,7 @@ def test_a_platform_that_jax_does_not_have_is_one_sentence(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_jax_told_not_to_compile_computes_the_same(tmp_path):
     for name, more in (("as it is", {}), ("disabled", {"JAX_DISABLE_JIT": "1"})):
         assert command(*RUN, "--out", name, cwd=tmp_path, **more).returncode == 0
@@ -55,6 +56,7 @@ def test_jax_told_not_to_compile_computes_the_same(tmp_path):
     assert one == two
 
 
+@pytest.mark.slow
 def test_what_the_compiler_was_told_is_said(tmp_path):
     """With other flags bits differ: a dataset knows its own, and verify says whose numbers they are."""
     for name, flags in (("plain", "--xla_dump_hlo_as_text=false"), ("fast", "--xla_cpu_enable_fast_math=true")):
@@ -107,7 +109,12 @@ cli.main()
 """
 
 
-@pytest.mark.parametrize("module", ["typer", "jax", "numpy._core._multiarray_umath", "jaxlib._jax", "pyarrow.lib"])
+SLOW_TO_LOAD = ("jax", "numpy._core._multiarray_umath", "pyarrow.lib")
+
+
+@pytest.mark.parametrize(
+    "module", ["typer", "jaxlib._jax", *(pytest.param(m, marks=pytest.mark.slow) for m in SLOW_TO_LOAD)]
+)
 def test_ctrl_c_while_a_library_is_being_loaded_stops_in_one_sentence(module, tmp_path):
     """Extensions crash, or make another error of it, where Python is interrupted in the middle of them."""
     code = LOADS.format(module=module, out=str(tmp_path / "out"))

@@ -79,6 +79,7 @@ def test_its_table_has_the_numbers_of_the_tables(folder, text):
     assert "pcbench run study.toml" in text
 
 
+@pytest.mark.slow
 def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
     result = pcbench.run(STUDY | {"axes": {}}, out=tmp_path / "one")
     text = page.page(pcbench.opened(tmp_path / "one"))

@@ -117,6 +117,7 @@ def test_signals_can_be_chosen(whole):
     assert "error of position" not in shown(result, signals=["velocity"])
 
 
+@pytest.mark.slow  # what it prints is tested above, and what it refuses in test_cli
 def test_the_command_takes_signals_and_a_metric(tmp_path):
     """And another name is one sentence, before anything runs."""
     words = ["run", "cart/slow", "--seeds", "3", "--observers", "dkf,open-loop", "--out", tmp_path / "out"]

@@ -102,7 +102,9 @@ def asked(way, start, budget, value_only=False):
     return points
 
 
-@pytest.mark.parametrize("start", [(0.0, 0.0), (2.9, -4.0), (-3.0, 2.9)])
+@pytest.mark.parametrize(
+    "start", [(2.9, -4.0), *(pytest.param(p, marks=pytest.mark.slow) for p in ((0.0, 0.0), (-3.0, 2.9)))]
+)
 def test_both_ways_go_down_past_what_is_refused_and_keep_to_their_budget(start):
     for way, alone, budget in ((minimise.descent, False, 60), (minimise.search, True, 150)):
         points = asked(way, start, budget, alone)

@@ -8,7 +8,6 @@ import warnings
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import place_poles
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
@@ -116,6 +115,8 @@ def by_poles(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", UserWarning)  # a slow iteration is judged by its certificate
+                from scipy.signal import place_poles  # takes half a second to import
+
                 G = np.asarray(place_poles(A.T, M.T, wanted).gain_matrix.T, float)
         except ValueError as error:
             raise DesignError(
