@@ -116,7 +116,7 @@ def test_sampled_innovation_is_unstable_at_one_second():
     assert position["tail_peak"] > 1.5 * 5.08  # the error grows where the model alone keeps 5.08 m
 
 
-EXPECTED = {  # exact expectations over noise: E[MAE], sqrt E[MSE]; the page's, and below those of `reference.moments`
+EXPECTED = {  # exact expectations over noise: E[MAE], sqrt E[MSE]; by hand, and below those of `reference.moments`
     ("cart/gaussian", "pccebo"): (1.05501888, 1.57774025),
     ("cart/gaussian", "kfbo"): (3.41228, 3.62855),
     ("cart/gaussian", "dkf"): (0.619924, 1.323049),
@@ -144,9 +144,9 @@ def test_tail_rms_under_gaussian_noise(stats):
 
 @pytest.mark.slow
 def test_efficiency_against_the_bound():
-    """The page's 3.03, 5.12 and 5.34 times worse for pccebo; dkf attains the bound. Averaged over the prior of x(0).
+    """3.03, 5.12 and 5.34 times worse for pccebo; dkf attains the bound. Averaged over the prior of x(0).
 
-    For kfbo the page divides errors from the fixed start by this bound (8.6 to 13.4); averaged it is 7.62 to 12.75.
+    For kfbo errors from the fixed start over this bound are 8.6 to 13.4; averaged it is 7.62 to 12.75.
     """
     raw = {"name": "bound", "scenarios": ["cart/gaussian", "cart/gaussian-fast", "cart/white"], "seeds": 2048}
     result = pcbench.run(raw | {"options": {"scenario": {"random_start": True}}})

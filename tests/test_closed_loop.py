@@ -39,7 +39,7 @@ def test_a_diverged_run_is_frozen_and_its_time_kept(blown):
     got = record(blown)
     bad = np.flatnonzero(~(np.abs(got.x - estimate(got)) <= 1e6).all(1))
     first = bad[0]
-    assert 400 < first < 460, "the page: about 0.43 s"
+    assert 400 < first < 460, "about 0.43 s"
     for run in (got.x[:, :4], estimate(got)):
         np.testing.assert_array_equal(run[first:], np.broadcast_to(run[first], run[first:].shape))
         assert (np.diff(run[:first], axis=0) != 0).any(1).all()

@@ -1,4 +1,4 @@
-"""What tuning finds where the answer is known otherwise: by brute force, by the design pages' rule, by the clock of nobody."""
+"""What tuning finds where the answer is known otherwise: by brute force, by a rule of thumb, by the clock of nobody."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def test_tuned_pccebo_comes_within_ten_percent_of_the_best_fixed_gain():
 
 
 def test_pi_pco_finds_the_sign_rule_by_itself():
-    """Kp < 0 smooths, Kp > 0 amplifies noise, and where the model is exact the integral only hurts (variable-sampling.md)."""
+    """Kp < 0 smooths, Kp > 0 amplifies noise, and where the model is exact the integral only hurts."""
     wrong = ["options.pi-pco.Kp=40.0", "options.pi-pco.Ki=12.0"]
     found = pcbench.tune("cart/variable", "pi-pco", objective="tail_rmse", overrides=wrong, **HALF)
     assert found.found["Kp"] < -40

@@ -1,4 +1,4 @@
-"""The helicopter's closed loop against the independent reference, tick by tick, and the page's numbers."""
+"""The helicopter's closed loop against the independent reference, tick by tick, and numbers worked out beforehand."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -37,7 +37,7 @@ PAGE = {  # scenario, observer, t [s]: pitch, yaw, rates; estimates
         (1.12819911, 0.70970198, 0.63436834, 1.02527926, 0.69469811, 0.28871150),
     ),
 }
-SHORT = 0.5  # s: one shape for all tests, but for the page's first second
+SHORT = 0.5  # s: one shape for all tests, but for the first second that was worked out beforehand
 
 
 def test_the_pages_accelerations():
@@ -91,7 +91,7 @@ def assert_page(case, got):
 @pytest.mark.parametrize("observer", OBSERVERS)
 @pytest.mark.parametrize("name", ["constant", "varying"])
 def test_twenty_seconds_equal_the_reference(name, observer):
-    """The loop amplifies rounding: 1e-9, and the page's numbers on the way."""
+    """The loop amplifies rounding: 1e-9, and the numbers worked out beforehand on the way."""
     p = planned(observer, 20.0, name=name)
     got, want = record(p), expected(p)
     for found, there in ((got.x[:, :4], want.x), (estimate(got), want.z), (got.u, want.u)):

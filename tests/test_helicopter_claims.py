@@ -67,7 +67,7 @@ def test_findings_of_the_readme(claims):
 
 
 def test_the_linear_limit_of_the_sampling_period():
-    """The page: Theta Ts < 2.90; with Theta = 4 that is 0.72 s."""
+    """Theta Ts < 2.90; with Theta = 4 that is 0.72 s."""
     assert high_gain.limit() == pytest.approx(2.8963, abs=1e-4)
     assert high_gain.radius(2.8) < 1 < high_gain.radius(3.0)
     found = high_gain.certificate(4.0, 0.2).numbers
@@ -77,7 +77,7 @@ def test_the_linear_limit_of_the_sampling_period():
 
 @pytest.mark.slow
 def test_half_a_tick_more_of_the_commands_delay_moves_the_yaw_rate():
-    """The page says up to 0.4 rad/s for commands held from a tick's start; half a tick more of delay gives half of that."""
+    """Up to 0.4 rad/s for commands held from a tick's start; half a tick more of delay gives half of that."""
     runs = [record(planned("high-gain", 20.0, name="varying", actuator_delay=d)) for d in (0.03, 0.0305)]
     apart = np.abs(runs[0].x[:, 3] - runs[1].x[:, 3]).max()
     assert apart == pytest.approx(0.196, abs=0.02)

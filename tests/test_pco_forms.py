@@ -1,7 +1,7 @@
 """PCO and PI-PCO as a reduced-order observer: the theta form (15)-(17), where it is stable, and how much noise is left.
 
 The theta form is `reference.irregular.pco_theta`, in NumPy and from tick to tick. Everything after it linearises pcbench's own
-step and compares with the page's closed forms: F = A22 - Kp A12, k = Ki A12, one output and one unmeasured state.
+step and compares with the closed forms: F = A22 - Kp A12, k = Ki A12, one output and one unmeasured state.
 """
 
 from functools import cache
@@ -135,7 +135,7 @@ EDGE = 0.04  # a tenth of the grid's step: nearer, the Lyapunov equation loses d
 
 
 def inside(F, k):
-    """How far (F, k) stands inside the region of the page, > 0 where it does."""
+    """How far (F, k) stands inside the stability region, > 0 where it does."""
     return min(k, 1 - F - k, 2 + 2 * F + k)
 
 

@@ -1,6 +1,6 @@
-"""The chain reference against every number of the page on unequal delays, and against itself: errors are by hand or exact.
+"""The chain reference against every number worked out beforehand, and against itself: errors are by hand or exact.
 
-Page: papers/unequal-delays.md; numbers in brackets are the paper's equations. xhat[k] is after what arrives at tick k.
+Numbers in brackets are the paper's equations. xhat[k] is after what arrives at tick k.
 """
 
 from functools import cache

@@ -1,6 +1,6 @@
-"""The helicopter reference against every number of the page, and against itself: errors are by hand or by another way.
+"""The helicopter reference against numbers worked out beforehand, and against itself: errors are by hand or by another way.
 
-Page: papers/helicopter.md. Twenty seconds of one run take ten to thirty; what a quarter of a second can show is shown first.
+Twenty seconds of one run take ten to thirty; what a quarter of a second can show is shown first.
 """
 
 from functools import cache
@@ -49,7 +49,7 @@ ROWS = [pytest.param(*key, marks=[] if key in QUICK else [pytest.mark.slow]) for
 
 @cache
 def run(setup, ticks=1000):
-    """Return the trace of one of the page's runs."""
+    """Return the trace of one of the runs worked out beforehand."""
     scenario, tuning = SETUPS[setup]
     return he.simulate(hg.high_gain(tuning), ticks, scenario)
 
@@ -147,7 +147,7 @@ def test_prediction_is_the_plant_under_the_commands_which_are_on_their_way():
     np.testing.assert_allclose(ahead[0], [*x, *z[0, 4:]], rtol=0, atol=1e-9)
 
 
-# ---------------------------------------------------------------- the page's table
+# ---------------------------------------------------------------- the table worked out beforehand
 
 
 @pytest.mark.parametrize(("setup", "tick"), ROWS)

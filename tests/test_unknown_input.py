@@ -1,4 +1,4 @@
-"""The arm measured continuously: the library is the reference tick by tick, and what the page prints comes out.
+"""The arm measured continuously: the library is the reference tick by tick, and the numbers worked out beforehand come out.
 
 Tolerances: 1e-10 between two programs of the same arithmetic (they agree to some 1e-14, PIO too, as its chatter does not
 grow); half a unit of the last digit printed; 1e-6 for SMO's rows of Table 2. PIO's smooth entries are moved by rounding
@@ -30,7 +30,7 @@ from pcbench.synthesis.unknown_input import injection, split
 SIGNAL_NAMES = ["link_angle", "link_velocity", "motor_angle", "motor_velocity", "input"]
 FINDERS = ["smo", "pio"]
 ALL = [*FINDERS, "open-loop"]
-TABLE_2 = {  # observer: by scenario, largest and mean |e| over 6 <= t <= 10 s, as the page reproduces them; nan: chatter
+TABLE_2 = {  # observer: by scenario, largest and mean |e| over 6 <= t <= 10 s, as worked out beforehand; nan: chatter
     "smo": {
         ("arm/sine", "tail_peak"): [5.33524563e-4, 2.70942874e-3, 5.28292158e-6, 5.15076519e-4, 1.70221535e-2],
         ("arm/sine", "tail_mae"): [1.41614448e-4, 1.16258194e-3, 2.15286747e-6, 1.83755786e-4, 7.72465471e-3],
@@ -220,7 +220,7 @@ def test_the_smooth_pio_entries_of_table_2_come_out_and_the_rest_is_chatter(tabl
 
 
 def test_recovery_is_from_the_fall_until_the_input_is_found_again(table):
-    """The page's 10.5 ms is the reference's 0.0106 (the tick after the last beyond 0.1), its 42 ms the reference's 0.0421."""
+    """10.5 ms is the reference's 0.0106 (the tick after the last beyond 0.1), its 42 ms the reference's 0.0421."""
     late = table.recovery_time
     assert late["arm/sawtooth", "smo", "input"] == pytest.approx(0.0106, abs=1e-9)
     assert late["arm/sawtooth", "pio", "input"] == pytest.approx(0.0421, abs=1.01e-4)

@@ -1,4 +1,4 @@
-"""Gains for plants with an unknown input: the coordinates, the error equations they give, and the optima of the page."""
+"""Gains for plants with an unknown input: the coordinates, the error equations they give, and the optima."""
 
 from functools import partial
 from itertools import product
@@ -118,7 +118,7 @@ def test_the_basis_belongs_to_the_null_space_and_not_to_the_outputs(name):
 
 
 def apart(model, got, L1, A22s, gains, rng):
-    """How far the error, moved by the gains in the plant's own coordinates, is from the page's equations; relative."""
+    """How far the error, moved by the gains in the plant's own coordinates, is from (13), (14); relative."""
     Gx, Lx = gains
     (p, n), r = model.C.shape, model.E.shape[1]
     x, xhat, u, f, v = (rng.normal(size=k) for k in (n, n, p, r, p))
@@ -160,7 +160,7 @@ MISREADINGS = {
 
 @pytest.mark.parametrize("name", MISREADINGS)
 def test_a_misread_injection_does_not_pass(name):
-    """The check above can fail: each of these differs from the page's equations on a plant without symmetry."""
+    """The check above can fail: each of these differs from them on a plant without symmetry."""
     model, rng = plant(4, 2, 2, 1), np.random.default_rng(0)
     got, L1, A22s = split(model, "test"), rng.normal(size=(2, 2)), rng.normal(size=(3, 3))
     assert apart(model, got, L1, A22s, injection(got, L1, A22s), np.random.default_rng(1)) < 1e-12
@@ -281,7 +281,7 @@ def test_a_proof_that_would_grow_for_ever_is_bounded():
 
 
 def test_modes_that_no_gain_moves_are_named():
-    """The page's -0.000625 +- 1.9365j; -0.006 in print. At a rate below them there are gains."""
+    """-0.000625 +- 1.9365j; -0.006 in print. At a rate below them there are gains."""
     np.testing.assert_allclose(sorted(unmovable(LINK), key=np.imag), [-0.000625 - 1.9364916j, -0.000625 + 1.9364916j])
     assert unmovable(ARM) == []
     said = r"arm: .* no gain L1 moves, -0\.000625[+-]1\.936j, -0\.000625[+-]1\.936j, expected .* left of -1 1/s; .*0\.000625"

@@ -94,7 +94,7 @@ def coordinates():
 
 
 def follow(parts, observer, u, y, d, xhat0, option):
-    """What an observer of samples estimates, [N+1, n + r], by the page: one Runge-Kutta step of (xd, w, wy) a tick.
+    """What an observer of samples estimates, [N+1, n + r], by hand: one Runge-Kutta step of (xd, w, wy) a tick.
 
     y [N+1, p] as taken at each tick, NaN where nothing was; u [N+1, m]. Nothing moves before tick d.
     """

@@ -1,4 +1,4 @@
-"""Variable intervals, jitter, loss and disorder: the page's numbers, and every observer against the NumPy reference."""
+"""Variable intervals, jitter, loss and disorder: numbers known beforehand, and every observer against the NumPy reference."""
 
 import jax
 import numpy as np

@@ -14,7 +14,7 @@ estimate of the present carries it, and the signal is f less its part that is a 
 Not claimed: that every unknown input can be found; its variance then grows.
 Time index: the estimate is of now, after the jump. Channels may have clocks and delays of their own; a sample that comes after
 a newer one is put in its place (`parts/reordering`), so the estimate uses all that has arrived, as if it had come in order.
-Source: Kalman 1960; cart.md and variable-sampling.md of the design pages for the numbers.
+Source: Kalman 1960; a late sample is filtered at its own time, and what has come since is filtered again.
 """
 
 from typing import Any, NamedTuple

@@ -1,7 +1,7 @@
 """The published experiments on the mobile cart.
 
 `variable*`: the same cart on a camera whose intervals vary, each sample arriving when the next is taken; tail from 3 s.
-Kp = -61 and Ki = 12.2 (F = 0.5) are not printed: the page's defaults. Source: Li, Wang, Tian, PI-PCO, section 4.
+Kp = -61 and Ki = 12.2 (F = 0.5) are not printed: chosen here. Source: Li, Wang, Tian, PI-PCO, section 4.
 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017), section 6. Decided where the paper is silent:
 horizon 10 s, tick 1 ms, tail from 3 s; in 6.2 the delay is 0.6 s and te is not printed, so `gaussian` takes the paper's rule

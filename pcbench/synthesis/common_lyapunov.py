@@ -6,7 +6,7 @@
 which is J(T)' P J(T) < e^{-2 rate T} P: the error falls in the norm of P over every interval, in whatever order the intervals
 come, and at least at that rate. The solver sees a few T; the certificate is then re-checked by eigenvalues at every whole tick
 of the range, which are all that can occur. The objective: maximise t subject to [P, M'; M, P] >= t I, P <= I.
-Source: the design pages for Li, Wang, Tian (PI-PCO); that F(T) alone is stable, as printed, is not enough for PI-PCO.
+Source: ours, after Li, Wang, Tian (PI-PCO): that F(T) alone is stable, as printed, is not enough for PI-PCO.
 """
 
 from collections.abc import Callable
