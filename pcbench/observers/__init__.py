@@ -29,9 +29,8 @@ class Entry(NamedTuple):
     heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
     nonlinear: bool = False  # it is designed for plants without a linear model
     smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand
-    designed: Mapping[str, Any] | None = (
-        None  # options of gains for the noise and delays as they are; None: it has none such
-    )
+    # options of gains for the noise and delays as they are; None: it has none such
+    designed: Mapping[str, Any] | None = None
 
 
 OBSERVERS = {

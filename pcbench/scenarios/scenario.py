@@ -28,9 +28,8 @@ class Scenario(NamedTuple):
     tail: float = 3.0  # s, where the tail starts
     drift_intensity: float = 0.0  # process noise through the input a designer assumes where the plant drifts, 1/s
     options: Mapping[str, dict[str, Any]] = MappingProxyType({})  # by observer
-    profile: str | tuple[float, ...] = (
-        "periodic"  # of the sampling intervals: a name in sampling.PROFILES, or s in turn
-    )
+    # of the sampling intervals: a name in sampling.PROFILES, or s in turn
+    profile: str | tuple[float, ...] = "periodic"
     jitter: float = 0.0  # s, a sample is taken up to this much early or late
     delay_jitter: float = 0.0  # s, a sample arrives up to this much later
     loss: float = 0.0  # probability that a sample never arrives

@@ -13,9 +13,8 @@ from pcbench.scenarios.signals import SIGNALS, SINGLE
 from pcbench.study import axes, limits
 
 LEAST = 1e-100  # a number is 0 or no smaller: its square can be told from 0
-GROWTH = (
-    30  # powers of ten by which a plant may grow over its horizon: powers of its map, up to the eighth, stay finite
-)
+# powers of ten by which a plant may grow over its horizon: powers of its map, up to the eighth, stay finite
+GROWTH = 30
 MOST = 50  # states, inputs, outputs or unknown inputs
 
 

@@ -29,9 +29,8 @@ class Design(NamedTuple):
 
     gains: Any
     certificate: Certificate
-    carries_input: bool | None = (
-        None  # whether its prediction to now carries the unknown input it has found; None: no such
-    )
+    # whether its prediction to now carries the unknown input it has found; None: no such
+    carries_input: bool | None = None
 
 
 class Setting(NamedTuple):
