@@ -20,7 +20,7 @@ ROWS = {  # what each prints, and how often
         "random intervals": 3,
         "overtaking": 2,
     },
-    "tuning": {"cart/gaussian": 3, "cart/white": 3, "cart/variable": 4},
+    "tuning": {"cart/gaussian": 1, "cart/white": 1, "cart/variable": 3},
     "studies": {"writing: ": 3, "workers: efficiency": 2, "workers: two workers do": 1, "memory: ": 2},
     "survival": {
         "undisturbed: ": 1,

@@ -259,6 +259,7 @@ def test_trace_writes_every_tick(tmp_path):
     assert abs(frame["y1"][400] - frame["position"][200]) < 5 * 0.6, "it is the noisy position of its own time"
 
 
+@pytest.mark.slow
 def test_the_trace_is_the_run_of_the_tables(tmp_path):
     call("trace", "cart/white", "--observer", "kfbo", "--seed", "3", "--out", tmp_path / "t.parquet")
     call("run", "cart/white", "--seeds", "4", "--quiet", "--out", tmp_path / "r")

@@ -157,6 +157,7 @@ def test_tables_of_a_study_hold_status_fractions_and_tracking(short, tmp_path):
     assert order == ["high-gain", "high-gain-robust"]
 
 
+@pytest.mark.slow
 def test_an_observer_that_always_diverges_is_shown_and_loses(short, capsys):
     """All runs alike: the printed observer diverges in each of them, the robust one in none."""
     raw = {

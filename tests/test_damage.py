@@ -22,7 +22,9 @@ def told(done, code=2):
     return done.stderr
 
 
-@pytest.mark.parametrize("text", ["[1, 2]", "3", "", "{", '{"schema": "5"}', "null"])
+@pytest.mark.parametrize(
+    "text", ["[1, 2]", *(pytest.param(t, marks=pytest.mark.slow) for t in ("3", "", "{", '{"schema": "5"}', "null"))]
+)
 def test_a_provenance_that_is_none_is_seen_and_made_anew(whole, copy, text):
     (copy / "provenance.json").write_text(text)
     assert "compare" not in told(call("report", copy))
@@ -77,7 +79,7 @@ def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     assert path.read_bytes() == content
 
 
-@pytest.mark.parametrize("cut", [50, 1])
+@pytest.mark.parametrize("cut", [50, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_block_cut_short_is_one_sentence_wherever_it_is_read(whole, copy, cut):
     block = sorted((copy / "runs").rglob("*.parquet"))[2]
     block.write_bytes(block.read_bytes()[:-cut])

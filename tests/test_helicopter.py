@@ -135,6 +135,7 @@ BOTH = {"feedforward": True, "predictor": True}
         pytest.param("varying", BOTH, marks=pytest.mark.slow),
     ],
 )
+@pytest.mark.slow
 def test_the_controllers_options_equal_the_reference(name, choices):
     assert gap(planned("high-gain", SHORT, name=name, choices=choices)) < 1e-9
 

@@ -25,6 +25,7 @@ def done(tmp_path_factory):
     return pcbench.run("arm/sampled", observers=NAMES, seeds=3, out=tmp_path_factory.mktemp("arm") / "out")
 
 
+@pytest.mark.slow
 def test_rows_exist_for_what_an_observer_estimates(done):
     for table in (done.runs, done.stats):
         signals = table.groupby("observer").signal.unique()

@@ -67,6 +67,12 @@ def test_every_folder_has_its_floor_and_says_what_it_is():
         assert ast.get_docstring(ast.parse(MODULES[name].read_text())), name
 
 
+def test_no_statement_of_the_package_is_an_assert():
+    """With `python -O` it would not be there: a mistake is a UserError."""
+    found = [m for m, p in MODULES.items() for n in ast.walk(ast.parse(p.read_text())) if isinstance(n, ast.Assert)]
+    assert found == []
+
+
 def test_no_file_is_too_long():
     lengths = sorted(len(p.read_text().splitlines()) for p in MODULES.values())
     assert lengths[-1] <= 250

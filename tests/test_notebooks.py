@@ -14,6 +14,7 @@ FIRST, *LATER = NOTEBOOKS
 @pytest.mark.parametrize(
     "path", [FIRST, *(pytest.param(p, marks=pytest.mark.slow) for p in LATER)], ids=lambda p: p.stem
 )
+@pytest.mark.slow
 def test_notebook_runs_and_draws(path):
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") and not cell.get("execution_count") for cell in notebook.cells), "outputs kept"

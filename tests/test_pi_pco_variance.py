@@ -20,6 +20,7 @@ def test_monte_carlo_confirms_the_closed_form_within_four_standard_errors(found)
         assert max(c.errors[:2]) < 0.02 * max(c.pi, c.pco), "an error bar that proves something"
 
 
+@pytest.mark.slow
 def test_the_sign_of_the_integrals_effect_changes_where_the_theorem_says(found):
     lowers = {(c.F, c.k): c.difference < 0 for c in found if abs(c.difference) > 4 * c.errors[2]}
     assert len(lowers) >= len(found) - 2, "nearly every difference is significant"

@@ -34,6 +34,7 @@ def test_there_are_two_shell_commands_and_ci_runs_exactly_those():
     assert "readme_command" in (ROOT / ".ci" / "run").read_text()
 
 
+@pytest.mark.slow
 def test_the_study_runs_as_written(tmp_path):
     (text,) = [b for b in blocks("toml") if "noise-map" in b]
     path = tmp_path / "noise-map.toml"

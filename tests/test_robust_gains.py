@@ -120,7 +120,8 @@ def task(name):
     return robust.Task(maps, s.model.C, np.diag(s.noise_variance), np.eye(len(s.model.A)), np.ones(len(s.model.A)))
 
 
-@pytest.mark.parametrize("kind", ["h2", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("hinf", "decay"))])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", TASKS)
 def test_a_second_solver_agrees_and_is_certified_alike(kind):
     what, rate = TASKS[kind]
     both = [robust.solve(task("odd"), what, rate, "test", solver) for solver in solvers.SOLVERS]
