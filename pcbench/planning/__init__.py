@@ -3,8 +3,8 @@
 All cells of a plant and horizon share one compiled program: the ring and the arrival slots are sized for the largest.
 """
 
-from pcbench.planning.bound import bound
-from pcbench.planning.draft import alone, draft, drafts, plan, schedule_of, width
-from pcbench.planning.setting import setting
+from pcbench.planning.arrays import alone, draft, drafts, plan, schedule_of, width
+from pcbench.planning.design_setting import setting
+from pcbench.planning.least_error import bound
 
 __all__ = ["alone", "bound", "draft", "drafts", "plan", "schedule_of", "setting", "width"]

@@ -10,9 +10,9 @@ from pydantic import BaseModel
 from pcbench.errors import UserError
 from pcbench.observers import base_of, entry_of
 from pcbench.planning import controller, padding
-from pcbench.planning.bound import bound
+from pcbench.planning.design_setting import is_random, setting
+from pcbench.planning.least_error import bound
 from pcbench.planning.padding import Planned
-from pcbench.planning.setting import is_random, setting
 from pcbench.plants import PLANTS, numbers_of
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.dynamics import linear
-from pcbench.planning.setting import is_random
+from pcbench.planning.design_setting import is_random
 from pcbench.plants import nonlinear
 from pcbench.simulation.schedule import shared
 from pcbench.study.cells import Cell
