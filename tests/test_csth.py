@@ -39,7 +39,7 @@ def quiet():
     return pcbench.trace("csth/10s", "open-loop")
 
 
-def test_the_pages_state_comes_out(quiet):
+def test_the_worked_state_comes_out(quiet):
     np.testing.assert_allclose(table(quiet, "", STATES)[10], [2.5, 1.0126034033e5, 5.5226191919], rtol=1e-10)
 
 
@@ -102,7 +102,7 @@ def test_dkf_is_designed_for_the_process_noise_that_there_is():
 
 
 @pytest.mark.slow
-def test_dkf_has_the_pages_stationary_errors_and_attains_the_bound():
+def test_dkf_has_the_worked_stationary_errors_and_attains_the_bound():
     result = pcbench.run("csth/10s-noise", observers=["dkf"], seeds=512, options={"scenario": {"random_start": True}})
     rows = result.stats.set_index(["signal", "metric"])
     for state, want in zip(STATES, (0.01020648, 731.83123, 0.05303873), strict=True):

@@ -40,7 +40,7 @@ PAGE = {  # scenario, observer, t [s]: pitch, yaw, rates; estimates
 SHORT = 0.5  # s: one shape for all tests, but for the first second that was worked out beforehand
 
 
-def test_the_pages_accelerations():
+def test_the_worked_accelerations():
     params = helicopter.prepare(helicopter.Numbers(), 1e-3, 1)
     now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(1e-3), jnp.array([8.0, -3.0]), lambda age: age)
     rate = helicopter.field(params, now, jnp.array([0.5, -0.3, 0.7, -1.1]))
@@ -76,7 +76,7 @@ def test_an_older_sample_does_not_take_the_place_of_a_newer_one():
 
 
 @pytest.mark.parametrize("case", [case for case in PAGE if case[2] <= 1], ids=str)
-def test_the_pages_first_second(case):
+def test_the_worked_first_second(case):
     assert_page(case, record(planned(case[1], 1.0, name=case[0])))
 
 

@@ -90,7 +90,7 @@ def test_they_equal_the_reference(label, delays):
         ("chain", 10, [2.5, 1.0126034014e5, 5.5226189110]),
     ],
 )
-def test_the_pages_trajectories_come_out(label, k, printed):
+def test_the_worked_trajectories_come_out(label, k, printed):
     np.testing.assert_allclose(recorded()[2, 5, 7][1][label][k], printed, rtol=1e-10)
 
 

@@ -233,7 +233,7 @@ def test_delivering_the_neighbouring_packet_is_caught():
 
 
 @pytest.mark.slow
-def test_the_pages_sampled_errors_come_out():
+def test_the_worked_sampled_errors_come_out():
     """Root mean squares of the x2 error over 6 .. 10 s: SMO and PIO, printed to two or three digits."""
     raw = {"name": "page", "scenarios": ["arm/sampled"], "seeds": 1}
     names = [f"{o}{way}" for o in FINDERS for way in ("", "-hold", "-reconstruct")]
@@ -257,6 +257,6 @@ def test_the_pages_sampled_errors_come_out():
 
 
 @pytest.mark.slow
-def test_the_pages_error_of_dkf_comes_out():
+def test_the_worked_error_of_dkf_comes_out():
     rows = pcbench.run("arm/sampled", observers=["dkf"], seeds=64).stats.query("signal == 'link_velocity'")
     assert rows.set_index("metric")["mean"]["tail_rmse"] == pytest.approx(0.00258, rel=0.02)

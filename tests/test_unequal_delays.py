@@ -127,7 +127,7 @@ SD = {  # worked out beforehand; dkf's stands in test_csth
 
 
 @pytest.mark.slow
-def test_the_pages_stationary_errors_come_out_by_monte_carlo_and_in_the_pages_order():
+def test_the_worked_stationary_errors_come_out_by_monte_carlo_and_in_the_worked_order():
     """Riccati chains forget their start slowly: the tail is read from sample 200 on. Four standard errors."""
     s = SCENARIOS["csth/10s-noise"]
     labels = dict(s.options) | {"chain-updated": {"gain": "riccati"}, "chain-companion": {"gain": "companion"}}

@@ -112,7 +112,7 @@ def digits(values, texts):
         assert abs(value - float(text)) <= 0.5001 * unit + 1e-12, (value, text)
 
 
-def test_the_pages_digits_come_out(second):
+def test_the_worked_digits_come_out(second):
     e = {name: second.x - second.estimates[name] for name in FINDERS}
     digits(e["smo"][10_000, :4], "-.30934764616 .062219271073 .0048433197700 .034746338006")
     digits(second.x[10_000, :4], "-1.0596069529 -.98420459216 -.37593055431 1.5433114858")
@@ -254,7 +254,7 @@ def test_the_whole_horizon_equals_the_reference(scenario, d):
 
 
 @pytest.mark.slow
-def test_the_pages_last_digits_come_out():
+def test_the_worked_last_digits_come_out():
     frame = pcbench.trace("arm/sine", "smo")
     e = frame[SIGNAL_NAMES[:4]].to_numpy() - frame[[f"smo.{signal}" for signal in SIGNAL_NAMES[:4]]].to_numpy()
     digits(e[100_000], "5.5610703928e-6 -6.7067271606e-4 1.5151976782e-6 1.7083586380e-5")

@@ -45,12 +45,12 @@ def quiet():
 
 
 @pytest.mark.parametrize("tick", PAGE)
-def test_the_pages_positions_come_out(quiet, tick):
+def test_the_worked_positions_come_out(quiet, tick):
     got = [quiet[name][tick] for name in ("position", "pco.position", "pi-pco.position")]
     np.testing.assert_allclose(got, PAGE[tick], rtol=0, atol=6e-11)
 
 
-def test_the_pages_metrics_come_out(quiet):
+def test_the_worked_metrics_come_out(quiet):
     for name, mae, rmse in (("pco", 0.134557440785, 0.812830903051), ("pi-pco", 0.136476736960, 0.812845680813)):
         e = (quiet["position"] - quiet[f"{name}.position"])[:-1]
         assert e.abs().mean() == pytest.approx(mae, abs=1e-12)

@@ -10,7 +10,7 @@ from pydantic import BaseModel
 from pcbench.errors import UserError
 from pcbench.observers import base_of, entry_of
 from pcbench.planning import controller, padding
-from pcbench.planning.design_setting import is_random, setting
+from pcbench.planning.design_setting import setting
 from pcbench.planning.least_error import bound
 from pcbench.planning.padding import Planned
 from pcbench.plants import PLANTS, numbers_of
@@ -35,13 +35,13 @@ def drafts(study: Study, every: list[Cell], wanted: Container[tuple[str, int]] |
     """
     most: dict[str, tuple[int, int]] = {}
     for cell in every:
-        if not is_random(cell.times.clocks):
+        if not cell.times.random:
             known, plant = setting(cell), cell.scenario.plant
             overtaking, reach = most.get(plant, (0, 0))
             most[plant] = max(overtaking, known.overtaking), max(reach, known.reach)
     for cell in every:
         known = setting(cell)
-        if not is_random(cell.times.clocks):  # where sampling is random, room for more costs more than a program
+        if not cell.times.random:  # where sampling is random, room for more costs more than a program
             overtaking, reach = most[cell.scenario.plant]
             known = known._replace(overtaking=overtaking, reach=reach)
         options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, cell.scenario.name)}
@@ -132,9 +132,9 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, in
     error, channels = cell.times.error, len(s.delay)
     if s.continuous:
         return shared.at_every_tick(n, channels), 1
-    if is_random(clocks) and run is None:
+    if cell.times.random and run is None:
         return per_lane.times(clocks, n, channels, error), per_lane.room(clocks, n, error)
-    found = per_lane.realised(clocks, n, channels, *run) if run and is_random(clocks) else shared.samples(clocks, n)
+    found = per_lane.realised(clocks, n, channels, *run) if run and cell.times.random else shared.samples(clocks, n)
     plan = shared.schedule(found, n, channels, error)
     return plan, shared.in_flight(plan)
 

@@ -62,12 +62,7 @@ def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
 
 def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:
     """How many newer samples may arrive before one; of one clock with samples of one age, none."""
-    if is_random(clocks):
+    if sampling.any_random(clocks):
         return per_lane.overtaking(clocks, ticks)
     alone = len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing)
     return 0 if alone else shared.overtaking(shared.samples(clocks, ticks))
-
-
-def is_random(clocks: list[sampling.Clock]) -> bool:
-    """Return whether every run has a schedule of its own."""
-    return any(clock.random for clock in clocks)

@@ -4,7 +4,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.dynamics import linear
-from pcbench.planning.design_setting import is_random
 from pcbench.plants import nonlinear
 from pcbench.simulation.schedule import shared
 from pcbench.study.cells import Cell
@@ -18,7 +17,7 @@ def bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     wrong = nonlinear(s.plant) or s.drift or cell.parameters or s.unknown_input
     exact = not wrong and all(s.noise_std)  # no bound without noise
     clocks = cell.times.clocks
-    if not exact or is_random(clocks):
+    if not exact or cell.times.random:
         return None
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     samples = [(s.arrives, s.taken, s.channel) for s in shared.samples(clocks, known.ticks)]

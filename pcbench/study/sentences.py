@@ -10,9 +10,8 @@ KINDS = ("float", "str")  # how pydantic's names end for a value that may be of 
 
 def sentence(where: str, error: ValidationError, model: type[BaseModel]) -> UserError:
     """The first of pydantic's findings as a sentence; of a value that may be of several kinds, the one that comes nearest."""
-    findings = sorted(
-        error.errors(), key=lambda each: each["type"] != "extra_forbidden"
-    )  # a name that is none explains others
+    # a name that is none explains others: it goes first
+    findings = sorted(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     loc, kind = findings[0]["loc"], findings[0]["type"]
     place = _place(loc)
     if kind == "extra_forbidden":

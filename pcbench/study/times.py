@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.scenarios import Scenario
-from pcbench.simulation.schedule.sampling import Clock
+from pcbench.simulation.schedule.sampling import Clock, any_random
 
 
 class Times(NamedTuple):
@@ -16,6 +16,11 @@ class Times(NamedTuple):
     tail: int  # where the tail begins
     error: int  # by which observers believe every sample to be older than it is
     clocks: list[Clock]
+
+    @property
+    def random(self) -> bool:
+        """Whether every run has a schedule of its own."""
+        return any_random(self.clocks)
 
 
 def times_of(s: Scenario) -> Times:

@@ -14,13 +14,8 @@ from pcbench.simulation.lanes import (
     primitives,
 )
 
-FOLDS = dict(
-    zip(
-        primitives.FOLDS,
-        (jnp.add, jnp.maximum, jnp.minimum, jnp.multiply, jnp.logical_and, jnp.logical_or),
-        strict=True,
-    )
-)
+WAYS = (jnp.add, jnp.maximum, jnp.minimum, jnp.multiply, jnp.logical_and, jnp.logical_or)
+FOLDS = dict(zip(primitives.FOLDS, WAYS, strict=True))
 WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
 
 

@@ -31,6 +31,11 @@ PROFILES = {
 }
 
 
+def any_random(clocks: list[Clock]) -> bool:
+    """Return whether every run has a schedule of its own."""
+    return any(clock.random for clock in clocks)
+
+
 def interval(clock: Clock, i: int) -> int:
     """Return the interval between samples i-1 and i of a clock whose intervals are not random."""
     if isinstance(clock.profile, tuple):
