@@ -224,7 +224,7 @@ def test_signals_are_a_list_with_commas_or_all():
 
 
 def test_a_narrow_terminal_shows_the_readmes_motor_whole(tmp_path):
-    """80 columns, which a process has that no terminal reads: what a newcomer sees first."""
+    """What a newcomer sees first fits 80 columns, even where more are free."""
     done = call("run", "cart/white", "--seeds", "8", "--out", tmp_path / "out")
     assert "…" not in done.stdout
     tables = [line for line in done.stdout.splitlines() if "±" in line or "observer" in line]
