@@ -41,7 +41,15 @@ CHECKS: dict[str, Check] = {
     "after the jump": after_the_jump,
 }
 BASIC = ("design", "shapes")  # what must pass before another check is asked
-NEEDS = {"shapes": ("design",), "gains": (*BASIC, "purity")}
+RUN = (*BASIC, "lanes")  # a run is carried over lanes
+NEEDS = {
+    "shapes": ("design",),
+    "gains": (*BASIC, "purity"),
+    "perfect start": RUN,
+    "delay 0": RUN,
+    "no peeking": RUN,
+    "after the jump": RUN,
+}
 
 
 def check(

@@ -8,11 +8,8 @@ from jax import Array
 
 from pcbench.protocols import Controller, Gains, Leaf, Memory, Now, Observer, Plant
 from pcbench.simulation import actuator, metrics
-from pcbench.simulation.lanes import Lanes
-from pcbench.simulation.schedule.per_lane import Times
-from pcbench.simulation.schedule.shared import Schedule
 
-PerLane = Array | Lanes  # what may differ between lanes: an array where it does not
+PerLane = Any  # Lanes where it differs between lanes, an Array where it does not; inside a one-lane function, an Array
 Memories = dict[str, Memory]  # by observer label, a pytree of PerLane
 Notes = dict[str, PerLane]  # by observer label: [r]
 
@@ -39,7 +36,7 @@ class Problem(NamedTuple):
 
     params: Any  # the plant's
     gains: dict[str, Gains]  # by observer label
-    schedule: Schedule | Times  # the same for every run; or Times: then each run draws its own
+    schedule: Any  # a Schedule, the same for every run; or Times: then each run draws its own
     inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1)
     dt: Leaf  # [s]
     x0: Leaf  # [n] the start, or its mean
@@ -68,7 +65,7 @@ class State(NamedTuple):
 
     x: PerLane  # [n]
     drawn: Any  # numbers the run has drawn for its plant, [plant.drawn]; (): none
-    memories: Memories
+    memories: Any  # Memories; between events on schedules of their own, packed
     flight: Any  # packets on the network, in rings: `events_shared` and `events_per_lane` have their own
     streams: dict[str, metrics.Stream]
     watches: dict[str, metrics.Watch]

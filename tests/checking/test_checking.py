@@ -214,19 +214,14 @@ def test_a_design_may_refuse_a_schedule_but_not_all():
 
 
 def test_a_shifted_packet_is_another_measurement():
-    """What a replay adds to a packet's value acts as noise does in a run; added to its note, as another memory's note."""
-    t = trial(Candidate("kfbo", OBSERVERS["kfbo"], OBSERVERS["kfbo"].options()), SCENARIOS["cart/white"])
-    p = t.called("one period late").problem
-    gains, n = p.gains["kfbo"], len(p.x0)
-    plain, twice = (replay(t, p, none(p)) for _ in range(2))
-    np.testing.assert_array_equal(plain.estimates["kfbo"], twice.estimates["kfbo"])
-    number, step = 2, 0.25
-    many = none(p).values.shape[0]
-    values = jnp.zeros((many, 1)).at[number].set(step)
-    moved = replay(t, p, none(p)._replace(values=values)).estimates["kfbo"] - plain.estimates["kfbo"]
+    """What is added to a packet, to its values or its notes, shows from the tick on at which it arrives, and not before."""
+    entry = OBSERVERS["pccebo"]
+    t = trial(Candidate("pccebo", entry, entry.options()), SCENARIOS["cart/white"])
+    p, number, step = t.called("one period late").problem, 2, 0.25
+    nothing = none(p)
+    plain = replay(t, p, nothing).estimates["pccebo"]
     arrives = int(np.flatnonzero((p.schedule.arrive == number).any(1))[0])
-    assert not np.any(moved[:arrives, :n])
-    unlike = p._replace(gains={"kfbo": gains})
-    noted = replay(t, unlike, none(p)._replace(notes=jnp.zeros(many).at[number].set(step)))
-    changed = np.flatnonzero(np.any(noted.estimates["kfbo"] != plain.estimates["kfbo"], axis=1))
-    assert np.flatnonzero(np.any(moved, axis=1))[0] == changed[0] == arrives
+    for field in ("values", "notes"):
+        shift = nothing._replace(**{field: getattr(nothing, field).at[number].set(step)})
+        moved = np.abs(replay(t, p, shift).estimates["pccebo"] - plain).max(1)
+        assert np.flatnonzero(moved)[0] == arrives, field
