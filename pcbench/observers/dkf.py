@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.dynamics import linear
@@ -41,14 +42,14 @@ class Gains(NamedTuple):
     """n states (the plant's, and what is estimated beside them), m inputs, q outputs."""
 
     motion: Motion
-    noise: Leaf  # [2, R, n, n] process noise covariance over as many ticks as each of motion.powers
-    C: Leaf  # [q, n]
-    D: Leaf  # [q, m]
-    R: Leaf  # [q] variance of one sample
-    P0: Leaf  # [n, n]
+    noise: Float[Leaf, "2 R n n"]  # process noise covariance over as many ticks as each of motion.powers
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    R: Float[Leaf, " q"]  # variance of one sample
+    P0: Float[Leaf, "n n"]
     places: Leaf  # [K] room for samples that may be overtaken
-    states: Leaf  # [the plant's n] their number is what the estimate has, and
-    inputs: Leaf  # [r] the number of unknown inputs, the last states of the filter
+    states: Float[Leaf, " plant"]  # their number is what the estimate has, and
+    inputs: Float[Leaf, " r"]  # the number of unknown inputs, the last states of the filter
     known: Any  # x[n] -> [r] the known part of f, or None
 
 
@@ -56,7 +57,7 @@ class Filtered(NamedTuple):
     """Mean and covariance at the time of a sample."""
 
     mean: Point
-    P: Array  # [n, n]
+    P: Float[Array, "n n"]
 
 
 class Options(BaseModel):
@@ -75,7 +76,7 @@ class Options(BaseModel):
     )
 
 
-def init(gains: Gains, xhat0: Array) -> Memory:
+def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior N(xhat(0), P0), what is beside the state from 0."""
     whole = jnp.concatenate([xhat0, jnp.zeros(gains.P0.shape[0] - xhat0.shape[0])])
     return prediction.start(whole, Filtered(prediction.origin(whole), gains.P0), gains.places, gains.C.shape[0])
@@ -95,8 +96,8 @@ def update(gains: Gains, before: Filtered, sample: Sample) -> Filtered:
     return Filtered(Point(free, sample.taken), P)
 
 
-def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return xhat of now, [n], and the unknown inputs, [n + r]."""
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " plant+r"]:
+    """Return xhat of now, and the unknown inputs."""
     n, r = gains.states.shape[0], gains.inputs.shape[0]
     xhat = memory.xhat[:n]
     if not r:

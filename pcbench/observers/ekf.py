@@ -22,7 +22,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
@@ -39,30 +39,30 @@ class Gains(NamedTuple):
 
     motion: Any  # (now, z[N]) -> z[N] one tick later
     slope: Any  # (now, z[N]) -> F[N, N]
-    C: Leaf  # [q, n]
-    D: Leaf  # [q, m]
-    R: Leaf  # [q] variance of one sample
-    Q: Leaf  # [N, N] a tick
-    P0: Leaf  # [N, N]
-    start: Leaf  # [s] p at t = 0
-    low: Leaf  # [s]
-    high: Leaf  # [s]
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    R: Float[Leaf, " q"]  # variance of one sample
+    Q: Float[Leaf, "N N"]  # a tick
+    P0: Float[Leaf, "N N"]
+    start: Float[Leaf, " s"]  # p at t = 0
+    low: Float[Leaf, " s"]
+    high: Float[Leaf, " s"]
     places: Leaf  # [K] room for samples that may be overtaken
 
 
 class Filtered(NamedTuple):
     """The posterior of a sample, at its own time."""
 
-    z: Array  # [N]
-    P: Array  # [N, N]
-    taken: Array  # tick
+    z: Float[Array, " N"]
+    P: Float[Array, "N N"]
+    taken: Int[Array, ""]  # tick
 
 
 class Memory(NamedTuple):
     """The samples that may be overtaken with the posterior before them, and the mean of now."""
 
     line: Line
-    z: Array  # [N]
+    z: Float[Array, " N"]
 
 
 class Options(BaseModel):
@@ -80,18 +80,18 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return Memory(reordering.start(Filtered(z, gains.P0, jnp.asarray(0)), gains.places, q, 0), z)
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Array:
+def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
     """Note nothing: the inputs are stored."""
     return jnp.zeros(0)
 
 
-def within(gains: Gains, z: Array) -> Array:
+def within(gains: Gains, z: Float[Array, " N"]) -> Float[Array, " N"]:
     """Return z with p clipped to its range."""
     s = gains.start.shape[0]
     return jnp.concatenate([z[: z.shape[0] - s], jnp.clip(z[z.shape[0] - s :], gains.low, gains.high)]) if s else z
 
 
-def at(now: Now, tick: Array) -> Now:
+def at(now: Now, tick: Int[Array, ""]) -> Now:
     """Return the present as it was at an earlier tick, with the input held from there."""
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(now.tick - tick))
 
@@ -129,7 +129,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     return memory._replace(z=within(gains, gains.motion(now, memory.z)))
 
 
-def estimate(gains: Gains, memory: Memory) -> Float[Array, " n+s"]:
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
     """Return xhat of now, and the unknowns."""
     return memory.z
 

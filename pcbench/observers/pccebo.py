@@ -21,6 +21,7 @@ from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.dynamics.observability import require_detectable
@@ -38,9 +39,9 @@ class Gains(NamedTuple):
     """n states, m inputs, q outputs."""
 
     motion: Motion
-    C: Leaf  # [q, n]
-    D: Leaf  # [q, m]
-    L: Leaf  # [n, q]
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    L: Float[Leaf, "n q"]
     places: Leaf  # [K] room for samples that may be overtaken
 
 
@@ -60,8 +61,8 @@ class Options(BaseModel):
     parameter_range: dict[str, Range] | None = Field(None, description="and ranges of the model's parameters, by name")
 
 
-def init(gains: Gains, xhat0: Array) -> Memory:
-    """Start from xhat(0) [n]."""
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start from xhat(0)."""
     return prediction.start(xhat0, prediction.origin(xhat0), gains.places, gains.C.shape[0])
 
 
@@ -73,8 +74,8 @@ def correct(gains: Gains, before: Point, sample: Sample) -> Point:
     return Point(free + gains.L @ innovation, sample.taken)
 
 
-def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return xhat of now, [n]."""
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
+    """Return xhat of now."""
     return memory.xhat
 
 
