@@ -26,8 +26,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import per_sample
+from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable, way
-from pcbench.observers.parts.per_sample import Model, Place, Pole, known_input, read, ring, write
+from pcbench.observers.parts.per_sample import Model, Place, Pole, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import chain, chain_lyapunov
 from pcbench.synthesis.certificate import Design, Setting, certified
@@ -102,7 +103,7 @@ def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Keep what arrives, less what is known of it."""
-    y = arrival.value - known_input(gains.model, now, arrival.age) - arrival.note
+    y = arrival.value - known_input(gains.model.D, now, arrival.age) - arrival.note
     return memory._replace(value=jnp.where(arrival.fresh, y, memory.value), fresh=memory.fresh | arrival.fresh)
 
 

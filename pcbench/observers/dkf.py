@@ -29,7 +29,8 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import covariance_after
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import require_detectable
-from pcbench.observers.parts import prediction
+from pcbench.observers.parts import kalman, prediction
+from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Sample
@@ -53,13 +54,6 @@ class Gains(NamedTuple):
     known: Any  # x[n] -> [r] the known part of f, or None
 
 
-class Filtered(NamedTuple):
-    """Mean and covariance at the time of a sample."""
-
-    mean: Point
-    P: Float[Array, "n n"]
-
-
 class Options(BaseModel):
     """What the filter assumes, where it is not what the scenario has."""
 
@@ -79,21 +73,19 @@ class Options(BaseModel):
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior N(xhat(0), P0), what is beside the state from 0."""
     whole = jnp.concatenate([xhat0, jnp.zeros(gains.P0.shape[0] - xhat0.shape[0])])
-    return prediction.start(whole, Filtered(prediction.origin(whole), gains.P0), gains.places, gains.C.shape[0])
+    return prediction.start(whole, Posterior(whole, gains.P0, jnp.asarray(0)), gains.places, gains.C.shape[0])
 
 
-def update(gains: Gains, before: Filtered, sample: Sample) -> Filtered:
-    """Update at the sample's own time, channel by channel: with independent noise that is the joint update."""
-    free = prediction.at(gains.motion, before.mean, sample.taken)
-    gap = sample.taken - before.mean.taken
-    P = covariance_after(gains.motion.powers, gains.noise, gap, before.P)
+def update(gains: Gains, before: Posterior, sample: Sample) -> Posterior:
+    """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
+    free = prediction.at(gains.motion, Point(before.mean, before.taken), sample.taken)
+    P = covariance_after(gains.motion.powers, gains.noise, sample.taken - before.taken, before.P)
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
-        K = jnp.where(fresh, P @ c / (c @ P @ c + r), 0.0)
+        K = kalman.gain(P @ c, c @ P @ c + r, fresh)
         free = free + K * (sample.value[channel] - c @ (sample.note + free))
-        keep = jnp.eye(c.shape[0]) - K[:, None] * c[None, :]
-        P = keep @ P @ keep.T + r * (K[:, None] * K[None, :])
-    return Filtered(Point(free, sample.taken), P)
+        P = kalman.covariance(P, K, c, r)
+    return Posterior(free, P, sample.taken)
 
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " plant+r"]:
@@ -106,7 +98,7 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " plant+r"]:
     return jnp.append(xhat, f - gains.known(xhat) if gains.known else f)
 
 
-jump = prediction.jumping(update, lambda filtered: filtered.mean)
+jump = prediction.jumping(update, lambda after: Point(after.mean, after.taken))
 OBSERVER = Observer(init, prediction.note, jump, prediction.flow, estimate)
 
 

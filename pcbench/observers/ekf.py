@@ -27,7 +27,8 @@ from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import rk4
-from pcbench.observers.parts import reordering
+from pcbench.observers.parts import kalman, reordering
+from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reordering import Line, Sample
 from pcbench.protocols import Arrival, Leaf, Now, Observer
@@ -50,14 +51,6 @@ class Gains(NamedTuple):
     places: Leaf  # [K] room for samples that may be overtaken
 
 
-class Filtered(NamedTuple):
-    """The posterior of a sample, at its own time."""
-
-    z: Float[Array, " N"]
-    P: Float[Array, "N N"]
-    taken: Int[Array, ""]  # tick
-
-
 class Memory(NamedTuple):
     """The samples that may be overtaken with the posterior before them, and the mean of now."""
 
@@ -77,7 +70,7 @@ class Options(BaseModel):
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from the prior: xhat(0), p at its start, P0."""
     z, q = jnp.concatenate([xhat0, gains.start]), gains.C.shape[0]
-    return Memory(reordering.start(Filtered(z, gains.P0, jnp.asarray(0)), gains.places, q, 0), z)
+    return Memory(reordering.start(Posterior(z, gains.P0, jnp.asarray(0)), gains.places, q, 0), z)
 
 
 def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
@@ -96,7 +89,7 @@ def at(now: Now, tick: Int[Array, ""]) -> Now:
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(now.tick - tick))
 
 
-def update(gains: Gains, now: Now, before: Filtered, sample: Sample) -> Filtered:
+def update(gains: Gains, now: Now, before: Posterior, sample: Sample) -> Posterior:
     """Carry mean and covariance to the sample's own time and update there, channel by channel."""
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -104,23 +97,22 @@ def update(gains: Gains, now: Now, before: Filtered, sample: Sample) -> Filtered
         F = gains.slope(there, z)
         return within(gains, gains.motion(there, z)), F @ P @ F.T + gains.Q
 
-    z, P = lax.fori_loop(before.taken, sample.taken, tick, (before.z, before.P))
-    n, identity = gains.C.shape[1], jnp.eye(P.shape[0])
+    z, P = lax.fori_loop(before.taken, sample.taken, tick, (before.mean, before.P))
+    n, none = gains.C.shape[1], jnp.zeros(gains.start.shape[0])
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
         Pc = P[:, :n] @ c
-        K = jnp.where(fresh, Pc / (c @ Pc[:n] + r), 0.0)
+        K = kalman.gain(Pc, c @ Pc[:n] + r, fresh)
         z = z + K * (sample.value[channel] - c @ z[:n])
-        keep = identity - jnp.outer(K, jnp.concatenate([c, jnp.zeros(P.shape[0] - n)]))
-        P = keep @ P @ keep.T + r * jnp.outer(K, K)
-    return Filtered(within(gains, z), P, sample.taken)
+        P = kalman.covariance(P, K, jnp.concatenate([c, none]), r)
+    return Posterior(within(gains, z), P, sample.taken)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Put what arrived in its place, and roll the mean forward to now."""
     sample = reordering.sample_of(now, arrival, gains.D)
     line, newest = reordering.replay(lambda state, sample: update(gains, now, state, sample), memory.line, sample)
-    z = lax.fori_loop(newest.taken, now.tick, lambda k, z: within(gains, gains.motion(at(now, k), z)), newest.z)
+    z = lax.fori_loop(newest.taken, now.tick, lambda k, z: within(gains, gains.motion(at(now, k), z)), newest.mean)
     return Memory(line, z)
 
 

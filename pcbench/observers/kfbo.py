@@ -25,6 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pcbench.dynamics import linear
 from pcbench.errors import UserError
+from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import riccati
@@ -85,8 +86,7 @@ def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Hold what arrived."""
-    known = jnp.stack([gains.D[j] @ now.past_u(arrival.age[j]) for j in range(gains.D.shape[0])])
-    Y = arrival.value - known - gains.sampled * (gains.C @ memory.z)
+    Y = arrival.value - known_input(gains.D, now, arrival.age) - gains.sampled * (gains.C @ memory.z)
     return memory._replace(Y=jnp.where(arrival.fresh, Y, memory.Y))
 
 

@@ -18,7 +18,8 @@ from jaxtyping import Float, Int
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.observers.parts import per_sample
-from pcbench.observers.parts.per_sample import Model, Place, known_input, read, ring, write
+from pcbench.observers.parts.feedthrough import known_input
+from pcbench.observers.parts.per_sample import Model, Place, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis.certificate import Setting
 
@@ -60,7 +61,7 @@ def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Correct by what arrives, each channel against its believed age."""
     ages, C, k = gains.ages, gains.model.C, memory.place.sample
-    known = known_input(gains.model, now, ages * gains.model.period)
+    known = known_input(gains.model.D, now, ages * gains.model.period)
     expected = []
     for j in range(C.shape[0]):
         then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])

@@ -67,11 +67,6 @@ def flow(model: Model, place: Place, now: Now) -> tuple[Place, Bool[Array, ""]]:
     return Place(tick, tick // model.period, model.Phi @ place.xbar + model.Gamma @ now.u, carried), due
 
 
-def known_input(model: Model, now: Now, age: Int[Array, " q"]) -> Float[Array, " q"]:
-    """D u at each channel's own `age` in ticks."""
-    return jnp.stack([model.D[j] @ now.past_u(age[j]) for j in range(model.D.shape[0])])
-
-
 def ring(room: Leaf, entry: Shaped[Array, "..."]) -> Shaped[Array, "rows ..."]:
     """Return a ring that holds `entry` for every sample as far back as `room` is long; its last row is for what is not kept."""
     return jnp.broadcast_to(entry, (room.shape[0] + 2, *entry.shape))

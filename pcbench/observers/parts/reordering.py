@@ -15,6 +15,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
+from pcbench.observers.parts.feedthrough import known_input
 from pcbench.protocols import Arrival, Leaf, Now
 
 
@@ -46,9 +47,8 @@ def start(state: Any, places: Leaf, outputs: int, noted: int) -> Line:
 
 def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Sample:
     """Return what arrives as a sample; D u at the sample's tick is taken off its value."""
-    known = jnp.stack([D[j] @ now.past_u(arrival.age[j]) for j in range(D.shape[0])])
     age = jnp.max(jnp.where(arrival.fresh, arrival.age, 0))  # the channels that come together were taken together
-    return Sample(now.tick - age, arrival.value - known, arrival.fresh, arrival.note)
+    return Sample(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.fresh, arrival.note)
 
 
 def replay(update: Update, line: Line, arrived: Sample) -> tuple[Line, Any]:

@@ -31,6 +31,7 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
+from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import way
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis.certificate import Setting
@@ -94,8 +95,7 @@ def observer(law: Law) -> Observer:
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         """Take what arrived for y of d ago."""
-        known = jnp.stack([gains.D[j] @ now.past_u(arrival.age[j]) for j in range(gains.D.shape[0])])
-        y = jnp.where(arrival.fresh, arrival.value - known, memory.y)
+        y = jnp.where(arrival.fresh, arrival.value - known_input(gains.D, now, arrival.age), memory.y)
         return memory._replace(y=y, f=found(gains, memory.xd, memory.w, y))
 
     def found(gains: Gains, xd: Float[Array, " n"], w: Float[Array, " p"], y: Float[Array, " p"]) -> Float[Array, " r"]:
