@@ -15,6 +15,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 Leaf = Any  # an array among an observer's or a plant's numbers: NumPy's when designed, jax's when traced
+Room = Leaf  # zeros, whose number alone is the message: under jit a length is known where a value is not
 Params = Any  # a pytree of arrays: a plant's or a controller's numbers
 Gains = Any  # a pytree of arrays: an observer's numbers, traced, never captured in a closure
 Memory = Any  # a pytree of arrays: an observer's state between ticks

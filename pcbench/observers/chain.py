@@ -29,7 +29,7 @@ from pcbench.observers.parts import per_sample
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable, way
 from pcbench.observers.parts.per_sample import Model, Place, Pole, read, ring, write
-from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import chain, chain_lyapunov
 from pcbench.synthesis.certificate import Design, Setting, certified
 from pcbench.synthesis.error_bounds import rate_of
@@ -54,7 +54,7 @@ class Gains(NamedTuple):
     model: Model
     tau: Int[Leaf, " q"]  # samples
     links: Link
-    room: Leaf  # [rows] its length is how many samples back the longest delay of the study reaches
+    room: Room  # for as many samples as the longest delay of the study reaches back
 
 
 class Memory(NamedTuple):

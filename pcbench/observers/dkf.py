@@ -34,7 +34,7 @@ from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Sample
-from pcbench.protocols import Leaf, Observer
+from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
 
@@ -48,9 +48,9 @@ class Gains(NamedTuple):
     D: Float[Leaf, "q m"]
     R: Float[Leaf, " q"]  # variance of one sample
     P0: Float[Leaf, "n n"]
-    places: Leaf  # [K] room for samples that may be overtaken
-    states: Float[Leaf, " plant"]  # their number is what the estimate has, and
-    inputs: Float[Leaf, " r"]  # the number of unknown inputs, the last states of the filter
+    room: Room  # for samples that may be overtaken
+    states: Float[Room, " plant"]  # what the estimate has of the filter's
+    inputs: Float[Room, " r"]  # unknown inputs, the last states of the filter
     known: Any  # x[n] -> [r] the known part of f, or None
 
 
@@ -73,7 +73,7 @@ class Options(BaseModel):
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior N(xhat(0), P0), what is beside the state from 0."""
     whole = jnp.concatenate([xhat0, jnp.zeros(gains.P0.shape[0] - xhat0.shape[0])])
-    return prediction.start(whole, Posterior(whole, gains.P0, jnp.asarray(0)), gains.places, gains.C.shape[0])
+    return prediction.start(whole, Posterior(whole, gains.P0, jnp.asarray(0)), gains.room, gains.C.shape[0])
 
 
 def update(gains: Gains, before: Posterior, sample: Sample) -> Posterior:
@@ -121,7 +121,7 @@ def design(setting: Setting, options: Options) -> Design:
     Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
     Q[:n, :n] += setting.process_noise
     noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)
-    sizes = (setting.places, np.zeros(n), np.zeros(len(inputs)))
+    sizes = (setting.room, np.zeros(n), np.zeros(len(inputs)))
     gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, *sizes, setting.model.known if len(inputs) else None)
     carries = True if len(inputs) else None
     proof = _certify(gains, model, Q, setting)

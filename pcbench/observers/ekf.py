@@ -31,7 +31,7 @@ from pcbench.observers.parts import kalman, reordering
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reordering import Line, Sample
-from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
 
@@ -48,7 +48,7 @@ class Gains(NamedTuple):
     start: Float[Leaf, " s"]  # p at t = 0
     low: Float[Leaf, " s"]
     high: Float[Leaf, " s"]
-    places: Leaf  # [K] room for samples that may be overtaken
+    room: Room  # for samples that may be overtaken
 
 
 class Memory(NamedTuple):
@@ -70,7 +70,7 @@ class Options(BaseModel):
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from the prior: xhat(0), p at its start, P0."""
     z, q = jnp.concatenate([xhat0, gains.start]), gains.C.shape[0]
-    return Memory(reordering.start(Posterior(z, gains.P0, jnp.asarray(0)), gains.places, q, 0), z)
+    return Memory(reordering.start(Posterior(z, gains.P0, jnp.asarray(0)), gains.room, q, 0), z)
 
 
 def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
@@ -139,20 +139,20 @@ def constant(Phi: Array, now: Now, z: Array) -> Array:
     return Phi
 
 
-def rate(model: Any, low: Array, now: Now, z: Array) -> Array:
-    """Return dz/dt: the model's field with the unknowns p, which stand still; `low` [s] tells their number."""
-    n = z.shape[0] - low.shape[0]
-    return jnp.concatenate([model(now, z[:n], z[n:]), jnp.zeros(low.shape[0])])
+def rate(model: Any, room: Room, now: Now, z: Array) -> Array:
+    """Return dz/dt: the model's field with the unknowns p, room [s], which stand still."""
+    n = z.shape[0] - room.shape[0]
+    return jnp.concatenate([model(now, z[:n], z[n:]), jnp.zeros(room.shape[0])])
 
 
-def step(model: Any, low: Array, now: Now, z: Array) -> Array:
+def step(model: Any, room: Room, now: Now, z: Array) -> Array:
     """Move a model by one Runge-Kutta step."""
-    return rk4(lambda t, z: rate(model, low, now._replace(t=t), z), now.t, z, now.dt)
+    return rk4(lambda t, z: rate(model, room, now._replace(t=t), z), now.t, z, now.dt)
 
 
-def slope(model: Any, low: Array, now: Now, z: Array) -> Array:
+def slope(model: Any, room: Room, now: Now, z: Array) -> Array:
     """Return I + h J."""
-    return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, low, now, z))(z)
+    return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, room, now, z))(z)
 
 
 def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Array) -> Array:
@@ -162,13 +162,13 @@ def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Arra
 
 def motion_of(setting: Setting) -> tuple[Any, Any]:
     """Return how a tick moves z, and its slope: exactly where the model is linear."""
-    model, low = setting.model, np.zeros(len(setting.unknown_std))
+    model, room = setting.model, np.zeros(len(setting.unknown_std))
     if setting.field is None and (model.E is None or model.known is None):
         whole = linear.with_unknown_input(model) if model.E is not None else model
         Phi, Gamma = linear.one_tick(whole, setting.dt)
         return jax.tree_util.Partial(affine, Phi, Gamma), jax.tree_util.Partial(constant, Phi)
     field = setting.field or jax.tree_util.Partial(pushed, model.A, model.B, model.E, model.known)
-    return jax.tree_util.Partial(step, field, low), jax.tree_util.Partial(slope, field, low)
+    return jax.tree_util.Partial(step, field, room), jax.tree_util.Partial(slope, field, room)
 
 
 def design(setting: Setting, options: Options) -> Design:
@@ -183,8 +183,19 @@ def design(setting: Setting, options: Options) -> Design:
     Q[n:, n:] = np.diag(options.walk * size * setting.dt)
     R = setting.noise_variance if options.R is None else np.full(len(setting.model.C), options.R)
     low, high = np.array(setting.unknown_range).T.reshape(2, s)
-    start, places = np.array(setting.unknown0, float), setting.places
-    gains = Gains(motion, tangent, setting.model.C, setting.model.feedthrough, R, Q, P0, start, low, high, places)
+    gains = Gains(
+        motion=motion,
+        slope=tangent,
+        C=setting.model.C,
+        D=setting.model.feedthrough,
+        R=R,
+        Q=Q,
+        P0=P0,
+        start=np.array(setting.unknown0, float),
+        low=low,
+        high=high,
+        room=setting.room,
+    )
     numbers = {"Q": Q, "R": R}
     proof = Certificate("none: the slope at the estimate is no proof", float("inf"), "none", "not needed", numbers)
     return Design(gains, proof, True if setting.model.E is not None else None)

@@ -29,7 +29,7 @@ from pcbench.observers.parts import prediction
 from pcbench.observers.parts.options import matrix, tunable, way
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Sample
-from pcbench.protocols import Leaf, Observer
+from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import current_gains, ranges
 from pcbench.synthesis.certificate import Design, Setting, one_clock
 from pcbench.synthesis.ranges import Range
@@ -42,7 +42,7 @@ class Gains(NamedTuple):
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     L: Float[Leaf, "n q"]
-    places: Leaf  # [K] room for samples that may be overtaken
+    room: Room  # for samples that may be overtaken
 
 
 class Options(BaseModel):
@@ -63,7 +63,7 @@ class Options(BaseModel):
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from xhat(0)."""
-    return prediction.start(xhat0, prediction.origin(xhat0), gains.places, gains.C.shape[0])
+    return prediction.start(xhat0, prediction.origin(xhat0), gains.room, gains.C.shape[0])
 
 
 def correct(gains: Gains, before: Point, sample: Sample) -> Point:
@@ -94,4 +94,4 @@ def design(setting: Setting, options: Options) -> Design:
     maps = ranges.maps(setting, options.period_range, options.parameter_range, options.q, where) if wide else None
     L, certificate = current_gains.find(setting, options.gain, given, options.q, options.decay, maps, where)
     moves = prediction.motion_of(setting.model, setting)
-    return Design(Gains(moves, setting.model.C, setting.model.feedthrough, L, setting.places), certificate)
+    return Design(Gains(moves, setting.model.C, setting.model.feedthrough, L, setting.room), certificate)

@@ -34,7 +34,7 @@ from pcbench.observers.parts import prediction
 from pcbench.observers.parts.options import matrix, tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Sample
-from pcbench.protocols import Leaf, Observer
+from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import ranges, reduced_order
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
 from pcbench.synthesis.ranges import Range
@@ -51,7 +51,7 @@ class Gains(NamedTuple):
     D: Float[Leaf, "l m"]
     Kp: Float[Leaf, "w l"]
     Ki: Float[Leaf, "w l"]
-    places: Leaf  # [K] room for samples that may be overtaken
+    room: Room  # for samples that may be overtaken
 
 
 class Reduced(NamedTuple):
@@ -81,7 +81,7 @@ class ProportionalIntegral(Proportional):
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from xhat(0), nothing measured."""
     state = Reduced(prediction.origin(xhat0), jnp.zeros(gains.Kp.shape[0]), jnp.asarray(False))
-    return prediction.start(xhat0, state, gains.places, gains.D.shape[0])
+    return prediction.start(xhat0, state, gains.room, gains.D.shape[0])
 
 
 def reduced(gains: Gains, before: Reduced, sample: Sample) -> Reduced:
@@ -122,5 +122,5 @@ def design(setting: Setting, options: Proportional) -> Design:
     found = reduced_order.design(plant, given, integral, options.decay, where)
     certificate = certified(found.certificate, where)
     moves = prediction.motion_of(setting.model, setting)
-    gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.places)
+    gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.room)
     return Design(gains, certificate)

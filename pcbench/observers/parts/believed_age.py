@@ -20,7 +20,7 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.observers.parts import per_sample
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.per_sample import Model, Place, read, ring, write
-from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Setting
 
 
@@ -34,7 +34,7 @@ class Gains(NamedTuple):
     here: Float[Leaf, "n q"]  # corrects the estimate an error is found at
     next: Float[Leaf, "n q"]  # corrects the one after
     first: Int[Leaf, ""]  # samples: no correction before
-    room: Leaf  # [rows] its length is how many samples back it must look
+    room: Room  # for as many samples as it must look back
 
 
 class Memory(NamedTuple):

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int, Shaped
 from pydantic import AfterValidator
 
 from pcbench.dynamics import linear
-from pcbench.protocols import Leaf, Now
+from pcbench.protocols import Leaf, Now, Room
 from pcbench.synthesis.certificate import Setting
 
 
@@ -67,8 +67,8 @@ def flow(model: Model, place: Place, now: Now) -> tuple[Place, Bool[Array, ""]]:
     return Place(tick, tick // model.period, model.Phi @ place.xbar + model.Gamma @ now.u, carried), due
 
 
-def ring(room: Leaf, entry: Shaped[Array, "..."]) -> Shaped[Array, "rows ..."]:
-    """Return a ring that holds `entry` for every sample as far back as `room` is long; its last row is for what is not kept."""
+def ring(room: Room, entry: Shaped[Array, "..."]) -> Shaped[Array, "rows ..."]:
+    """Return a ring that holds `entry` for every sample there is room for; its last row is for what is not kept."""
     return jnp.broadcast_to(entry, (room.shape[0] + 2, *entry.shape))
 
 

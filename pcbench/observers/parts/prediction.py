@@ -19,7 +19,7 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after
 from pcbench.observers.parts import reordering
 from pcbench.observers.parts.reordering import Line, Sample
-from pcbench.protocols import Arrival, Leaf, Now
+from pcbench.protocols import Arrival, Leaf, Now, Room
 from pcbench.synthesis.certificate import Setting
 
 Update = Callable[[Any, Any, Sample], Any]
@@ -48,9 +48,9 @@ class Memory(NamedTuple):
     line: Line  # the recursion's state at the newest samples used
 
 
-def start(xhat0: Float[Array, " n"], state: Any, places: Leaf, outputs: int) -> Memory:
+def start(xhat0: Float[Array, " n"], state: Any, room: Room, outputs: int) -> Memory:
     """Start from xhat(0), as if a sample had been used at tick 0."""
-    return Memory(jnp.zeros_like(xhat0), xhat0, reordering.start(state, places, outputs, xhat0.shape[0]))
+    return Memory(jnp.zeros_like(xhat0), xhat0, reordering.start(state, room, outputs, xhat0.shape[0]))
 
 
 def origin(xhat0: Float[Array, " n"]) -> Point:

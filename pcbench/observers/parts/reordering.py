@@ -16,7 +16,7 @@ from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
 from pcbench.observers.parts.feedthrough import known_input
-from pcbench.protocols import Arrival, Leaf, Now
+from pcbench.protocols import Arrival, Leaf, Now, Room
 
 
 class Sample(NamedTuple):
@@ -38,9 +38,9 @@ class Line(NamedTuple):
 Update = Callable[[Any, Sample], Any]  # (state, sample) -> state at the sample's tick
 
 
-def start(state: Any, places: Leaf, outputs: int, noted: int) -> Line:
-    """Return a line with nothing in it, room for len(`places`) samples."""
-    K = places.shape[0]
+def start(state: Any, room: Room, outputs: int, noted: int) -> Line:
+    """Return a line with nothing in it, with room for K samples."""
+    K = room.shape[0]
     empty = Sample(jnp.full(K, -1), jnp.zeros((K, outputs)), jnp.zeros((K, outputs), bool), jnp.zeros((K, noted)))
     return Line(state, empty)
 
