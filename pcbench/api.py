@@ -77,7 +77,7 @@ def trace(
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
     with process.float64():
         study, cell = one_cell(scenario, names, overrides or [])
-        if cell.scenario.controller and len(names) > 1:
+        if cell.scenario.loop.controller and len(names) > 1:
             raise UserError(
                 f"{study.name}: got {len(names)} observers in a closed loop, expected one: each drives a plant of its own; "
                 "trace them one at a time."

@@ -152,7 +152,7 @@ def test_a_diverged_run_is_counted_with_its_time_and_never_averaged():
     from pcbench.scenarios import SCENARIOS
     from pcbench.study.cells import cell_of
 
-    s = SCENARIOS["cart/slow"]._replace(bound=20.0)
+    s = SCENARIOS["cart/slow"].having(bound=20.0)
     options = {
         "kfbo": study.options_of(
             read.parse(

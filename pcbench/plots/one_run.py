@@ -58,7 +58,7 @@ def _key(study: Study, scenario: str) -> bytes:
 def _made(study: Study, scenario: str) -> pd.DataFrame:
     axes = {name: [values[0]] for name, values in study.axes.items()}
     here = study_of(study, {"scenarios": [scenario], "axes": axes}, [])
-    names, closed = observers_of(here, scenario), bool(scenarios_of(here)[scenario].controller)
+    names, closed = observers_of(here, scenario), bool(scenarios_of(here)[scenario].loop.controller)
     groups = [[name] for name in names] if closed else [names]
     parts = [part for group in groups for part in _series(here, scenario, group, closed)]
     return pd.concat(parts, ignore_index=True)

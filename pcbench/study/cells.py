@@ -34,7 +34,7 @@ class Cell(NamedTuple):
 
     def having(self, **changes: Any) -> "Cell":
         """Return the cell with fields of its scenario changed, its times with them."""
-        scenario = self.scenario._replace(**changes)
+        scenario = self.scenario.having(**changes)
         return self._replace(scenario=scenario, times=times_of(scenario))
 
 
@@ -58,32 +58,32 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     for index, point in enumerate(itertools.product(*axes.values())):
         given = dict(zip(axes, point, strict=True))
         fields = {k: v for k, v in given.items() if k in AXES}
-        changed = base._replace(**fields, input=choices.input or base.input)
+        changed = base.having(**fields, input=choices.input or base.loop.input)
         if choices.unknown_input:
-            if not base.unknown_input:
+            if not base.truth.unknown_input:
                 raise UserError(
                     f"{where}: options.scenario.unknown_input: got {choices.unknown_input!r} for {scenario}, whose plant has "
                     "no unknown input; expected a scenario such as arm/sine; leave it out."
                 )
-            changed = changed._replace(unknown_input=choices.unknown_input)
+            changed = changed.having(unknown_input=choices.unknown_input)
         _of_the_loop(changed, choices, where)
         fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
-        values = {name: axis.plain(name, getattr(changed, name), name in apart) for name in AXES}
+        values = {name: axis.plain(name, changed.value(name), name in apart) for name in AXES}
         own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
-        out.append(cell_of(changed, index, values, dict(base.parameters) | own, choices))
+        out.append(cell_of(changed, index, values, dict(base.truth.parameters) | own, choices))
     return out
 
 
 def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
     """Raise UserError where a choice is of the other kind of loop."""
     given = [name for name, value in choices.loop().items() if value is not None]
-    if given and not s.controller:
+    if given and not s.loop.controller:
         raise UserError(
             f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, where no controller gives "
             "commands, expected a closed loop such as helicopter/constant; leave it out."
         )
-    if choices.input and s.controller:
+    if choices.input and s.loop.controller:
         raise UserError(
             f"{where}: options.scenario.input: got {choices.input!r} for {s.name}, whose input a controller gives, expected a "
             "path to follow (options.scenario.path); leave it out."
@@ -94,7 +94,7 @@ def channels_apart(study: Study) -> set[str]:
     """Return the axes in which channels differ in some cell of a study: its tables hold a list for every cell there."""
     known, out = scenarios_of(study), set()
     for name in axis.CHANNELS:
-        given = study.axes.get(name) or [getattr(known[s], name) for s in study.scenarios]
+        given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
         if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
             out.add(name)
     return out
@@ -102,7 +102,7 @@ def channels_apart(study: Study) -> set[str]:
 
 def identity(cell: Cell, root_seed: int) -> str:
     """Return the digest of all that decides the numbers of a cell but its observers; equal for equal numbers."""
-    said = cell._asdict() | {"scenario": cell.scenario._asdict(), "choices": cell.choices.model_dump()}
+    said = cell._asdict() | {"scenario": cell.scenario.flat(), "choices": cell.choices.model_dump()}
     del said["number"], said["values"], said["times"]
     text = json.dumps(said | {"root_seed": root_seed}, sort_keys=True, default=_plain)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -146,7 +146,7 @@ def resolved(study: Study, every: list[Cell] | None = None) -> dict[str, Any]:
             o: options_of(study, base, o).model_dump(exclude_none=True) for o in observers_of(study, scenario)
         }
     known = scenarios_of(study)
-    scenarios = {s: _said(json.loads(json.dumps(known[s]._asdict(), default=dict))) for s in study.scenarios}
+    scenarios = {s: _said(json.loads(json.dumps(known[s].flat(), default=dict))) for s in study.scenarios}
     out = study.model_dump(exclude_none=True, exclude={"tuning", "tune"})  # by now they are options like any others
     ran_by = {s: observers_of(study, s) for s in study.scenarios}
     said = {"options": options, "scenarios": scenarios, "observers": ran_by}
