@@ -8,9 +8,10 @@ from functools import cache
 
 import numpy as np
 import pytest
-from reference import unknown_input as ui
 from scipy.integrate import solve_ivp
 from scipy.linalg import block_diag, expm
+
+from reference import unknown_input as ui
 
 OBSERVERS = {"smo": ui.SMO, "pio": ui.PIO}
 NEARBY = 4  # runs from x(0) (1 + 1e-6 N(0, 1)), beside the nominal one, for each disturbance

@@ -5,6 +5,7 @@ Plants here are random, with three states, two inputs and two outputs.
 
 import numpy as np
 import pytest
+
 from reference import linear, moments
 
 

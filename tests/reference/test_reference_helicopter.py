@@ -7,12 +7,13 @@ from functools import cache
 
 import numpy as np
 import pytest
-from reference import helicopter as he
-from reference import helicopter_ekf as kf
-from reference import high_gain as hg
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq
+
+from reference import helicopter as he
+from reference import helicopter_ekf as kf
+from reference import high_gain as hg
 
 VARYING = he.Scenario(delay=he.varying)
 ROBUST = hg.Tuning(robust=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-FOLDER = Path(__file__).parent.parent / "benchmarks"
+FOLDER = Path(__file__).parents[2] / "benchmarks"
 HELPERS = {"baselines", "turns"}  # imported by the others
 ROWS = {  # what each prints, and how often
     "throughput": {"(a)": 1, "(b)": 1, "(c)": 1, "pcbench, streams": 2, "pcbench, full product": 2, "random start": 2},

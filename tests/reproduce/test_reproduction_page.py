@@ -12,7 +12,7 @@ from pcbench.reproduce import PAPERS, arm_gains, cart_theorem, chain_design, pi_
 from pcbench.reproduce.claim import FINDING, VERDICTS, Claim, counts, digits, rounds_to, statement
 from pcbench.reproduce.page import _cell, page
 
-PAGE = Path(__file__).parent.parent / "REPRODUCTION.md"
+PAGE = Path(__file__).parents[2] / "REPRODUCTION.md"
 
 
 def cells(line):

@@ -17,7 +17,7 @@ from pcbench.machine import process
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.study import STUDIES, TUNINGS, observers_of, read
 
-README = (Path(__file__).parent.parent / "README.md").read_text()
+README = (Path(__file__).parents[2] / "README.md").read_text()
 FAIR = {
     "name": "little",
     "scenarios": ["cart/gaussian"],

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from commands import call
 
-OWN = (Path(__file__).parent / "own_observer.py").read_text()
+OWN = (Path(__file__).parents[1] / "support" / "own_observer.py").read_text()
 
 
 @pytest.fixture

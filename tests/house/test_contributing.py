@@ -15,7 +15,7 @@ from pcbench.observers import OBSERVERS, Entry
 from pcbench.observers.parts import options
 from pcbench.protocols import Observer
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "CONTRIBUTING.md").read_text()
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 PATHS = sorted(set(re.findall(r"`((?:pcbench|tests|\.ci)/[\w./-]+|[A-Z]+\.md)`", TEXT)))

@@ -10,6 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+
 from reference import cart, irregular, linear
 
 VARIANCE = 0.001  # of a sample of the cart [m^2]

@@ -17,7 +17,7 @@ from pcbench.statistics import wording
 from pcbench.study import cells, read
 
 RANKED = "scenario == 'cart/white' and signal == 'position' and metric == 'tail_rmse'"
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 
 

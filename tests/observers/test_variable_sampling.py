@@ -89,7 +89,7 @@ def expected(observer, options, model, u, samples, xhat0, design, case):
     return reference.pco(model, u, samples, xhat0, design.gains.T, design.gains.Kp, Ki)
 
 
-FAST = {("pccebo", "loss")}  # on the cart; `test_own_events` has more
+FAST = {("pccebo", "loss")}  # on the cart; `test_events_per_lane` has more
 EVERY = [
     pytest.param(plant, o, options, clock, marks=[] if plant == "cart" and (o, clock) in FAST else pytest.mark.slow)
     for plant in ("cart", "odd")

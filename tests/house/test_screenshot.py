@@ -1,6 +1,6 @@
 """The README's picture of a report is what the report looks like.
 
-PCBENCH_SCREENSHOT=write python -m pytest -m slow tests/test_screenshot.py     draws it anew
+PCBENCH_SCREENSHOT=write python -m pytest -m slow tests/house/test_screenshot.py     draws it anew
 """
 
 import os
@@ -15,7 +15,7 @@ from PIL import Image
 import pcbench
 from pcbench.report import page
 
-PICTURE = Path(__file__).parent.parent / "notebooks" / "report.png"
+PICTURE = Path(__file__).parents[2] / "notebooks" / "report.png"
 CHROMIUM = next(
     (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
 )

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+
 from reference import chain as ref
 
 TAU, X0, ZERO = [2, 5, 7], np.array([0.5, 2e4, 5.0]), np.zeros(3)
