@@ -19,7 +19,7 @@ def pack(p: Planned) -> bytes | Planned:
     plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
     proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
     layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
-    cell = p.cell._replace(scenario=p.cell.scenario.having(**plain))
+    cell = p.cell._replace(scenario=p.cell.scenario.having(**plain), options={})
     try:
         return pickle.dumps(p._replace(cell=cell, layout=layout, certificates=proofs))
     except (pickle.PicklingError, AttributeError):

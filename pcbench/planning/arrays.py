@@ -18,17 +18,17 @@ from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import per_lane, shared
-from pcbench.study import Study, observers_of, options_of
-from pcbench.study.cells import Cell, cells_of, identity, told
+from pcbench.study import Study
+from pcbench.study.cells import Cell, cells_of
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
 
 def plan(study: Study) -> list[Planned]:
     """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
-    return padding.fit(list(drafts(study, cells_of(study))))
+    return padding.fit(list(drafts(cells_of(study))))
 
 
-def drafts(study: Study, every: list[Cell], wanted: Container[tuple[str, int]] | None = None) -> Iterator[Planned]:
+def drafts(every: list[Cell], wanted: Container[tuple[str, int]] | None = None) -> Iterator[Planned]:
     """Draft cells one after another: of each one draft, or in a closed loop one for every observer, each with its own plant.
 
     Cells whose key is not `wanted` (None: all are) have no gains: they say what room a program needs.
@@ -44,10 +44,9 @@ def drafts(study: Study, every: list[Cell], wanted: Container[tuple[str, int]] |
         if not cell.times.random:  # where sampling is random, room for more costs more than a program
             overtaking, reach = most[cell.scenario.plant]
             known = known._replace(overtaking=overtaking, reach=reach)
-        options = {o: options_of(study, cell.scenario, o) for o in observers_of(study, cell.scenario.name)}
-        for each in [{o: given} for o, given in options.items()] if cell.scenario.loop.controller else [options]:
-            drafted = draft(cell, each if wanted is None or cell.key in wanted else {}, known)
-            yield drafted._replace(digest=identity(cell, study.root_seed))
+        groups = [{o: given} for o, given in cell.options.items()] if cell.scenario.loop.controller else [cell.options]
+        for options in groups:
+            yield draft(cell, options if wanted is None or cell.key in wanted else {}, known)
 
 
 def width(cell: Cell) -> int:
@@ -103,8 +102,16 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     proofs, carries = {o: d.certificate for o, d in designs.items()}, {o: d.carries_input for o, d in designs.items()}
     reach = controller.reach(cell, known.overtaking, n) if s.loop.controller else None
     least = bound(cell, known) if options else None
-    digests = {o: told(given) for o, given in options.items()}
-    return Planned(cell, layout, problem, proofs, least, carries, tuple(options), reach, digests)
+    return Planned(
+        cell=cell,
+        layout=layout,
+        problem=problem,
+        certificates=proofs,
+        bound=least,
+        carries_input=carries,
+        labels=tuple(options),
+        reach=reach,
+    )
 
 
 def _strides(plan: Any, options: dict[str, BaseModel], heavy: bool) -> bool:

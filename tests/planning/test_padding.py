@@ -17,7 +17,7 @@ def drafts(axes, observers=("pccebo", "dkf"), scenario="cart/white"):
     raw = {"name": "t", "scenarios": [scenario], "observers": list(observers), "axes": axes}
     study = read.parse(raw, "t")
     with process.float64():
-        return list(planning.drafts(study, cells_of(study)))
+        return list(planning.drafts(cells_of(study)))
 
 
 @pytest.mark.parametrize(
