@@ -58,7 +58,7 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
     """
     with tempfile.TemporaryDirectory() as out, process.float64():
         place, began = store.target(out), []
-        claimed = ownership.claim(place, read.study_of(study, {}, []))
+        claimed = ownership.claim(place, read.grid_of(study, {}, []))
 
         def tell(event: str, value: float) -> None:
             if event == "planned":

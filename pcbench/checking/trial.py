@@ -16,7 +16,7 @@ from pcbench.checking.loading import Candidate
 from pcbench.errors import UserError, raised
 from pcbench.plants import PLANTS
 from pcbench.protocols import Observer, Plant
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import Loop, Sampling, Scenario, Truth
 from pcbench.simulation.problem import Problem, present, truth
 from pcbench.simulation.schedule import shared
 from pcbench.study import times
@@ -65,24 +65,27 @@ class Trial(NamedTuple):
 
 def cases(scenario: Scenario, takes: str) -> list[Case]:
     """Return the schedules to try, without gains."""
-    every, at_once = round(scenario.sampling_period[0] / scenario.dt), len(scenario.delay)
-    ticks = SPAN * every
+    measured, x0 = scenario.sampling, scenario.truth.x0
+    every, at_once = round(measured.sampling_period[0] / scenario.dt), len(measured.delay)
     seconds = [every * scenario.dt * late for late in (0, 1, 2.5)]
+    usual = all(d is not None and round(d / scenario.dt) <= 3 * every for d in measured.delay)
     plain = scenario._replace(
-        drift=0.0, parameters={}, process_std=(), horizon=ticks * scenario.dt, tail=scenario.dt, xhat0=scenario.x0,
-        input="zero", unknown_input="zero" if scenario.unknown_input else "", continuous=False, start_box=(),
-        controller="", early=False, delay_swing=(0.0, 0.0), profile="periodic", jitter=0.0, delay_jitter=0.0, loss=0.0,
-        assumed_delay_error=0.0, sampling_period=(every * scenario.dt,) * at_once,
-    )  # fmt: skip
-    if any(d is None or round(d / scenario.dt) > 3 * every for d in plain.delay):
-        plain = plain._replace(delay=(seconds[1],) * at_once)
+        truth=Truth(x0, unknown_input="zero" if scenario.truth.unknown_input else ""),
+        loop=Loop(input="zero"),
+        sampling=Sampling(
+            sampling_period=(every * scenario.dt,) * at_once,
+            delay=measured.delay if usual else (seconds[1],) * at_once,
+            noise_std=measured.noise_std,
+        ),
+        horizon=SPAN * every * scenario.dt,
+    ).having(xhat0=x0, assumed_delay_error=0.0, start_box=(), tail=scenario.dt)
     named = {"the scenario's own": plain}
     for name, late in zip(("delay 0", "one period late", "two and a half periods late"), seconds, strict=True):
         whole = every * scenario.dt * 2 if late == seconds[2] and every % 2 else late
-        named[name] = plain._replace(delay=(whole,) * at_once)
+        named[name] = plain.having(delay=(whole,) * at_once)
     if takes in VARYING:
         turn = tuple(max(part, 1) * scenario.dt for part in (every, every // 2, every + every // 3))
-        named["varying intervals"] = named["one period late"]._replace(profile=turn)
+        named["varying intervals"] = named["one period late"].having(profile=turn)
     found = [_case(name, each, None) for name, each in named.items()]
     if takes in VARYING:
         found.append(_case("samples that overtake", named["one period late"], every))
@@ -95,7 +98,7 @@ def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
     cell = cell_of(scenario)
     known = planning.setting(cell)
     drafted = planning.draft(cell, {}, known)
-    p, n, q = drafted.problem, known.ticks, len(scenario.delay)
+    p, n, q = drafted.problem, known.ticks, len(scenario.sampling.delay)
     if overtaken is not None:
         taken = shared.samples(times.clocks(scenario), n)
         late = [s._replace(arrives=s.arrives + (3 * overtaken // 2 if s.number % 3 == 1 else 0)) for s in taken]

@@ -24,7 +24,8 @@ from pcbench.dataset.ownership import Claim
 from pcbench.dataset.verify import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
-from pcbench.study.cells import identity, to_toml
+from pcbench.study.as_toml import to_toml
+from pcbench.study.cells import identity, rooted
 
 LEVEL = 0.05
 KEY = ["scenario", "digest", "observer", "signal", "metric"]
@@ -85,7 +86,8 @@ def compare(a: Any, b: Any) -> Comparison:
 def _rooted(claimed: Claim, root_seed: int) -> Claim:
     """A claim as it would be with another root seed: that changes draws, and is no other study here."""
     study = claimed.study.model_copy(update={"root_seed": root_seed})
-    return Claim(study, claimed.cells, to_toml(study, claimed.cells))
+    every = rooted(claimed.cells, root_seed)
+    return Claim(study, every, to_toml(study, every))
 
 
 class Side(NamedTuple):

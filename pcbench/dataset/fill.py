@@ -198,7 +198,7 @@ def _planned(claimed: Claim, todo: Missing, shelf: Path) -> list[Laid]:
     """Plan what is to do and lay it aside, cells of one program together."""
     room = padding.Room()
     drafts: list[Path | Planned] = []
-    for p in padding.checked(planning.drafts(claimed.study, claimed.cells, todo)):
+    for p in padding.checked(planning.drafts(claimed.cells, todo)):
         room = padding.larger(room, padding.room_of(p))
         if p.labels:
             drafts.append(lay_aside(p, shelf / str(len(drafts))))

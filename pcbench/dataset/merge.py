@@ -10,7 +10,7 @@ from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
 from pcbench.dataset.verify import difference
 from pcbench.errors import UserError
-from pcbench.study.cells import cells_of, to_toml
+from pcbench.study.as_toml import to_toml
 
 
 class Part(NamedTuple):
@@ -139,8 +139,7 @@ def _whole(claims: list[Claim]) -> Claim:
     first = min(s.first_seed for s in studies)
     last = max(s.first_seed + s.seeds for s in studies)
     study = studies[0].model_copy(update={"first_seed": first, "seeds": last - first})
-    every = cells_of(study, ownership.numbers_in(claims[0]))
-    return Claim(study, every, to_toml(study, every))
+    return Claim(study, claims[0].cells, to_toml(study, claims[0].cells))
 
 
 def _closed(target: store.Target, whole: Claim, places: list[store.Target], doubled: int) -> Merged:

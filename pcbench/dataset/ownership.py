@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 from pcbench.dataset import block_files, repair, store
 from pcbench.dataset.changes import changes
 from pcbench.errors import UserError
-from pcbench.study import Study
-from pcbench.study.cells import Cell, cells_of, channels_apart, identity, to_toml
-from pcbench.study.read import NOT_TOML, parse
+from pcbench.study import Study, read
+from pcbench.study.as_toml import to_toml
+from pcbench.study.cells import Cell, Grid, channels_apart, numbered
+from pcbench.study.raw import NOT_TOML
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
@@ -31,20 +32,20 @@ class Claim(NamedTuple):
     fresh: bool = False  # what an older run left goes when this one begins
 
 
-def claim(place: store.Target, study: Study, fresh: bool = False) -> Claim:
+def claim(place: store.Target, grid: Grid, fresh: bool = False) -> Claim:
     """Return the study with its cells as numbered in a place; raise UserError where that belongs to another. Writes nothing.
 
     With `fresh` a study of pcbench's own that stands there is to go.
     """
+    study, every = grid
     said = store.text(place, TEXT)
     blocks = block_files.present(place)
     if fresh and (blocks or said is not None):
         if said is not None and not blocks:
             _read(place, said)
-        every = cells_of(study)
         return Claim(study, every, to_toml(study, every), True)
     if blocks and (said is None or not _readable(said)):
-        every = repair.cells_of_blocks(place, study, blocks)
+        every = repair.cells_of_blocks(place, grid, blocks)
         return Claim(study, every, to_toml(study, every))
     if said is None:
         others = [name for name in store.names(place) if not name.startswith(BESIDE)]
@@ -52,10 +53,9 @@ def claim(place: store.Target, study: Study, fresh: bool = False) -> Claim:
             raise UserError(
                 f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
             )
-        every = cells_of(study)
         return Claim(study, every, to_toml(study, every))
     there = _read(place, said)
-    every = cells_of(study, there["resolved"]["cells"])
+    every = numbered(every, there["resolved"]["cells"])
     _only_what_stands(there, blocks)
     changed = [*changes(there, tomllib.loads(to_toml(study, every))), *_reshaped(place, there, study)]
     if changed and blocks:
@@ -65,7 +65,7 @@ def claim(place: store.Target, study: Study, fresh: bool = False) -> Claim:
             "one with more seeds, cells or observers; give a new folder with --out, or start over with --fresh."
         )
     if changed:  # nothing was finished there
-        every = cells_of(study)
+        every = grid.cells
     return Claim(study, every, to_toml(study, every))
 
 
@@ -77,13 +77,13 @@ def opened(place: store.Target) -> Claim:
             f"{place.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
         )
     there = _read(place, said)
-    study = _study(place, there)
-    return Claim(study, cells_of(study, there["resolved"]["cells"]), said.decode())
+    study, every = _grid(place, there)
+    return Claim(study, numbered(every, there["resolved"]["cells"]), said.decode())
 
 
 def digests(claimed: Claim) -> dict[tuple[str, int], str]:
     """Return by key what tells each cell of a study from all others."""
-    return {c.key: identity(c, claimed.study.root_seed) for c in claimed.cells}
+    return {c.key: c.digest for c in claimed.cells}
 
 
 def differences(a: Claim, b: Claim) -> list[str]:
@@ -118,8 +118,16 @@ def renew(place: store.Target, claimed: Claim) -> None:
         store.put(place, TEXT, claimed.text.encode())
 
 
+def _grid(place: store.Target, there: dict[str, Any]) -> Grid:
+    return read.grid(_said(there), f"{place.name}/{TEXT}")
+
+
 def _study(place: store.Target, there: dict[str, Any]) -> Study:
-    return parse({k: v for k, v in there.items() if k != "resolved"}, f"{place.name}/{TEXT}")
+    return read.described(_said(there) | {"seeds": 1}, f"{place.name}/{TEXT}")
+
+
+def _said(there: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in there.items() if k != "resolved"}
 
 
 def _only_what_stands(there: dict[str, Any], blocks: list[block_files.Block]) -> None:
@@ -133,7 +141,7 @@ def _only_what_stands(there: dict[str, Any], blocks: list[block_files.Block]) ->
 
 def _reshaped(place: store.Target, there: dict[str, Any], study: Study) -> Any:
     """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
-    for name in sorted(channels_apart(_study(place, there | {"seeds": 1})) ^ channels_apart(study)):
+    for name in sorted(channels_apart(_study(place, there)) ^ channels_apart(study)):
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
 
 

@@ -109,7 +109,7 @@ def _error(
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
     found = summary.observed(place, claimed, cell, blocks)
     rows, _ = summary.summary(place, claimed.study.name, cell, found, (0, last))
-    shown = scenarios_of(claimed.study)[cell.scenario.name].headline or (signals_of(cell.scenario)[0][0],)
+    shown = scenarios_of(claimed.study)[cell.scenario.name].scoring.headline or (signals_of(cell.scenario)[0][0],)
     signals = [goal.signal] if goal.signal else shown
     mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
     if not mine:

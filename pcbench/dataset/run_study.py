@@ -12,7 +12,7 @@ from pcbench.dataset import block_files, executors, fill, ownership, precision, 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.machine import process
-from pcbench.study import Study
+from pcbench.study.cells import Grid
 
 Tell = Callable[[str, float], None]
 Say = Callable[[str], None]
@@ -46,7 +46,7 @@ class How(NamedTuple):
         return self
 
 
-def execute(study: Study, out: str | Path | None = None, how: How | None = None) -> Result:
+def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there. Errors are those of `pcbench.run`."""
     how = (how or How()).checked()
     goal, tell, say = precision.parse(how.until_se, how.max_seeds), how.tell, how.say
@@ -54,7 +54,7 @@ def execute(study: Study, out: str | Path | None = None, how: How | None = None)
         start, began = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
         place = store.target(keep.name if keep else str(out))
-        claimed = ownership.claim(place, study, how.fresh)
+        claimed = ownership.claim(place, grid, how.fresh)
         precision.check(goal, claimed)
         share = executors.share(how.memory, how.dask, how.workers, how.devices)
         choice = fill.Options(how.block, share)
@@ -80,4 +80,4 @@ def execute(study: Study, out: str | Path | None = None, how: How | None = None)
     where: str | Path | None = out
     if out is not None and place.local:
         where = Path(place.root if "://" in str(out) else out)
-    return Result(study, place, where, effort, keep)
+    return Result(grid.study, place, where, effort, keep)

@@ -20,7 +20,8 @@ from pcbench.errors import UserError
 from pcbench.machine import provenance
 from pcbench.plants import signals_of
 from pcbench.study import observers_of
-from pcbench.study.cells import Cell, digest
+from pcbench.study.as_toml import digest
+from pcbench.study.cells import Cell
 
 PROVENANCE = "provenance.json"
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
@@ -42,7 +43,7 @@ def close(place: store.Target, claimed: Claim, there: list[Block], about: dict[s
     study = {
         "schema": columns.SCHEMA,
         "study": claimed.study.name,
-        "study_sha256": digest(claimed.study),
+        "study_sha256": digest(claimed.study, claimed.cells),
         "root_seed": claimed.study.root_seed,
         "blocks": len(there),
     }
@@ -153,9 +154,9 @@ def summary(
     names, units = [name for name, _ in signals], dict(signals)
     head = columns.keys(study, cell) | {"plant": s.plant}
     carries = {name: each.about["carries_input"] for name, each in found.items()}
-    bounds = {name: _seen(each.about["bound"], s.prior_std) for name, each in found.items()}
+    bounds = {name: _seen(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
     described, compared = statistics.summarise(
-        lambda: chunks(place, found, within), bounds, names, s.prior_std + s.unknown_std
+        lambda: chunks(place, found, within), bounds, names, s.belief.prior_std + s.belief.unknown_std
     )
     stats, pairs = [], []
     for name, rows in described.items():

@@ -98,9 +98,9 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: in
     about = {
         "study": work.study,
         "root_seed": work.root_seed,
-        "cell": p.digest,
+        "cell": p.cell.digest,
         "observer": label,
-        "options": p.told[label],
+        "options": p.cell.told[label],
         "first": first,
         "last": last,
         "metrics": {m: len(results[m]) for m in RUN_METRICS if m in results},

@@ -13,7 +13,7 @@ from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
 from pcbench.planning import padding
 from pcbench.study import observers_of
-from pcbench.study.cells import digest
+from pcbench.study.as_toml import digest
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
 FAIR = "fair.parquet"  # of a study with several tunings
@@ -121,8 +121,8 @@ def _tasks(claimed: Claim, chosen: list[Block]) -> Iterator[task.Task]:
     by: dict[tuple[str, int], dict[block_files.Range, list[str]]] = {}
     for b in chosen:
         by.setdefault((b.scenario, b.cell), {}).setdefault((b.first, b.last), []).append(b.observer)
-    room = padding.needed(planning.drafts(claimed.study, claimed.cells, ()))
-    for draft in planning.drafts(claimed.study, claimed.cells, by):
+    room = padding.needed(planning.drafts(claimed.cells, ()))
+    for draft in planning.drafts(claimed.cells, by):
         for (first, last), observers in by[draft.cell.key].items() if draft.labels else ():
             if labels := tuple(label for label in draft.labels if label in observers):
                 yield task.Task(padding.fitted(draft, room), ((first, last, labels),))
@@ -192,7 +192,7 @@ def _others(place: store.Target, claimed: Claim) -> Iterator[str]:
     for name in summary.damaged(place):
         yield f"{name}: is not as it was written; run the study again to have it made anew."
     said = summary.record(place)
-    if said and said["study_sha256"] != digest(claimed.study):
+    if said and said["study_sha256"] != digest(claimed.study, claimed.cells):
         yield f"{ownership.TEXT}: is not of the study that was run; run that again to have it written anew."
     for name in [n for n in store.names(place) if n.startswith("examples/") or n == FAIR]:
         content = store.get(place, name)

@@ -24,8 +24,9 @@ from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
 from pcbench.gains.objective import Goal, goal
 from pcbench.observers import entry_of
-from pcbench.study import Study, given, observers_of, options_of, scenarios_of
-from pcbench.study.read import one_cell, study_of
+from pcbench.study import Study, given, observers_of, scenarios_of
+from pcbench.study.cells import Grid
+from pcbench.study.read import grid_of, one_cell
 
 JUDGES = (tune.JUDGES[0], 256)
 
@@ -42,18 +43,24 @@ class Version(NamedTuple):
 class Prepared(NamedTuple):
     """A study with every option explicit, and what its labels are."""
 
-    study: Study
+    grid: Grid
     versions: list[Version]  # empty: one tuning only, nothing to compare
     aim: Goal | None = None
 
+    @property
+    def study(self) -> Study:
+        """Return the study itself."""
+        return self.grid.study
 
-def prepare(study: Study, out: str | Path | None, fresh: bool, tell: Tell = silent) -> Prepared:
+
+def prepare(grid: Grid, out: str | Path | None, fresh: bool, tell: Tell = silent) -> Prepared:
     """Return the study to be run: designed and tuned as it asks. What tuning leaves stands in out/tuning, and goes on there.
 
     Raises UserError where several tunings, or tuned gains, are asked for in more than one scenario.
     """
+    study = grid.study
     if study.tunings == ["paper"]:
-        return Prepared(study, [])
+        return Prepared(grid, [])
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
         designed = {o: study.options.get(o, {}) | dict(entry_of(o).designed or {}) for o in labels}
@@ -85,9 +92,9 @@ def prepare(study: Study, out: str | Path | None, fresh: bool, tell: Tell = sile
     return Prepared(_with(study, every, list(every)), versions, aim)
 
 
-def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Study:
+def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Grid:
     changes: dict[str, Any] = {"options": study.options | options, "tuning": "paper"}
-    return study_of(study, changes | {"observers": observers}, [])
+    return grid_of(study, changes | {"observers": observers}, [])
 
 
 def _at_first(study: Study) -> Study:
@@ -146,9 +153,9 @@ def _better(
     if not free_ones:
         return {}
     tell("comparing starts", 0.0)
-    here = _with(study, {v.label: options[v.label] for v in free_ones}, [v.label for v in free_ones])
-    seeds = {"first_seed": tune.TRAINING[0], "seeds": study.tune.training}
-    stats = run_study.execute(_at_first(here).model_copy(update=seeds)).stats
+    here = _at_first(study).model_copy(update={"first_seed": tune.TRAINING[0], "seeds": study.tune.training})
+    labels = [v.label for v in free_ones]
+    stats = run_study.execute(_with(here, {label: options[label] for label in labels}, labels)).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
     best: dict[str, tuple[tuple[float, float], str]] = {}
     for v in free_ones:
@@ -163,8 +170,11 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
     """Say whether a version has free parameters that its gains depend on."""
     if not parameters.tunable(version.observer):
         return False
-    here, cell = one_cell(_at_first(_with(study, {version.observer: options})), [version.observer], [])
-    known, chosen = planning.setting(cell), options_of(here, cell.scenario, version.observer)
+    here = _at_first(study).model_copy(
+        update={"options": study.options | {version.observer: options}, "tuning": "paper"}
+    )
+    cell = one_cell(here, [version.observer], [])[1]
+    known, chosen = planning.setting(cell), cell.options[version.observer]
     designed = entry_of(version.observer).design(known, chosen)
     try:
         return bool(tune.freed(version.observer, known, chosen, designed, None, study.name))
@@ -183,7 +193,15 @@ def _tuned(
         if event == "point":
             tell(f"tuning {observer}: least {aim.metric} {value:.4g}", value)
 
-    here = _at_first(_with(study, {observer: start}, [observer])).model_copy(update={"seeds": 1, "first_seed": 0})
+    options = study.options | {observer: start}
+    changes: dict[str, Any] = {
+        "options": options,
+        "tuning": "paper",
+        "observers": [observer],
+        "seeds": 1,
+        "first_seed": 0,
+    }
+    here = _at_first(study).model_copy(update=changes)
     try:
         found = tune.tune(
             here,

@@ -35,9 +35,9 @@ def test_scenarios_have_their_times_and_bands_in_their_units():
     assert (said["tick"], said["horizon"], said["tail"]) == (
         10.0,
         SCENARIOS["csth/10s"].horizon,
-        SCENARIOS["csth/10s"].tail,
+        SCENARIOS["csth/10s"].scoring.tail,
     )
-    assert found("scenarios", "arm/sampled")["arm/sampled"]["delay"] == list(SCENARIOS["arm/sampled"].delay)
+    assert found("scenarios", "arm/sampled")["arm/sampled"]["delay"] == list(SCENARIOS["arm/sampled"].sampling.delay)
     assert catalogue.scenario("cart/white")["axes"][-3:] == ["plant.lam", "plant.b", "plant.input_bias"]
 
 

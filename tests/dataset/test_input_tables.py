@@ -69,7 +69,7 @@ def test_a_trace_has_the_input_beside_the_states():
     d2 = 0.025 * (2 * np.abs(10 * t - 20 * np.floor(t / 2) - 6.5) - 13)
     np.testing.assert_array_equal(frame.input, d2)
     recorded = (frame.input - frame["smo.input"]).to_numpy()[60_000:100_001]
-    outside = np.abs(recorded) > SCENARIOS["arm/sawtooth"].settle_band[-1]
+    outside = np.abs(recorded) > SCENARIOS["arm/sawtooth"].scoring.settle_band[-1]
     last = [np.flatnonzero(outside[at : at + 20_000])[-1] + 1 for at in (0, 20_000)]
     runs = pcbench.run("arm/sawtooth", observers=["smo", "open-loop"], seeds=1).runs.query("signal == 'input'")
     assert runs.recovery_time.item() == pytest.approx(max(last) * 1e-4, rel=1e-12)

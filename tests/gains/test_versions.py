@@ -31,12 +31,12 @@ FAIR = {
 
 def prepared(**changes):
     with process.float64():
-        return versions.prepare(read.study_of(FAIR | changes, {}, []), None, False)
+        return versions.prepare(read.grid_of(FAIR | changes, {}, []), None, False)
 
 
 def test_paper_is_what_stands_there():
-    study = read.study_of(FAIR | {"tuning": "paper"}, {}, [])
-    assert versions.prepare(study, None, False) == (study, [], None)
+    grid = read.grid_of(FAIR | {"tuning": "paper"}, {}, [])
+    assert versions.prepare(grid, None, False) == (grid, [], None)
 
 
 def test_two_versions_of_every_observer_that_has_a_design_of_its_own():

@@ -81,11 +81,11 @@ def test_a_channel_that_is_not_fresh_changes_nothing(name):
 def test_scenarios_name_what_exists(name):
     s = SCENARIOS[name]
     assert {base_of(label) for label in s.observers} <= set(OBSERVERS)
-    assert {len(s.x0), len(s.xhat0), len(s.prior_std)} == {len(states_of(s))}
-    assert len(s.settle_band) == len(signals_of(s)) == len(s.x0) + len(s.unknown_std)
-    assert set(s.headline) <= {name for name, _ in signals_of(s)}
-    assert 0 <= s.tail < s.horizon
-    for seconds in (*s.sampling_period, *(d or 0.0 for d in s.delay), s.horizon, s.tail):
+    assert {len(s.truth.x0), len(s.belief.xhat0), len(s.belief.prior_std)} == {len(states_of(s))}
+    assert len(s.scoring.settle_band) == len(signals_of(s)) == len(s.truth.x0) + len(s.belief.unknown_std)
+    assert set(s.scoring.headline) <= {name for name, _ in signals_of(s)}
+    assert 0 <= s.scoring.tail < s.horizon
+    for seconds in (*s.sampling.sampling_period, *(d or 0.0 for d in s.sampling.delay), s.horizon, s.scoring.tail):
         assert abs(seconds / s.dt - round(seconds / s.dt)) < 1e-9
 
 

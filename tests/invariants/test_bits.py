@@ -73,7 +73,7 @@ def test_alone_equals_among_other_cells_and_scenarios(alone):
 def test_on_the_arm_with_drift_too(monkeypatch):
     """Each run's own stiffness, a heavy plant's narrower calls, unknown inputs."""
     arm, three = SCENARIOS["arm/sampled"], ["smo", "pio", "dkf"]
-    monkeypatch.setitem(SCENARIOS, "arm/sampled", arm._replace(horizon=0.5, tail=0.25))
+    monkeypatch.setitem(SCENARIOS, "arm/sampled", arm.having(horizon=0.5, tail=0.25))
 
     def found(seeds, devices=2):
         return results(seeds, three, ("arm/sampled",), devices, False, {"drift": [0.05]})["arm/sampled0"]

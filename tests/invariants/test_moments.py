@@ -21,7 +21,7 @@ def agree(scenario, seeds, observers):
     rows = result.stats.query("signal == 'position'").set_index(["observer", "metric"])
     s = SCENARIOS[scenario]
     for observer in observers:
-        mean, variance = moments.cart_moments(moments.cart_map(scenario, observer), s.noise_std[0])
+        mean, variance = moments.cart_moments(moments.cart_map(scenario, observer), s.sampling.noise_std[0])
         want = {
             "mae": moments.expected_mae(mean, variance)[0],
             "tail_mae": moments.expected_mae(mean, variance, 3000)[0],

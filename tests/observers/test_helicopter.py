@@ -161,7 +161,7 @@ def test_a_perfect_start_has_no_error(observer, period, delay, feedforward):
     )
     s = p.cell.scenario
     p = planned(observer, SHORT, sampling_period=period * 1e-3, delay=delay * 1e-3, choices={"feedforward": feedforward},
-                xhat0=s.x0, unknown0=TRUTH)  # fmt: skip
+                xhat0=s.truth.x0, unknown0=TRUTH)  # fmt: skip
     got = record(p)
     assert np.abs(got.x - estimate(got)).max() < 1e-11
 

@@ -131,7 +131,7 @@ def test_the_worked_stationary_errors_come_out_by_monte_carlo_and_in_the_worked_
     """Riccati chains forget their start slowly: the tail is read from sample 200 on. Four standard errors."""
     s = SCENARIOS["csth/10s-noise"]
     labels = dict(s.options) | {"chain-updated": {"gain": "riccati"}, "chain-companion": {"gain": "companion"}}
-    SCENARIOS["late"] = s._replace(name="late", tail=2000.0, options=labels)
+    SCENARIOS["late"] = s.having(name="late", tail=2000.0, options=labels)
     names = [*SD, "chain-companion", "equal-delay", "dkf"]
     try:
         stats = pcbench.run("late", observers=names, seeds=512).stats
@@ -176,7 +176,7 @@ def test_designs_know_the_noise_where_there_is_some_and_each_state_has_its_bound
     changed = pcbench.design("csth/10s", "dkf", overrides=["axes.noise_std=[[2, 0, 0.2]]"]).gains
     np.testing.assert_allclose(changed.R, [4.0, 0.01, 0.04])
     for name in ("csth/literal", "csth/1s", "csth/10s", "csth/10s-noise"):
-        np.testing.assert_allclose(SCENARIOS[name].bound, 1e6 * START["tank"])
+        np.testing.assert_allclose(SCENARIOS[name].scoring.bound, 1e6 * START["tank"])
 
 
 def test_the_notebooks_words_on_spread():

@@ -50,7 +50,7 @@ ROUNDING = {"tail_peak": [2e-3, 1.2e-2, np.nan, 6e-3, 1.2e-2], "tail_mae": [2e-3
 def planned(scenario, observers, dt, ticks):
     """A scenario on ticks of dt seconds, over fewer of them."""
     s = SCENARIOS[scenario]
-    s = s._replace(dt=dt, sampling_period=(dt, dt), horizon=ticks * dt, tail=ticks * dt / 2)
+    s = s.having(dt=dt, sampling_period=(dt, dt), horizon=ticks * dt, tail=ticks * dt / 2)
     options = {o: entry_of(o).options(**s.options.get(o, {})) for o in observers}
     (p,) = padding.fit([planning.draft(cell_of(s), options)])
     return p

@@ -17,7 +17,7 @@ def drafts(axes, observers=("pccebo", "dkf"), scenario="cart/white"):
     raw = {"name": "t", "scenarios": [scenario], "observers": list(observers), "axes": axes}
     study = read.parse(raw, "t")
     with process.float64():
-        return list(planning.drafts(study, cells_of(study)))
+        return list(planning.drafts(cells_of(study)))
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,8 @@ def test_cells_whose_runs_have_times_of_their_own_have_room_for_the_most_samples
 
 def test_falls_of_an_unknown_input_that_fill_a_list_never_come():
     """A square falls or rises every second, a sine never: in the tail from 1 s on, at 1, 2 and 3 s."""
-    arm = SCENARIOS["arm/sampled"]._replace(horizon=3.5, tail=1.0, input="zero")
-    cells = [cell_of(arm._replace(unknown_input=name)) for name in ("square", "arm-sine")]
+    arm = SCENARIOS["arm/sampled"].having(horizon=3.5, tail=1.0, input="zero")
+    cells = [cell_of(arm.having(unknown_input=name)) for name in ("square", "arm-sine")]
     square, sine = padding.fit([planning.draft(cell, {}) for cell in cells])
     assert square.problem.jumps.tolist() == [2000, 4000, 6000]
     assert sine.problem.jumps.tolist() == [shared.NEVER] * 3

@@ -14,7 +14,7 @@ from pcbench.study.cells import cell_of
 
 def cell(name, parameters=None, **changes):
     """A scenario with its fields changed, as a cell."""
-    return cell_of(SCENARIOS[name]._replace(**changes), parameters=parameters)
+    return cell_of(SCENARIOS[name].having(**changes), parameters=parameters)
 
 
 def bound(name, parameters=None, **changes):
@@ -78,7 +78,7 @@ def test_the_bound_knows_the_process_noise_that_there_is_and_not_what_designers_
     noise = (1.0, 0.1, 0.1)
     found = bound(name, noise_std=noise, horizon=600.0, tail=200.0)
     Q, R, P0 = chain.csth_noise(10.0)
-    Q = Q if SCENARIOS[name].process_std else 0 * Q
+    Q = Q if SCENARIOS[name].truth.process_std else 0 * Q
     rest, silent = np.zeros((61, 2)), np.zeros((61, 3))
     _, P = chain.kalman(chain.csth("10s"), rest, chain.received(silent, [2, 5, 7]), [2, 5, 7], np.zeros(3), P0, Q, R)
     want = np.sqrt(np.diagonal(np.stack(P), axis1=1, axis2=2)[20:60].mean(0))

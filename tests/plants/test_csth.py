@@ -28,7 +28,7 @@ def close(got, want, tolerance=1e-10):
 @pytest.mark.parametrize("scenario", KINDS)
 def test_the_plant_is_the_references(scenario):
     want, s = chain.csth(KINDS[scenario]), SCENARIOS[scenario]
-    numbers = csth.Numbers(**s.model)
+    numbers = csth.Numbers(**s.belief.model)
     Phi, Gamma = linear.one_tick(csth.nominal(numbers), s.dt)
     for got, matrix in ((Phi, want.A), (Gamma, want.B), (csth.nominal(numbers).C, want.C)):
         np.testing.assert_allclose(got, matrix, rtol=1e-12, atol=1e-15 * np.abs(matrix).max())
@@ -46,7 +46,7 @@ def test_the_worked_state_comes_out(quiet):
 def test_the_inputs_and_the_motion_are_the_references(quiet):
     u = table(quiet, "u", (1, 2))
     np.testing.assert_array_equal(u, chain.csth_input(len(u) - 1, 500.0))
-    x, _ = chain.simulate(chain.csth("10s"), u, np.array(SCENARIOS["csth/10s"].x0))
+    x, _ = chain.simulate(chain.csth("10s"), u, np.array(SCENARIOS["csth/10s"].truth.x0))
     close(table(quiet, "", STATES), x)
     assert quiet["t"].iloc[-1] == 2000.0
 
@@ -57,9 +57,9 @@ def noisy():
     d = pcbench.trace("csth/10s-noise", "dkf", seed=3)
     s, N = SCENARIOS["csth/10s-noise"], len(d) - 1
     with process.float64():
-        v = np.asarray(draws.measurement_noise(0, 3, N + 1, 3)).T * s.noise_std
+        v = np.asarray(draws.measurement_noise(0, 3, N + 1, 3)).T * s.sampling.noise_std
         keys = draws.run_keys(np.asarray(0), np.array([3]), "process", 3)
-        w = np.stack([np.asarray(draws.normals(keys, [k] * 3))[:, 0] for k in range(N + 1)]) * s.process_std
+        w = np.stack([np.asarray(draws.normals(keys, [k] * 3))[:, 0] for k in range(N + 1)]) * s.truth.process_std
     return d, v, w
 
 
@@ -89,7 +89,7 @@ def test_dkf_is_designed_for_the_process_noise_that_there_is():
     s = SCENARIOS["csth/10s-noise"]
     design = pcbench.design("csth/10s-noise", "dkf")
     plant = chain.csth("10s")
-    Q, R = (np.diag(np.square(std)) for std in (s.process_std, s.noise_std))
+    Q, R = (np.diag(np.square(std)) for std in (s.truth.process_std, s.sampling.noise_std))
     prior = solve_discrete_are(plant.A.T, plant.C.T, Q, R)
     K = prior @ plant.C.T @ np.linalg.inv(plant.C @ prior @ plant.C.T + R)
     want, size = prior - K @ plant.C @ prior, np.sqrt(np.diag(prior))

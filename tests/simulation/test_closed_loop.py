@@ -77,7 +77,7 @@ def test_random_starts_are_those_of_the_box():
     """z(0) = x(0) + U(-0.5, 0.5), viscosities 0, x(0) as it is: one draw a run, whoever observes."""
     p = planned("high-gain-robust", SECOND, choices=BOX)
     runs = [record(p, seed) for seed in range(3)]
-    x0 = np.array(SCENARIOS["helicopter/constant"].x0)
+    x0 = np.array(SCENARIOS["helicopter/constant"].truth.x0)
     for seed, got in enumerate(runs):
         uniform = draws.uniforms(np.asarray(0), np.array([seed]), "initial", np.asarray(0), 1, 4)[0, :, 0]
         np.testing.assert_allclose(estimate(got)[0, :4], x0 + np.asarray(uniform) - 0.5, rtol=0, atol=1e-15)
@@ -125,7 +125,7 @@ def test_fractions_have_wilsons_interval(k, n):
 def short(monkeypatch):
     """The helicopter's scenarios cut to a second."""
     for name in ("helicopter/constant", "helicopter/varying"):
-        monkeypatch.setitem(SCENARIOS, name, SCENARIOS[name]._replace(horizon=1.0, tail=0.5))
+        monkeypatch.setitem(SCENARIOS, name, SCENARIOS[name].having(horizon=1.0, tail=0.5))
 
 
 @pytest.mark.slow

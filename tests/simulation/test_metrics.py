@@ -26,7 +26,7 @@ def runs():
 @pytest.mark.parametrize("observer", NAMES)
 def test_every_metric_equals_that_of_the_trace(trace, runs, observer, signal):
     e = (trace[signal] - trace[f"{observer}.{signal}"]).to_numpy()[:-1]  # ticks 0 .. N-1
-    band = SCENARIOS[SCENARIO].settle_band[["position", "velocity"].index(signal)]
+    band = SCENARIOS[SCENARIO].scoring.settle_band[["position", "velocity"].index(signal)]
     outside = np.flatnonzero(np.abs(e) > band)
     want = {"final": e[-1], "settling_time": (outside[-1] + 1) * 1e-3 if len(outside) else 0.0}
     for prefix, part in (("", e), ("tail_", e[TAIL:])):

@@ -438,7 +438,7 @@ def test_every_sample_within_the_horizon_is_taken_also_where_random_intervals_ar
 
 def test_jitter_is_bounded_by_a_short_interval_that_it_brings_into_the_horizon():
     """Due at 5, 10.001 and 10.011 s: with a jitter of 1 s the last two may be swapped before the end at 10 s."""
-    scenario = SCENARIOS["cart/variable"]._replace(profile=(5.0, 5.001, 0.01), jitter=1.0)
+    scenario = SCENARIOS["cart/variable"].having(profile=(5.0, 5.001, 0.01), jitter=1.0)
     with pytest.raises(UserError, match=r"intervals down to 0\.01 s"):
         fits.fits(scenario, "here")
-    fits.fits(scenario._replace(jitter=0.004), "here")
+    fits.fits(scenario.having(jitter=0.004), "here")

@@ -23,26 +23,26 @@ def scenario(**changes):
 
 def test_what_is_left_out_is_what_the_table_says():
     s = scenario()
-    assert (s.dt, s.horizon, s.tail, s.bound) == (1e-3, 10.0, 3.0, 1e6)
-    assert (s.x0, s.xhat0, s.prior_std) == ((1.0, 1.0), (0.0, 0.0), (1.0, 1.0))
-    assert s.settle_band == pytest.approx((0.05, 0.05))
-    assert (s.input, s.observers) == ("sine", ("dkf", "open-loop"))
-    assert (s.sampling_period, s.delay, s.noise_std) == ((0.1,), (0.2,), (0.3,))
+    assert (s.dt, s.horizon, s.scoring.tail, s.scoring.bound) == (1e-3, 10.0, 3.0, 1e6)
+    assert (s.truth.x0, s.belief.xhat0, s.belief.prior_std) == ((1.0, 1.0), (0.0, 0.0), (1.0, 1.0))
+    assert s.scoring.settle_band == pytest.approx((0.05, 0.05))
+    assert (s.loop.input, s.observers) == ("sine", ("dkf", "open-loop"))
+    assert (s.sampling.sampling_period, s.sampling.delay, s.sampling.noise_std) == ((0.1,), (0.2,), (0.3,))
 
 
 def test_the_prior_is_how_far_apart_the_starts_are_and_the_band_a_twentieth_of_it():
     s = scenario(x0=[3.0, -2.0], xhat0=[1.0, -2.0])
-    assert s.prior_std == (2.0, 1.0), "1 where they are the same"
-    assert s.settle_band == pytest.approx((0.1, 0.05))
+    assert s.belief.prior_std == (2.0, 1.0), "1 where they are the same"
+    assert s.scoring.settle_band == pytest.approx((0.1, 0.05))
     pushed = scenario(E=[[0.0], [1.0]], unknown_std=[4.0], prior_std=[2.0, 6.0])
-    assert pushed.settle_band == pytest.approx((0.1, 0.3, 0.2))
-    assert (pushed.unknown_input, pushed.headline) == ("sine", ("x1", "input"))
+    assert pushed.scoring.settle_band == pytest.approx((0.1, 0.3, 0.2))
+    assert (pushed.truth.unknown_input, pushed.scoring.headline) == ("sine", ("x1", "input"))
 
 
 def test_the_tail_and_the_horizon_are_whole_ticks():
     s = scenario(horizon=2.0, tick=0.01, sampling_period=0.1)
-    assert (s.horizon, s.tail) == pytest.approx((2.0, 0.6))
-    assert scenario(horizon=2.0, tail=1.5).tail == 1.5
+    assert (s.horizon, s.scoring.tail) == pytest.approx((2.0, 0.6))
+    assert scenario(horizon=2.0, tail=1.5).scoring.tail == 1.5
 
 
 def test_states_have_their_names_and_units():
@@ -54,8 +54,8 @@ def test_states_have_their_names_and_units():
 
 def test_a_discrete_plant_moves_by_its_own_tick():
     s = scenario(dt=0.05, horizon=1.0)
-    assert (s.dt, s.model["discrete"]) == (0.05, True)
-    assert s.model["A"] == PLANT["A"]
+    assert (s.dt, s.belief.model["discrete"]) == (0.05, True)
+    assert s.belief.model["A"] == PLANT["A"]
 
 
 def test_a_plant_may_grow_by_so_much_over_its_horizon_and_no_more():

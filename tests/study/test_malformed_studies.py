@@ -8,6 +8,7 @@ from pcbench import planning
 from pcbench.dynamics import linear
 from pcbench.errors import LONGEST, UserError, said, shown
 from pcbench.machine import process
+from pcbench.scenarios import SCENARIOS
 from pcbench.study import limits, read
 
 CART = "scenarios = ['cart/nominal']\n"
@@ -180,7 +181,7 @@ def planned(text, tmp_path):
 
 
 def test_the_limits_leave_room_for_what_is_published(tmp_path):
-    for name in read.SCENARIOS:
+    for name in SCENARIOS:
         read.load(name)
     (cell,) = planned(lti(horizon="100.0", sampling_period="0.1"), tmp_path)
     assert cell.cell.times.ticks == 100_000 < limits.TICKS

@@ -31,8 +31,8 @@ def planned(
     observer: str, seconds: float, *, name="constant", choices=None, parameters=None, **changes: Any
 ) -> Planned:
     """Return a scenario with its fields changed, cut to so many seconds."""
-    s = SCENARIOS["helicopter/" + name]._replace(horizon=seconds, tail=seconds / 2)
-    s = s._replace(**{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()})
+    s = SCENARIOS["helicopter/" + name].having(horizon=seconds, tail=seconds / 2)
+    s = s.having(**{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()})
     study = Study(name="t", scenarios=[s.name], seeds=1)
     cell = cell_of(s, 0, {}, parameters or {}, Choices(**(choices or {})))
     (p,) = padding.fit([planning.draft(cell, {observer: options_of(study, s, observer)})])
@@ -55,8 +55,8 @@ def estimate(got: trace.Recording) -> np.ndarray:
 def expected(p: Planned, observer: Any = None, seed: int = 0) -> reference.Trace:
     """Return the reference's run of the same case, [N+1, 4], [N+1, 6], [N+1, 2]."""
     s, choices, N = p.cell.scenario, p.cell.choices, p.cell.times.ticks
-    delay, (swing, pace), a = s.delay[0], s.delay_swing, s.drift
-    period = round(s.sampling_period[0] / s.dt)
+    delay, (swing, pace), a = s.sampling.delay[0], s.sampling.delay_swing, s.truth.drift
+    period = round(s.sampling.sampling_period[0] / s.dt)
     case = reference.Scenario(
         lambda t: np.full(np.shape(t), delay) + swing * np.sin(pace * np.asarray(t)),
         period,
@@ -67,16 +67,16 @@ def expected(p: Planned, observer: Any = None, seed: int = 0) -> reference.Trace
     )
     (label,) = p.labels
     samples = N // period + 1
-    noise = s.noise_std[0] * np.asarray(draws.measurement_noise(0, seed, samples, 2)).T[:, None]
-    z0 = np.concatenate([s.xhat0, s.unknown0 or (0.0, 0.0)])[None]
-    run = reference.simulate(observer or of(label, s), N, case, np.array(s.x0)[None], z0, noise)
+    noise = s.sampling.noise_std[0] * np.asarray(draws.measurement_noise(0, seed, samples, 2)).T[:, None]
+    z0 = np.concatenate([s.belief.xhat0, s.belief.unknown0 or (0.0, 0.0)])[None]
+    run = reference.simulate(observer or of(label, s), N, case, np.array(s.truth.x0)[None], z0, noise)
     return reference.Trace(*(a[:, 0] for a in run))
 
 
 def of(label: str, s: Any) -> Any:
     """Return the reference's observer, knowing the noise."""
     if label == "ekf":
-        return helicopter_ekf.ekf(helicopter_ekf.Noise(R=s.noise_std[0] ** 2 or 1e-8))
+        return helicopter_ekf.ekf(helicopter_ekf.Noise(R=s.sampling.noise_std[0] ** 2 or 1e-8))
     return OBSERVERS[label]
 
 

@@ -56,7 +56,7 @@ def closing(result: Any, console: Console, metric: str, signals: list[str] | Non
     notes: dict[str, None] = {}
     for name, whole in stats.groupby("scenario", sort=False):
         there = list(dict.fromkeys(whole.signal))
-        chosen = (known[name].headline or there[:1]) if signals is None else signals or there
+        chosen = (known[name].scoring.headline or there[:1]) if signals is None else signals or there
         for signal in [s for s in chosen if s in there]:
             part = whole[whole.signal == signal]
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
