@@ -32,6 +32,7 @@ from typing import Any
 from pcbench import api
 from pcbench.dataset import executors, fill, ownership, store, task
 from pcbench.machine import process, provenance
+from pcbench.machine.progress import Progress
 from pcbench.simulation import batch
 from pcbench.study import read
 
@@ -59,12 +60,8 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
     with tempfile.TemporaryDirectory() as out, process.float64():
         place, began = store.target(out), []
         claimed = ownership.claim(place, read.study_of(study, {}, []))
-
-        def tell(event: str, value: float) -> None:
-            if event == "planned":
-                began.append(time.perf_counter())
-
-        effort = fill.fill(place, claimed, [], execute, fill.everything(claimed, []), fill.Options(block), tell)
+        planned = Progress(begin=lambda what, many: began.append(time.perf_counter()))
+        effort = fill.fill(place, claimed, [], execute, fill.everything(claimed, []), fill.Options(block), planned)
         took, asked = time.perf_counter() - began[0], study["seeds"] * len(study["observers"])
         if effort.runs != asked:
             raise SystemExit(f"studies: got {effort.runs} runs, expected {asked}.")

@@ -50,7 +50,7 @@ def _one(paper: str, title: str, rows: list[Any], quiet: bool, as_json: bool) ->
 
 def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
     from pcbench.cli.screen import claims
-    from pcbench.cli.screen.progress import counting
+    from pcbench.cli.screen.progress import bar
     from pcbench.dataset import store
     from pcbench.reproduce import PAPERS, every
     from pcbench.reproduce.claim import counts
@@ -58,8 +58,8 @@ def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
 
     if page is not None:
         store.make(store.target(page.parent))  # a place that cannot be written is said before the work
-    with counting(quiet or as_json) as draw:
-        found = every.claims(stoppable(draw))
+    with bar(quiet or as_json) as progress:
+        found = every.claims(stoppable(progress))
     if page is not None:
         store.put(store.target(page.parent), page.name, written(found).encode())
     if as_json:

@@ -46,14 +46,14 @@ def run(
     setup()
     from pcbench import api, statistics
     from pcbench.cli.screen import gains, results
-    from pcbench.cli.screen.progress import progress
+    from pcbench.cli.screen.progress import bar
     from pcbench.study import read
 
     statistics.compared(metric, "--metric")
     asked, where = read.load(study, changes), chosen(signal)
     read.require_signals(asked, where, "--signal")
     place = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
-    with progress(quiet or as_json) as draw:
+    with bar(quiet or as_json, "designing gains") as progress:
         result = api.run(
             asked,
             seeds=seeds,
@@ -67,7 +67,7 @@ def run(
             workers=workers,
             block=block,
             memory=memory,
-            tell=stoppable(draw),
+            progress=stoppable(progress),
             say=say,
         )
     if as_json:

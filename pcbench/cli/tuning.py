@@ -32,10 +32,11 @@ def tune(
     Example: pcbench tune cart/gaussian pccebo --objective tail_rmse --out tuned
     """
     setup()
-    from pcbench.cli.screen import gains, progress
+    from pcbench.cli.screen import gains
+    from pcbench.cli.screen.progress import bar
     from pcbench.gains import tune
 
-    with progress.tuning(quiet or as_json) as draw:
+    with bar(quiet or as_json, "designing gains") as progress:
         found = tune.tune(
             scenario,
             observer,
@@ -48,7 +49,7 @@ def tune(
             judges=_seeds(judge, "--judge", tune.JUDGES),
             out=folder,
             overrides=changes,
-            tell=stoppable(draw),
+            progress=stoppable(progress),
         )
     if as_json:
         judged = [j._asdict() for j in found.judged]

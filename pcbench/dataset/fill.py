@@ -20,6 +20,7 @@ from pcbench.dataset.ownership import Claim
 from pcbench.dataset.pickled import lay_aside, take_up, unpack
 from pcbench.errors import UserError
 from pcbench.machine import provenance
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.planning.padding import Planned
 from pcbench.study import observers_of
@@ -30,7 +31,6 @@ TASKS = 64  # to share among cores and workers
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
 Wanted = Callable[[Cell], Range]  # the seeds of a cell, first and one past the last
 Missing = dict[tuple[str, int], dict[str, list[Range]]]  # by cell and observer
-Tell = Callable[[str, float], None]
 
 
 class Options(NamedTuple):
@@ -134,7 +134,7 @@ def fill(
     execute: Executor,
     wanted: Wanted,
     options: Options,
-    tell: Tell,
+    progress: Progress = SILENT,
 ) -> Effort:
     """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be."""
     todo = missing(claimed, there, wanted, partial(_block, claimed, wanted, options))
@@ -144,7 +144,8 @@ def fill(
     with tempfile.TemporaryDirectory(prefix="pcbench-") as shelf:
         groups = _planned(claimed, todo, Path(shelf))
         ownership.begin(place, claimed)
-        tell("planned", float(sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)))
+        progress.begin("runs", sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges))
+        progress.note("compiling")
         work = partial(task.compute, task.Work(place.uri, claimed.study.name, claimed.study.root_seed, options.memory))
         compiled: dict[Any, float] = {}
         runs, writing = 0, 0.0
@@ -152,7 +153,8 @@ def fill(
             _alike(report)
             compiled[report.program] = report.compile_seconds
             runs, writing = runs + report.runs, writing + report.writing_seconds
-            tell("runs", report.runs)
+            progress.step(report.runs)
+            progress.note("simulating")
         return Effort(runs, writing, compiled)
 
 

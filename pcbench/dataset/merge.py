@@ -1,6 +1,6 @@
 """Several datasets of one study made one: other seeds, other machines. What two of them hold must be equal, row by row."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import pyarrow as pa
@@ -10,6 +10,7 @@ from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
 from pcbench.dataset.verify import difference
 from pcbench.errors import UserError
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.study.cells import cells_of, to_toml
 
 
@@ -29,7 +30,7 @@ class Merged(NamedTuple):
     missing: int  # runs that no dataset held
 
 
-def merge(given: list[Any], out: Any, tell: Callable[[str, float], None] = lambda event, value: None) -> Merged:
+def merge(given: list[Any], out: Any, progress: Progress = SILENT) -> Merged:
     """Copy the blocks of several datasets of one study into a new one and close it; raise UserError where they disagree.
 
     Nothing is written before every overlap has been found equal.
@@ -50,10 +51,10 @@ def merge(given: list[Any], out: Any, tell: Callable[[str, float], None] = lambd
             f"{target.name}: holds files already ({found[0]}), expected a new folder; give another with --out, or remove it."
         )
     parts = _parts(places, claims)
-    tell("merging", float(2 * sum(map(len, parts.values()))))
+    progress.begin("merging", 2 * sum(map(len, parts.values())))
     for mine in parts.values():  # first look, then write
         for _ in _pieces(mine):
-            tell("merged", 1.0)
+            progress.step(1)
     whole = _whole(claims)
     ownership.begin(target, whole)
     doubled = 0
@@ -62,7 +63,7 @@ def merge(given: list[Any], out: Any, tell: Callable[[str, float], None] = lambd
             doubled += twice
             if content is not None:
                 store.put(target, name, content)
-            tell("merged", 1.0)
+            progress.step(1)
     return _closed(target, whole, places, doubled)
 
 

@@ -12,14 +12,10 @@ from pcbench.dataset import block_files, executors, fill, ownership, precision, 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.study import Study
 
-Tell = Callable[[str, float], None]
 Say = Callable[[str], None]
-
-
-def silent(event: str, value: float) -> None:
-    """Hear of progress and do nothing."""
 
 
 class How(NamedTuple):
@@ -33,7 +29,7 @@ class How(NamedTuple):
     workers: int | None = None
     block: int | None = None
     memory: str | int | None = None
-    tell: Tell = silent
+    progress: Progress = SILENT
     say: Say = lambda sentence: None
 
     def checked(self) -> "How":
@@ -49,7 +45,7 @@ class How(NamedTuple):
 def execute(study: Study, out: str | Path | None = None, how: How | None = None) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there. Errors are those of `pcbench.run`."""
     how = (how or How()).checked()
-    goal, tell, say = precision.parse(how.until_se, how.max_seeds), how.tell, how.say
+    goal, say = precision.parse(how.until_se, how.max_seeds), how.say
     with process.float64(), ExitStack() as stack:
         start, began = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
@@ -61,13 +57,13 @@ def execute(study: Study, out: str | Path | None = None, how: How | None = None)
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
         there = [] if claimed.fresh else fill.whole(place, claimed, say)
-        effort = fill.fill(place, claimed, there, run_tasks, fill.everything(claimed, there), choice, tell)
+        effort = fill.fill(place, claimed, there, run_tasks, fill.everything(claimed, there), choice, how.progress)
         for wanted in precision.rounds(goal, place, claimed, say):
             there = block_files.settled(block_files.present(place))
-            effort = fill.added(effort, fill.fill(place, claimed, there, run_tasks, wanted, choice, tell))
+            effort = fill.added(effort, fill.fill(place, claimed, there, run_tasks, wanted, choice, how.progress))
         there = block_files.settled(block_files.present(place))
         if effort.runs or not summary.is_closed(place, there):
-            tell("closing", 0.0)
+            how.progress.note("statistics")
             about = {
                 "started": began.isoformat(timespec="seconds"),
                 "wall_seconds": round(perf_counter() - start, 3),

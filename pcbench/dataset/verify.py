@@ -11,6 +11,7 @@ from pcbench import planning
 from pcbench.dataset import block_files, executors, fill, ownership, parquet, store, summary, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.study import observers_of
 from pcbench.study.cells import digest
@@ -79,7 +80,7 @@ class Verdict(NamedTuple):
     differing: list[str]  # a sentence each
 
 
-def verify(out: Any, sample: int | None, seed: int, tell: Callable[[str, float], None]) -> Verdict:
+def verify(out: Any, sample: int | None, seed: int, progress: Progress = SILENT) -> Verdict:
     """Check every file of a place, and compute `sample` blocks (None: all) again; compare bit for bit.
 
     Blocks are drawn with `seed`. The closing tables are made again and compared too.
@@ -88,12 +89,12 @@ def verify(out: Any, sample: int | None, seed: int, tell: Callable[[str, float],
     claimed = ownership.opened(place)
     digests = ownership.digests(claimed)
     there, wrong, good = block_files.present(place), [], []
-    tell("checking", float(len(there)))
+    progress.begin("checking", len(there))
     for b in there:
         found = block_files.damage(place, b, digests.get((b.scenario, b.cell), ""))
         wrong += [f"{b.name}: {found}."] if found else []
         good += [] if found else [b]
-        tell("checked", 1.0)
+        progress.step(1)
     kept = block_files.settled(good)
     wrong += [f"{b.name}: holds seeds that another block holds." for b in sorted(set(good) - set(kept))]
     wrong += _others(place, claimed)
@@ -101,18 +102,16 @@ def verify(out: Any, sample: int | None, seed: int, tell: Callable[[str, float],
     chosen = kept
     if sample is not None and sample < len(kept):
         chosen = [kept[i] for i in sorted(np.random.default_rng(seed).choice(len(kept), sample, replace=False))]
-    tell("again", float(len(chosen)))
-    return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(place, claimed, chosen, tell)))
+    progress.begin("computing again", len(chosen))
+    return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(place, claimed, chosen, progress)))
 
 
-def _again(
-    place: store.Target, claimed: Claim, chosen: list[Block], tell: Callable[[str, float], None]
-) -> Iterator[str]:
+def _again(place: store.Target, claimed: Claim, chosen: list[Block], progress: Progress) -> Iterator[str]:
     """Yield a sentence for every block that does not come out again."""
     work = partial(_compared, place, task.Work("", claimed.study.name, claimed.study.root_seed))
     with executors.here() as execute:
         for count, sentences in execute(work, _tasks(claimed, chosen)):
-            tell("compared", count)
+            progress.step(count)
             yield from sentences
 
 

@@ -46,8 +46,8 @@ class Point(NamedTuple):
 class History:
     """The points of a tuning in the order in which they were asked for; what was seen before is told again."""
 
-    def __init__(self, place: store.Target, about: str, names: list[str], tell: Callable[[str, float], None]):
-        self.place, self.about, self.names, self.tell = place, about, names, tell
+    def __init__(self, place: store.Target, about: str, names: list[str]):
+        self.place, self.about, self.names = place, about, names
         self.points: list[Point] = []
         self.before = _read(place, about)
         self.written = monotonic()
@@ -68,7 +68,6 @@ class History:
         )  # a start that fails leaves nothing
         if number >= len(self.before) and late:
             self.write()
-        self.tell("point", self.best.value)
         return point.value, np.array(point.slope)
 
     @property

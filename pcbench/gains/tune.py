@@ -1,6 +1,5 @@
 """One tuning: an observer's free parameters in a scenario, so much effort, judged on other draws than it was tuned on."""
 
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -17,6 +16,7 @@ from pcbench.gains.history import History, Judged, Point
 from pcbench.gains.objective import Goal, goal
 from pcbench.gains.parameters import Vector
 from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.observers import entry_of
 from pcbench.study import Study, given, options_of, read
 from pcbench.study.cells import Cell, digest
@@ -26,7 +26,6 @@ BUDGET = 60
 TRAINING = (3_000_000_000, 256)  # first seed and how many: no study of the usual seeds meets them
 JUDGES = (3_500_000_000, 1024)
 BACK = 0.999  # part of a decay that a gain found for it is proven to have when it is one among others
-Tell = Callable[[str, float], None]
 
 
 class NoStart(UserError):
@@ -59,14 +58,13 @@ def tune(
     judges: tuple[int, int] = JUDGES,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
-    tell: Tell = lambda event, value: None,
+    progress: Progress = SILENT,
 ) -> Tuned:
     """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
 
     `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
     simulated; `training` and `judges` are (first seed, how many). With `out`, a folder, the history stands there, and what was
-    stopped goes on when run again. `tell` hears ("begin", budget), and ("point", least value so far) after each point.
-    Raises UserError for whatever the user can mend.
+    stopped goes on when run again. `progress` hears of each point. Raises UserError for whatever the user can mend.
     """
     where = f"tune {observer}"
     _check(budget, training, judges, where)
@@ -92,11 +90,12 @@ def tune(
         ways.check_estimates(p, aim, where)
         how = ways.method_for(method, aim, p, where)
         evaluate = ways.evaluated(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
-        trials = History(place, about, parameters.entries(every), tell)
-        tell("begin", float(budget))
-        _descend(how, trials, start, evaluate, budget, where)
+        trials = History(place, about, parameters.entries(every))
+        progress.begin("points", budget)
+        progress.note("compiling")
+        _descend(how, trials, start, evaluate, budget, where, progress)
         found = parameters.written(every, np.array(trials.best.at))
-        tell("judging", 0.0)
+        progress.note("judging on other seeds")
         judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
         kept = against(judged)
         tuned = Tuned(
@@ -147,7 +146,15 @@ def freed(
     return parameters.start(observer, options, designed.certificate.numbers, used, where)
 
 
-def _descend(how: str, trials: History, start: Vector, evaluate: ways.Evaluate, budget: int, where: str) -> None:
+def _descend(
+    how: str,
+    trials: History,
+    start: Vector,
+    evaluate: ways.Evaluate,
+    budget: int,
+    where: str,
+    progress: Progress,
+) -> None:
     def ask(at: Vector) -> tuple[float, Vector]:
         first = not trials.points
         value, slope = trials.ask(at, evaluate)
@@ -156,6 +163,8 @@ def _descend(how: str, trials: History, start: Vector, evaluate: ways.Evaluate, 
                 f"{where}: a training run diverges, or the gains are refused, at the start; expected a start that works; write "
                 "another one under [options]."
             )
+        progress.step(1)
+        progress.note(f"least so far {trials.best.value:.5g}")
         return value, slope
 
     store.make(trials.place)

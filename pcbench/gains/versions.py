@@ -19,10 +19,10 @@ import numpy as np
 from pcbench import planning
 from pcbench.dataset import run_study, store
 from pcbench.dataset.ownership import BESIDE, TEXT
-from pcbench.dataset.run_study import Tell, silent
 from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
 from pcbench.gains.objective import Goal, goal
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.observers import entry_of
 from pcbench.study import Study, given, observers_of, options_of, scenarios_of
 from pcbench.study.read import one_cell, study_of
@@ -47,7 +47,7 @@ class Prepared(NamedTuple):
     aim: Goal | None = None
 
 
-def prepare(study: Study, out: str | Path | None, fresh: bool, tell: Tell = silent) -> Prepared:
+def prepare(study: Study, out: str | Path | None, fresh: bool, progress: Progress = SILENT) -> Prepared:
     """Return the study to be run: designed and tuned as it asks. What tuning leaves stands in out/tuning, and goes on there.
 
     Raises UserError where several tunings, or tuned gains, are asked for in more than one scenario.
@@ -70,9 +70,9 @@ def prepare(study: Study, out: str | Path | None, fresh: bool, tell: Tell = sile
     paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
     versions, options = _untuned(paper)
     if "tuned" in study.tunings:
-        starts = _better(study, versions, options, aim, tell)
+        starts = _better(study, versions, options, aim, progress)
         for observer, start in starts.items():
-            note, found = _tuned(study, observer, start, aim, out, tell)
+            note, found = _tuned(study, observer, start, aim, out, progress)
             versions.append(Version(f"{observer}-tuned", observer, "tuned", note))
             options[f"{observer}-tuned"] = start | found
     versions = [v for v in versions if v.tuning in study.tunings]
@@ -139,13 +139,13 @@ def _untuned(papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str
 
 
 def _better(
-    study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Goal, tell: Tell
+    study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Goal, progress: Progress
 ) -> dict[str, dict[str, Any]]:
     """By observer that has free parameters, the options of its better version on the training runs: where tuning starts."""
     free_ones = [v for v in versions if _is_free(study, v, options[v.label])]
     if not free_ones:
         return {}
-    tell("comparing starts", 0.0)
+    progress.note("comparing starts")
     here = _with(study, {v.label: options[v.label] for v in free_ones}, [v.label for v in free_ones])
     seeds = {"first_seed": tune.TRAINING[0], "seeds": study.tune.training}
     stats = run_study.execute(_at_first(here).model_copy(update=seeds)).stats
@@ -173,16 +173,13 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
 
 
 def _tuned(
-    study: Study, observer: str, start: dict[str, Any], aim: Goal, out: str | Path | None, tell: Tell
+    study: Study, observer: str, start: dict[str, Any], aim: Goal, out: str | Path | None, progress: Progress
 ) -> tuple[str, dict[str, Any]]:
     """Why the start is kept (empty: it is not), and the options found."""
-
-    def heard(event: str, value: float) -> None:
-        if event == "begin":
-            tell(f"tuning {observer}", value)
-        if event == "point":
-            tell(f"tuning {observer}: least {aim.metric} {value:.4g}", value)
-
+    renamed = Progress(
+        begin=lambda what, many: progress.note(f"tuning {observer}"),
+        note=lambda text: progress.note(f"tuning {observer}: {text}"),
+    )
     here = _at_first(_with(study, {observer: start}, [observer])).model_copy(update={"seeds": 1, "first_seed": 0})
     try:
         found = tune.tune(
@@ -194,7 +191,7 @@ def _tuned(
             training=(tune.TRAINING[0], study.tune.training),
             judges=JUDGES,
             out=None if out is None else f"{out}/tuning/{observer}",
-            tell=heard,
+            progress=renamed,
         )
     except tune.NoStart:
         return "no start of it works on the training runs", {}
