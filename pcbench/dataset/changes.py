@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from pcbench.dataset.seeds import common, counted
+
 GROWS = ("seeds", "first_seed", "axes", "observers", "scenarios", "options", "lti", "resolved")
 
 
@@ -10,9 +12,9 @@ def changes(there: dict[str, Any], here: dict[str, Any]) -> Any:
     for key in sorted((there.keys() | here.keys()) - set(GROWS)):
         if there.get(key) != here.get(key):
             yield _phrase(key, there.get(key), here.get(key))
-    (a, b), (c, d) = ((s["first_seed"], s["first_seed"] + s["seeds"]) for s in (there, here))
-    if a < c or b > d:
-        yield f"seeds: {a} .. {b - 1} there, {c} .. {d - 1} here"
+    a, b = (counted(study["first_seed"], study["seeds"]) for study in (there, here))
+    if common(a, b) != a:
+        yield f"seeds: {a.first} .. {a.stop - 1} there, {b.first} .. {b.stop - 1} here"
     old, new = there["resolved"], here["resolved"]
     for scenario, names in old["observers"].items():
         if scenario not in new["observers"]:

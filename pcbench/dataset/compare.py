@@ -19,8 +19,9 @@ import pyarrow as pa
 from scipy.special import stdtr
 
 from pcbench.dataset import block_files, columns, ownership, store, summary
-from pcbench.dataset.block_files import Block, Range
+from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
+from pcbench.dataset.seeds import Seeds, common, joined
 from pcbench.dataset.verify import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
@@ -74,8 +75,8 @@ def compare(a: Any, b: Any) -> Comparison:
             "compare results of one study."
         )
     sides = [_side(place, claimed) for place, claimed in zip(places, claims, strict=True)]
-    common = _common(*sides)
-    left, right = (_stats(side, common) for side in sides)
+    shared = _shared(*sides)
+    left, right = (_stats(side, shared) for side in sides)
     both = left.merge(right, on=KEY, how="outer", suffixes=("_a", "_b"), indicator=True)
     only = int((both._merge == "left_only").sum()), int((both._merge == "right_only").sum())
     rows = judged(both[both._merge == "both"].drop(columns="_merge"))
@@ -115,56 +116,52 @@ def _side(place: store.Target, claimed: Claim) -> Side:
     return Side(place, claimed, found, {c.key: identity(c, 0) for c in claimed.cells}, blocks)
 
 
-Drawn = dict[tuple[str, str, str], list[Range]]  # by scenario, cell's digest and observer: ranges of seeds, joined
+Drawn = dict[tuple[str, str, str], list[Seeds]]  # by scenario, cell's digest and observer, joined
+Shared = dict[tuple[str, str, str], Seeds]  # the same, of the seeds that two sides have in common
 
 
 def _drawn(side: Side) -> Drawn:
     out: Drawn = {}
     for (scenario, cell, observer), mine in side.blocks.items():
-        joined = out.setdefault((scenario, side.digests[scenario, cell], observer), [])
-        for b in mine:
-            if joined and joined[-1][1] == b.first:
-                joined[-1] = (joined[-1][0], b.last)
-            else:
-                joined.append((b.first, b.last))
+        out[scenario, side.digests[scenario, cell], observer] = joined(b.seeds for b in mine)
     return out
 
 
-def _common(a: Side, b: Side) -> dict[tuple[str, str, str], Range]:
+def _shared(a: Side, b: Side) -> Shared:
     """Return the seeds that two sides share where they do not hold the same: the longest range, by cell and observer."""
     if a.claimed.study.root_seed != b.claimed.study.root_seed:
         return {}
     out, here = {}, _drawn(b)
     for key, mine in _drawn(a).items():
-        both = [(max(i, k), min(j, m)) for i, j in mine for k, m in here.get(key, [])]
-        if here.get(key) not in (None, mine) and (shared := [r for r in both if r[0] < r[1]]):
-            out[key] = max(shared, key=lambda r: r[1] - r[0])
+        both = [common(i, j) for i in mine for j in here.get(key, [])]
+        if here.get(key) not in (None, mine) and any(seeds.many for seeds in both):
+            out[key] = max(both, key=lambda seeds: seeds.many)
     return out
 
 
-def _stats(side: Side, common: dict[tuple[str, str, str], Range]) -> pd.DataFrame:
-    """The rows of stats with what tells a cell from others, and the draws they stand on; over the `common` seeds, if any."""
-    frame, drawn, root = columns.frame(_over(side, common)), _drawn(side), side.claimed.study.root_seed
+def _stats(side: Side, shared: Shared) -> pd.DataFrame:
+    """The rows of stats with what tells a cell from others, and the draws they stand on; over the `shared` seeds, if any."""
+    frame, drawn, root = columns.frame(_over(side, shared)), _drawn(side), side.claimed.study.root_seed
     cells = {c.key: c for c in side.claimed.cells}
     keys = list(zip(frame.scenario, frame.cell, strict=True))
     frame["digest"] = [side.digests[key] for key in keys]
     frame["where"] = [_where(cells[key].values, list(side.claimed.study.axes)) for key in keys]
     named = list(zip(frame.scenario, frame.digest, frame.observer, strict=True))
-    frame["draws"] = [f"{root}: {[common[name]] if name in common else drawn[name]}" for name in named]
-    frame["narrowed"] = [name in common for name in named]
+    frame["draws"] = [f"{root}: {[shared[name]] if name in shared else drawn[name]}" for name in named]
+    frame["narrowed"] = [name in shared for name in named]
     numbers = ["n", "diverged", *(c for c in frame.columns[frame.columns.get_loc("mean") :] if frame[c].dtype == float)]
     frame["bits"] = [row.tobytes() for row in frame[numbers].to_numpy(float)]
     return frame[[*KEY, "where", "unit", "draws", "narrowed", "n", "mean", "se", "bits"]]
 
 
-def _over(side: Side, common: dict[tuple[str, str, str], Range]) -> pa.Table:
+def _over(side: Side, shared: Shared) -> pa.Table:
     """The table stats, made anew of the runs where only some of the seeds are common."""
     axes = columns.axes_of(dict.fromkeys(side.stats.column_names))
     parts = []
-    for cell in side.claimed.cells if common else ():
+    for cell in side.claimed.cells if shared else ():
         found = summary.observed(side.place, side.claimed, cell, side.blocks)
         for observer, each in found.items():
-            within = common.get((cell.scenario.name, side.digests[cell.key], observer))
+            within = shared.get((cell.scenario.name, side.digests[cell.key], observer))
             rows, _ = summary.summary(side.place, side.claimed.study.name, cell, {observer: each}, within)
             parts.append(columns.rows_table(rows, columns.stats_order(axes)))
     return pa.concat_tables(parts) if parts else side.stats

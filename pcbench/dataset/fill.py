@@ -13,11 +13,12 @@ from typing import Any, NamedTuple
 
 from pcbench import planning
 from pcbench.dataset import block_files, ownership, store, task
-from pcbench.dataset.block_files import Block, Range
+from pcbench.dataset.block_files import Block
 from pcbench.dataset.columns import SCHEMA
 from pcbench.dataset.executors import Executor
 from pcbench.dataset.ownership import Claim
 from pcbench.dataset.pickled import lay_aside, take_up, unpack
+from pcbench.dataset.seeds import Seeds, counted, gaps
 from pcbench.errors import UserError
 from pcbench.machine import provenance
 from pcbench.machine.progress import SILENT, Progress
@@ -29,8 +30,8 @@ from pcbench.study.cells import Cell
 CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
 TASKS = 64  # to share among cores and workers
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
-Wanted = Callable[[Cell], Range]  # the seeds of a cell, first and one past the last
-Missing = dict[tuple[str, int], dict[str, list[Range]]]  # by cell and observer
+Wanted = Callable[[Cell], Seeds]
+Missing = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
 
 
 class Options(NamedTuple):
@@ -60,11 +61,11 @@ def added(a: Effort, b: Effort) -> Effort:
 
 def everything(claimed: Claim, there: list[Block]) -> Wanted:
     """Return the seeds that a study names, and those that some observer of a cell has beyond: all of them are to have them."""
-    first, last = claimed.study.first_seed, claimed.study.first_seed + claimed.study.seeds
-    ends: dict[tuple[str, int], int] = {}
+    named = counted(claimed.study.first_seed, claimed.study.seeds)
+    stops: dict[tuple[str, int], int] = {}
     for b in there:
-        ends[b.scenario, b.cell] = max(ends.get((b.scenario, b.cell), last), b.last)
-    return lambda cell: (first, ends.get(cell.key, last))
+        stops[b.scenario, b.cell] = max(stops.get((b.scenario, b.cell), named.stop), b.seeds.stop)
+    return lambda cell: Seeds(named.first, stops.get(cell.key, named.stop))
 
 
 def whole(place: store.Target, claimed: Claim, say: Callable[[str], None]) -> list[Block]:
@@ -109,13 +110,13 @@ def _of_these_releases(place: store.Target, kept: list[Block], say: Callable[[st
 
 def missing(claimed: Claim, there: list[Block], wanted: Wanted, size: Callable[[Cell], int]) -> Missing:
     """Return the ranges of seeds that no block holds."""
-    have: dict[tuple[str, int, str], list[Block]] = {}
+    have: dict[tuple[str, int, str], list[Seeds]] = {}
     for b in there:
-        have.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+        have.setdefault((b.scenario, b.cell, b.observer), []).append(b.seeds)
     out: Missing = {}
     for cell in claimed.cells:
         for o in observers_of(claimed.study, cell.scenario.name):
-            if ranges := block_files.gaps(have.get((*cell.key, o), []), *wanted(cell), size(cell)):
+            if ranges := gaps(have.get((*cell.key, o), []), wanted(cell), size(cell)):
                 out.setdefault(cell.key, {})[o] = ranges
     return out
 
@@ -124,7 +125,12 @@ def lacking(place: store.Target, claimed: Claim) -> int:
     """Return how many runs of a study have no block."""
     there = block_files.present(place)
     todo = missing(claimed, there, everything(claimed, there), lambda cell: 2**40)
-    return sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)
+    return runs_in(todo)
+
+
+def runs_in(todo: Missing) -> int:
+    """Return how many runs are missing."""
+    return sum(seeds.many for labels in todo.values() for ranges in labels.values() for seeds in ranges)
 
 
 def fill(
@@ -144,7 +150,7 @@ def fill(
     with tempfile.TemporaryDirectory(prefix="pcbench-") as shelf:
         groups = _planned(claimed, todo, Path(shelf))
         ownership.begin(place, claimed)
-        progress.begin("runs", sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges))
+        progress.begin("runs", runs_in(todo))
         progress.note("compiling")
         work = partial(task.compute, task.Work(place.uri, claimed.study.name, claimed.study.root_seed, options.memory))
         compiled: dict[Any, float] = {}
@@ -174,13 +180,13 @@ def _block(claimed: Claim, wanted: Wanted, options: Options, cell: Cell) -> int:
     if options.block:
         one = task.bytes_of_a_block(cell, claimed.study, 1)
         return int(max(min(options.block, options.memory / one), 1))
-    first, last = wanted(cell)
+    many = wanted(cell).many
     size, pairs = planning.width(cell), sum(len(observers_of(claimed.study, c.scenario.name)) for c in claimed.cells)
 
     def may_double() -> bool:
-        tasks = len(claimed.cells) * (last - first) / (2 * size)
+        tasks = len(claimed.cells) * many / (2 * size)
         few = size < CALLS * planning.width(cell) and tasks >= TASKS
-        return few or pairs * (last - first) / size > MANY_FILES
+        return few or pairs * many / size > MANY_FILES
 
     while may_double() and task.bytes_of_a_block(cell, claimed.study, 2 * size) < options.memory:
         size *= 2

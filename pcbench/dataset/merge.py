@@ -8,6 +8,7 @@ import pyarrow as pa
 from pcbench.dataset import block_files, fill, ownership, parquet, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
+from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.dataset.verify import difference
 from pcbench.errors import UserError
 from pcbench.machine.progress import SILENT, Progress
@@ -82,23 +83,27 @@ def _parts(places: list[store.Target], claims: list[Claim]) -> dict[tuple[str, i
             number = numbers[b.scenario, digests[b.scenario, b.cell]]
             part = Part(place, b, b._replace(cell=number))
             out.setdefault((b.scenario, number, b.observer), []).append(part)
-    return {key: sorted(parts, key=lambda p: (p.block.first, -p.block.last)) for key, parts in sorted(out.items())}
+    return {
+        key: sorted(parts, key=lambda p: (p.block.seeds.first, -p.block.seeds.stop))
+        for key, parts in sorted(out.items())
+    }
 
 
 def _pieces(parts: list[Part]) -> Iterator[tuple[str, Any, int]]:
     """Yield for each part of one observer and cell: a name, its bytes or None, and how many runs it held again."""
     kept: list[Part] = []
     for part in parts:
-        at = kept[-1].block.last if kept else part.block.first  # the furthest: what lies within the kept is not kept
-        twice = max(min(at, part.block.last) - part.block.first, 0)
+        mine = part.block.seeds
+        at = kept[-1].block.seeds.stop if kept else mine.first  # the furthest: what lies within the kept is not kept
+        twice = max(min(at, mine.stop) - mine.first, 0)
         if twice:
             _equal(part, kept)
-        start = max(at, part.block.first)
-        if start >= part.block.last:
+        left = Seeds(max(at, mine.first), mine.stop)
+        if not left.many:
             yield part.block.name, None, twice
             continue
         kept.append(part)
-        block = part.block._replace(first=start)
+        block = part.block._replace(seeds=left)
         if block == part.there:
             content = store.get(part.place, block.name)
             if content is None:
@@ -112,34 +117,34 @@ def cut(table: pa.Table, block: Block) -> pa.Table:
     """Return the rows of a table that a block is to hold, with the block's number of the cell."""
     said = block_files.about(table)
     many = len(table) // (said["last"] - said["first"])
-    rows = table.slice((block.first - said["first"]) * many, (block.last - block.first) * many)
+    rows = table.slice((block.seeds.first - said["first"]) * many, block.seeds.many * many)
     i = rows.schema.get_field_index("cell")
     rows = rows.set_column(i, rows.schema.field(i), pa.array([block.cell] * len(rows), pa.int64()))
-    return block_files.sealed(rows, said | {"first": block.first, "last": block.last})
+    return block_files.sealed(rows, said | {"first": block.seeds.first, "last": block.seeds.stop})
 
 
 def _equal(part: Part, kept: list[Part]) -> None:
     """Raise UserError where a part disagrees with one that holds the same seeds."""
     for other in kept:
-        first, last = max(part.block.first, other.block.first), min(part.block.last, other.block.last)
-        if first < last:
-            same = part.block._replace(first=first, last=last)
+        both = common(part.block.seeds, other.block.seeds)
+        if both.many:
+            same = part.block._replace(seeds=both)
             a, b = (cut(block_files.read(p.place, p.there), same) for p in (other, part))
             if not a.equals(b):
                 apart = difference(a, b)
                 how = "in more than numbers" if apart is None else f"by {apart.relative:.1e} of themselves"
                 raise UserError(
-                    f"{part.place.name}/{part.there.name}: its seeds {first} .. {last - 1} differ {how} from those in "
-                    f"{other.place.name}, expected equal rows; find out with pcbench verify which of them comes out again."
+                    f"{part.place.name}/{part.there.name}: its seeds {both.first} .. {both.stop - 1} differ {how} from those "
+                    f"in {other.place.name}, expected equal rows; find out with pcbench verify which of them comes out again."
                 )
 
 
 def _whole(claims: list[Claim]) -> Claim:
     """The study over all seeds, with the cells as the first dataset numbers them."""
     studies = [c.study for c in claims]
-    first = min(s.first_seed for s in studies)
-    last = max(s.first_seed + s.seeds for s in studies)
-    study = studies[0].model_copy(update={"first_seed": first, "seeds": last - first})
+    each = [counted(s.first_seed, s.seeds) for s in studies]
+    whole = Seeds(min(seeds.first for seeds in each), max(seeds.stop for seeds in each))
+    study = studies[0].model_copy(update={"first_seed": whole.first, "seeds": whole.many})
     every = cells_of(study, ownership.numbers_in(claims[0]))
     return Claim(study, every, to_toml(study, every))
 

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from pcbench.dataset import block_files, repair, store
 from pcbench.dataset.changes import changes
+from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of, channels_apart, identity, to_toml
@@ -124,11 +125,10 @@ def _study(place: store.Target, there: dict[str, Any]) -> Study:
 
 def _only_what_stands(there: dict[str, Any], blocks: list[block_files.Block]) -> None:
     """Take the seeds of a study that have no block for not yet asked: a run with more that was stopped binds nobody."""
-    first, last = there["first_seed"], there["first_seed"] + there["seeds"]
     if blocks:
-        begin, end = min(b.first for b in blocks), max(b.last for b in blocks)
-        there["first_seed"] = max(first, begin)
-        there["seeds"] = max(min(last, end) - there["first_seed"], 0)
+        standing = Seeds(min(b.seeds.first for b in blocks), max(b.seeds.stop for b in blocks))
+        left = common(counted(there["first_seed"], there["seeds"]), standing)
+        there.update(first_seed=left.first, seeds=left.many)
 
 
 def _reshaped(place: store.Target, there: dict[str, Any], study: Study) -> Any:

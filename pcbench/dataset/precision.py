@@ -13,6 +13,7 @@ from pcbench import statistics
 from pcbench.dataset import block_files, store, summary
 from pcbench.dataset.fill import Wanted
 from pcbench.dataset.ownership import Claim
+from pcbench.dataset.seeds import Seeds, counted
 from pcbench.errors import UserError, unknown
 from pcbench.plants import signals_of
 from pcbench.study import scenarios_of
@@ -76,7 +77,7 @@ def rounds(goal: Goal | None, place: store.Target, claimed: Claim, say: Callable
                 pending.remove(cell)
                 short += error > goal.value
         if pending:
-            yield lambda cell: (first, first + size[cell.key])
+            yield lambda cell: counted(first, size[cell.key])
     if short:
         say(
             f"--until-se: {short} of {len(claimed.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
@@ -101,14 +102,14 @@ def check(goal: Goal | None, claimed: Claim) -> None:
 
 
 def _error(
-    goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: list[block_files.Block], last: int
+    goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: list[block_files.Block], stop: int
 ) -> float:
-    """Return the largest standard error of any observer over the seeds below `last`; inf where one run gives none."""
+    """Return the largest standard error of any observer over the seeds below `stop`; inf where one run gives none."""
     blocks: dict[tuple[str, int, str], list[block_files.Block]] = {}
     for b in there:
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
     found = summary.observed(place, claimed, cell, blocks)
-    rows, _ = summary.summary(place, claimed.study.name, cell, found, (0, last))
+    rows, _ = summary.summary(place, claimed.study.name, cell, found, Seeds(0, stop))
     shown = scenarios_of(claimed.study)[cell.scenario.name].headline or (signals_of(cell.scenario)[0][0],)
     signals = [goal.signal] if goal.signal else shown
     mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]

@@ -13,8 +13,9 @@ import pyarrow as pa
 
 from pcbench import statistics
 from pcbench.dataset import block_files, columns, parquet, store
-from pcbench.dataset.block_files import Block, Range
+from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
+from pcbench.dataset.seeds import Seeds, common, joined
 from pcbench.dataset.summary_parts import Gathered, adjusted
 from pcbench.errors import UserError
 from pcbench.machine import provenance
@@ -96,13 +97,11 @@ def closing_tables(
 
 def fingerprint(there: list[Block]) -> bytes:
     """Return the digest of which runs there are, however they are cut into blocks."""
-    joined: list[Block] = []
+    ranges: dict[tuple[str, str, int], list[Seeds]] = {}
     for b in block_files.settled(there):
-        if joined and joined[-1][:3] == b[:3] and joined[-1].last == b.first:
-            joined[-1] = joined[-1]._replace(last=b.last)
-        else:
-            joined.append(b)
-    return hashlib.sha256(repr([tuple(b) for b in joined]).encode()).hexdigest().encode()
+        ranges.setdefault(b[:3], []).append(b.seeds)
+    whole = [(*key, *seeds) for key, each in ranges.items() for seeds in joined(each)]
+    return hashlib.sha256(repr(whole).encode()).hexdigest().encode()
 
 
 def damaged(place: store.Target) -> list[str]:
@@ -146,7 +145,7 @@ def observed(
 
 
 def summary(
-    place: store.Target, study: str, cell: Cell, found: dict[str, Observed], within: Range | None = None
+    place: store.Target, study: str, cell: Cell, found: dict[str, Observed], within: Seeds | None = None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the rows of stats and of pairs of one cell, over the seeds `within` a range where it is given."""
     s, signals = cell.scenario, signals_of(cell.scenario)
@@ -178,7 +177,7 @@ def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> Any:
 
 
 def chunks(
-    place: store.Target, found: dict[str, Observed], within: Range | None = None
+    place: store.Target, found: dict[str, Observed], within: Seeds | None = None
 ) -> Iterator[dict[str, statistics.Results]]:
     """Yield the runs of a cell by observer, the seeds of one chunk after the other."""
     readers = {name: _by_chunk(place, each.blocks, within) for name, each in found.items()}
@@ -194,14 +193,12 @@ def chunks(
         yield {name: results for name, results in each.items() if results is not None}
 
 
-def _by_chunk(place: store.Target, blocks: list[Block], within: Range | None) -> Iterator[statistics.Results]:
+def _by_chunk(place: store.Target, blocks: list[Block], within: Seeds | None) -> Iterator[statistics.Results]:
     """Yield one observer's runs, cut at multiples of a chunk."""
     held: list[statistics.Results] = []
     at = None
     for block in blocks:
-        start, stop = block.first, block.last
-        if within is not None:
-            start, stop = max(start, within[0]), min(stop, within[1])
+        start, stop = block.seeds if within is None else common(block.seeds, within)
         if start >= stop:
             continue
         results = results_of(block_files.read(place, block))
@@ -211,7 +208,7 @@ def _by_chunk(place: store.Target, blocks: list[Block], within: Range | None) ->
                 yield _joined(held)
                 held = []
             at, end = chunk, min(stop, (chunk + 1) * statistics.CHUNK)
-            held.append({m: v[..., start - block.first : end - block.first] for m, v in results.items()})
+            held.append({m: v[..., start - block.seeds.first : end - block.seeds.first] for m, v in results.items()})
             start = end
     if held:
         yield _joined(held)

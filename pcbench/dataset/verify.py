@@ -11,6 +11,7 @@ from pcbench import planning
 from pcbench.dataset import block_files, executors, fill, ownership, parquet, store, summary, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Claim
+from pcbench.dataset.seeds import Seeds
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.study import observers_of
@@ -59,10 +60,10 @@ def status(out: Any) -> Status:
     todo = fill.missing(claimed, kept, wanted, lambda cell: 2**40)
     for scenario in study.scenarios:
         mine = [c for c in claimed.cells if c.scenario.name == scenario]
-        asked = sum(last - first for first, last in map(wanted, mine))
+        asked = sum(wanted(cell).many for cell in mine)
         for observer in observers_of(study, scenario):
             gaps = [todo.get((scenario, c.number), {}).get(observer, []) for c in mine]
-            lacking = sum(b - a for ranges in gaps for a, b in ranges)
+            lacking = sum(seeds.many for ranges in gaps for seeds in ranges)
             blocks_there = len(by.get((scenario, observer), []))
             rows.append(Share(scenario, observer, len(mine), blocks_there, asked - lacking, asked))
     sizes = store.sizes(place)
@@ -117,14 +118,14 @@ def _again(place: store.Target, claimed: Claim, chosen: list[Block], progress: P
 
 def _tasks(claimed: Claim, chosen: list[Block]) -> Iterator[task.Task]:
     """Yield what computes blocks again: those of one cell and the same seeds together."""
-    by: dict[tuple[str, int], dict[block_files.Range, list[str]]] = {}
+    by: dict[tuple[str, int], dict[Seeds, list[str]]] = {}
     for b in chosen:
-        by.setdefault((b.scenario, b.cell), {}).setdefault((b.first, b.last), []).append(b.observer)
+        by.setdefault((b.scenario, b.cell), {}).setdefault(b.seeds, []).append(b.observer)
     room = padding.needed(planning.drafts(claimed.study, claimed.cells, ()))
     for draft in planning.drafts(claimed.study, claimed.cells, by):
-        for (first, last), observers in by[draft.cell.key].items() if draft.labels else ():
+        for seeds, observers in by[draft.cell.key].items() if draft.labels else ():
             if labels := tuple(label for label in draft.labels if label in observers):
-                yield task.Task(padding.fitted(draft, room), ((first, last, labels),))
+                yield task.Task(padding.fitted(draft, room), ((seeds, labels),))
 
 
 def _compared(place: store.Target, work: task.Work, one: task.Task, hold: Callable[[], Any]) -> tuple[int, list[str]]:

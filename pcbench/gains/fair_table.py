@@ -26,7 +26,7 @@ def report(made: Prepared, result: Result, out: str | Path | None, how: How) -> 
     """
     if made.aim is None:
         return result
-    seeds = {"first_seed": tune.TRAINING[0], "seeds": made.study.tune.training}
+    seeds = {"first_seed": tune.TRAINING.first, "seeds": made.study.tune.training}
     beside = None if out is None else f"{out}/training"
     training = run_study.execute(
         made.study.model_copy(update=seeds), beside, how._replace(until_se=None, max_seeds=None)

@@ -11,6 +11,7 @@ import pyarrow as pa
 import tomli_w
 
 from pcbench.dataset import parquet, store
+from pcbench.dataset.seeds import Seeds, counted
 from pcbench.errors import UserError
 from pcbench.gains.parameters import Vector
 
@@ -23,8 +24,7 @@ class Judged(NamedTuple):
     """A goal's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
 
     what: str  # training or judging
-    first: int
-    seeds: int
+    seeds: Seeds
     start: float
     start_se: float
     tuned: float
@@ -130,7 +130,7 @@ def _read(place: store.Target, about: str) -> list[Point]:
 def finish(place: store.Target, about: str, tuned: Any) -> None:
     """Put what was found into its place: a study that can be run, and under [resolved.tuning] how it came about."""
     said = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
-    said |= {"method": tuned.method, "judged": [_plain(j) for j in tuned.judged]}
+    said |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judged]}
     store.put(place, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
 
 
@@ -145,11 +145,19 @@ def finished(place: store.Target, whole: str, about: str) -> dict[str, Any] | No
         said = study.pop("resolved")["tuning"]
         if said.pop("about") != whole:
             return None
-        judged = [Judged(**j | {"diverged": tuple(j["diverged"])}) for j in said.pop("judged")]
+        judged = [_judged(**j) for j in said.pop("judged")]
         return said | {"study": study, "judged": judged, "points": _read(place, about)}
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # not there, or damaged: the history is read, and it is written anew
 
 
-def _plain(judged: Judged) -> dict[str, Any]:
-    return judged._asdict() | {"diverged": list(judged.diverged)}
+def plain(judged: Judged) -> dict[str, Any]:
+    """Return a judgement as it is written: of its seeds the first, and how many."""
+    said = judged._asdict()
+    seeds = said.pop("seeds")
+    head = {"what": said.pop("what"), "first": seeds.first, "seeds": seeds.many}
+    return head | said | {"diverged": list(judged.diverged)}
+
+
+def _judged(first: int, seeds: int, diverged: list[int], **rest: Any) -> Judged:
+    return Judged(seeds=counted(first, seeds), diverged=(diverged[0], diverged[1]), **rest)

@@ -9,6 +9,7 @@ from pydantic import BaseModel
 
 from pcbench import planning
 from pcbench.dataset import store
+from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.gains import gradient, history, minimise, parameters, ways
 from pcbench.gains.held_out import against, judge
@@ -23,8 +24,8 @@ from pcbench.study.cells import Cell, digest
 from pcbench.synthesis.certificate import Design, Setting
 
 BUDGET = 60
-TRAINING = (3_000_000_000, 256)  # first seed and how many: no study of the usual seeds meets them
-JUDGES = (3_500_000_000, 1024)
+TRAINING = counted(3_000_000_000, 256)  # no study of the usual seeds meets them
+JUDGES = counted(3_500_000_000, 1024)
 BACK = 0.999  # part of a decay that a gain found for it is proven to have when it is one among others
 
 
@@ -54,8 +55,8 @@ def tune(
     signal: str | None = None,
     method: str | None = None,
     only: list[str] | None = None,
-    training: tuple[int, int] = TRAINING,
-    judges: tuple[int, int] = JUDGES,
+    training: Seeds = TRAINING,
+    judges: Seeds = JUDGES,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
     progress: Progress = SILENT,
@@ -63,19 +64,21 @@ def tune(
     """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
 
     `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
-    simulated; `training` and `judges` are (first seed, how many). With `out`, a folder, the history stands there, and what was
-    stopped goes on when run again. `progress` hears of each point. Raises UserError for whatever the user can mend.
+    simulated; `training` and `judges` are ranges of seeds, (first, one past the last). With `out`, a folder, the history stands
+    there, and what was stopped goes on when run again. `progress` hears of each point. Raises UserError for whatever the user
+    can mend.
     """
     where = f"tune {observer}"
+    training, judges = Seeds(*training), Seeds(*judges)
     _check(budget, training, judges, where)
     with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
         study, cell = read.one_cell(scenario, [observer], overrides or [])
         where = f"{where} in {cell.scenario.name}"
         aim = goal(objective, cell.scenario, signal, where)
-        how_far = f"{method or 'the method that fits'}, seeds {_shown(training)}, {', '.join(only or ['all'])} free"
+        how_far = f"{method or 'the method that fits'}, seeds {training}, {', '.join(only or ['all'])} free"
         mine = given(study, cell.scenario, observer)
         about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(study)[:12]}"
-        whole = f"{about}, {budget} points, judged on {_shown(judges)}"
+        whole = f"{about}, {budget} points, judged on {judges}"
         place = store.target(str(out) if out is not None else spare)
         if done := history.finished(place, whole, about):
             return Tuned(goal=aim, **done)
@@ -89,7 +92,7 @@ def tune(
         (p,) = planning.plan(study)
         ways.check_estimates(p, aim, where)
         how = ways.method_for(method, aim, p, where)
-        evaluate = ways.evaluated(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
+        evaluate = ways.evaluated(how, p, aim, study.root_seed, np.arange(*training), design)
         trials = History(place, about, parameters.entries(every))
         progress.begin("points", budget)
         progress.note("compiling")
@@ -175,21 +178,17 @@ def _descend(
     trials.write()
 
 
-def _check(budget: int, training: tuple[int, int], judges: tuple[int, int], where: str) -> None:
+def _check(budget: int, training: Seeds, judges: Seeds, where: str) -> None:
     if budget < 1:
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {BUDGET}.")
-    for name, (first, many) in (("--train", training), ("--judge", judges)):
-        if many < 2 or first < 0 or first + many > 2**32:
-            raise UserError(f"{where}: {name}: got {first}:{first + many}, expected two seeds or more of 0:4294967296.")
-    if training[0] < sum(judges) and judges[0] < sum(training):
+    for name, seeds in (("--train", training), ("--judge", judges)):
+        if seeds.many < 2 or seeds.first < 0 or seeds.stop > 2**32:
+            raise UserError(f"{where}: {name}: got {seeds}, expected two seeds or more of 0:4294967296.")
+    if common(training, judges).many:
         raise UserError(
-            f"{where}: got training seeds {_shown(training)} and judging seeds {_shown(judges)}, which overlap; expected none "
+            f"{where}: got training seeds {training} and judging seeds {judges}, which overlap; expected none "
             "in common, for what is tuned on a draw cannot be judged on it; give others."
         )
-
-
-def _shown(seeds: tuple[int, int]) -> str:
-    return f"{seeds[0]}:{sum(seeds)}"
 
 
 def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:

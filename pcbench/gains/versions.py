@@ -19,6 +19,7 @@ import numpy as np
 from pcbench import planning
 from pcbench.dataset import run_study, store
 from pcbench.dataset.ownership import BESIDE, TEXT
+from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
 from pcbench.gains.objective import Goal, goal
@@ -27,7 +28,7 @@ from pcbench.observers import entry_of
 from pcbench.study import Study, given, observers_of, options_of, scenarios_of
 from pcbench.study.read import one_cell, study_of
 
-JUDGES = (tune.JUDGES[0], 256)
+JUDGES = counted(tune.JUDGES.first, 256)
 
 
 class Version(NamedTuple):
@@ -97,12 +98,17 @@ def _at_first(study: Study) -> Study:
 
 def _apart(study: Study) -> None:
     """Raise UserError where the study's own seeds are among those it tunes on."""
-    for first, many in ((tune.TRAINING[0], study.tune.training), JUDGES):
-        if study.first_seed < first + many and first < study.first_seed + study.seeds:
+    mine = counted(study.first_seed, study.seeds)
+    for its in (_training(study), JUDGES):
+        if common(mine, its).many:
             raise UserError(
-                f"{study.name}: got seeds {study.first_seed} .. {study.first_seed + study.seeds - 1}, expected none of "
-                f"{first} .. {first + many - 1}, on which gains are tuned; give another first_seed."
+                f"{study.name}: got seeds {mine.first} .. {mine.stop - 1}, expected none of {its.first} .. {its.stop - 1}, on "
+                "which gains are tuned; give another first_seed."
             )
+
+
+def _training(study: Study) -> Seeds:
+    return counted(tune.TRAINING.first, study.tune.training)
 
 
 def _ours(study: Study, out: str | Path | None, fresh: bool) -> None:
@@ -147,7 +153,7 @@ def _better(
         return {}
     progress.note("comparing starts")
     here = _with(study, {v.label: options[v.label] for v in free_ones}, [v.label for v in free_ones])
-    seeds = {"first_seed": tune.TRAINING[0], "seeds": study.tune.training}
+    seeds = {"first_seed": tune.TRAINING.first, "seeds": study.tune.training}
     stats = run_study.execute(_at_first(here).model_copy(update=seeds)).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
     best: dict[str, tuple[tuple[float, float], str]] = {}
@@ -188,7 +194,7 @@ def _tuned(
             budget=study.tune.budget,
             objective=study.tune.objective,
             signal=study.tune.signal,
-            training=(tune.TRAINING[0], study.tune.training),
+            training=_training(study),
             judges=JUDGES,
             out=None if out is None else f"{out}/tuning/{observer}",
             progress=renamed,
