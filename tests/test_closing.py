@@ -7,7 +7,7 @@ import pytest
 from small_study import rows
 
 from pcbench import statistics
-from pcbench.dataset import block_files, ownership, store, summary
+from pcbench.dataset import block_files, cell_rows, ownership, store
 from pcbench.dataset.seeds import Seeds
 
 
@@ -17,8 +17,8 @@ def parts(out, cell=0, within=None):
     claimed, blocks = ownership.opened(place), {}
     for b in block_files.present(place):
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    found = summary.observed(place, claimed, claimed.cells[cell], blocks)
-    return list(summary.chunks(place, found, within))
+    found = cell_rows.observed(place, claimed, claimed.cells[cell], blocks)
+    return list(cell_rows.chunks(place, found, within))
 
 
 @pytest.mark.parametrize("size", [12, 16, 40, 7, 1000])

@@ -128,7 +128,7 @@ def test_a_lost_study_text_is_written_anew_by_the_study_itself(whole, copy, dama
     with pytest.raises(UserError, match=r"study.toml"):
         verify.status(copy)
     done = pcbench.run(STUDY, out=copy)
-    assert done.effort.runs == 0
+    assert done.cost.runs == 0
     assert path.read_text() == text
     assert tables(copy) == before
 
@@ -141,7 +141,7 @@ def test_a_lost_study_text_keeps_the_numbers_of_its_cells(tmp_path):
     pcbench.run(grown, out=out, seeds=4)
     text, before = (out / "study.toml").read_text(), tables(out)
     (out / "study.toml").unlink()
-    assert pcbench.run(grown, out=out, seeds=4).effort.runs == 0
+    assert pcbench.run(grown, out=out, seeds=4).cost.runs == 0
     assert (out / "study.toml").read_text() == text
     assert tables(out) == before
 

@@ -5,8 +5,8 @@ import pytest
 
 import pcbench
 from pcbench import planning
-from pcbench.gains import ways
-from pcbench.gains.objective import goal
+from pcbench.gains import evaluation
+from pcbench.gains.objective import objective_of
 from pcbench.machine import process
 from pcbench.observers import entry_of
 from pcbench.study import options_of, read
@@ -26,7 +26,9 @@ def brute_force(grid):
 
         (p,) = planning.plan(study)
         seeds = np.arange(*HALF["training"])
-        value = ways.evaluated("search", p, goal("tail_rmse", cell.scenario, None, "test"), 0, seeds, gains)
+        value = evaluation.evaluator(
+            "search", p, objective_of("tail_rmse", cell.scenario, None, "test"), 0, seeds, gains
+        )
         return min((value(np.array(L))[0], L) for L in grid)
 
 

@@ -57,7 +57,7 @@ def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
     from pcbench.reproduce.page import page as written
 
     if page is not None:
-        store.make(store.target(page.parent))  # a place that cannot be written is said before the work
+        store.make(store.target(page.parent))  # a folder that cannot be written is said before the work
     with bar(quiet or as_json) as progress:
         found = every.claims(stoppable(progress))
     if page is not None:

@@ -54,7 +54,7 @@ def tune(
         )
     if as_json:
         judged = [history.plain(j) for j in found.judged]
-        goal = {"metric": found.goal.metric, "signal": found.goal.name, "unit": found.goal.unit}
+        goal = {"metric": found.objective.metric, "signal": found.objective.name, "unit": found.objective.unit}
         summary = {"start": found.start, "found": found.found, "kept_start": found.kept_start, "goal": goal}
         print(json.dumps(summary | {"judged": judged, "points": len(found.points), "method": found.method}, indent=2))
     elif not quiet:

@@ -51,31 +51,31 @@ def block_of(name: str) -> Block | None:
     return Block(unquote(scenario), unquote(observer), int(cell), Seeds(int(first), int(last) + 1))
 
 
-def present(place: store.Target) -> list[Block]:
+def present(target: store.Target) -> list[Block]:
     """Return the blocks that have a file, sorted; raise UserError for a table that is none."""
     out = []
-    for name in store.names(place, "runs"):
+    for name in store.names(target, "runs"):
         block = block_of(name)
         if block is None:
             raise UserError(
-                f"{place.name}/{name}: is no block of a study, expected cell-*-seeds-*.parquet; move it away."
+                f"{target.name}/{name}: is no block of a study, expected cell-*-seeds-*.parquet; move it away."
             )
         out.append(block)
     return sorted(out)
 
 
-def read(place: store.Target, block: Block) -> pa.Table:
+def read(target: store.Target, block: Block) -> pa.Table:
     """Return a block's rows, every page checked; raise UserError, naming the file, where it is damaged."""
-    found = _whole(place, block)
+    found = _whole(target, block)
     if isinstance(found, str):
         raise UserError(
-            f"{place.name}/{block.name}: is damaged ({found}), expected a whole block; run the study again to have it redone."
+            f"{target.name}/{block.name}: is damaged ({found}), expected a whole block; run the study again to have it redone."
         )
     return found
 
 
-def _whole(place: store.Target, block: Block) -> pa.Table | str:
-    content = store.get(place, block.name)
+def _whole(target: store.Target, block: Block) -> pa.Table | str:
+    content = store.get(target, block.name)
     if content is None:
         return "it is gone"
     try:
@@ -89,9 +89,9 @@ def about(table: pa.Table) -> dict[str, Any]:
     return _about(table.schema.metadata)
 
 
-def about_block(place: store.Target, block: Block) -> dict[str, Any]:
+def about_block(target: store.Target, block: Block) -> dict[str, Any]:
     """Return the same from a block's footer alone."""
-    found = store.footer(place, block.name)
+    found = store.footer(target, block.name)
     return _about(found.metadata) if found else {}
 
 
@@ -121,9 +121,9 @@ def digest(table: pa.Table, said: dict[str, Any]) -> str:
     return out.hexdigest()[:32]
 
 
-def damage(place: store.Target, block: Block, cell: str) -> str | None:
+def damage(target: store.Target, block: Block, cell: str) -> str | None:
     """Return what is wrong with a block's file; None where it is whole and of the cell with this digest."""
-    table = _whole(place, block)
+    table = _whole(target, block)
     if isinstance(table, str):
         return table
     said, metadata = about(table), table.schema.metadata or {}

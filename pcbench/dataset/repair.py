@@ -11,18 +11,18 @@ from pcbench.study import Study, observers_of, options_of, scenarios_of
 from pcbench.study.cells import Cell, cells_of, identity, told
 
 
-def cells_of_blocks(place: store.Target, study: Study, blocks: list[Block]) -> list[Cell]:
+def cells_of_blocks(target: store.Target, study: Study, blocks: list[Block]) -> list[Cell]:
     """Return the cells of the study that blocks are of, numbered as their names say, and its other cells after them.
 
     Raises UserError where a block is of another study: of other options, or of a cell that the study does not have.
     """
     with ThreadPoolExecutor() as pool:
-        each = list(pool.map(lambda b: block_files.about_block(place, b), blocks))
+        each = list(pool.map(lambda b: block_files.about_block(target, b), blocks))
     here = {s: [identity(c, study.root_seed) for c in cells_of(study) if c.scenario.name == s] for s in study.scenarios}
     for b, said in zip(blocks, each, strict=True):
         if wrong := next(_apart(study, here, b, said), None):
             raise UserError(
-                f"{place.name}/study.toml: is gone or damaged, and {b.name} is not of the study given ({wrong}), expected the "
+                f"{target.name}/study.toml: is gone or damaged, and {b.name} is not of the study given ({wrong}), expected the "
                 "study that these blocks are of; run that, or give a new folder with --out."
             )
     numbers: dict[str, dict[int, str]] = {}

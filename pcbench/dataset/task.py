@@ -30,7 +30,7 @@ ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as 
 class Work(NamedTuple):
     """What all tasks of a study share."""
 
-    out: str  # the dataset's place
+    out: str  # where the dataset stands
     study: str
     root_seed: int
     memory: float = float("inf")  # bytes that one task may take
@@ -58,9 +58,9 @@ class Report(NamedTuple):
     versions: dict[str, str]  # of what computed it
 
 
-def compute(work: Work, task: Task, place: Callable[[], Any] = nullcontext) -> Report:
-    """Do a task: simulate its seeds while holding a place, then put its blocks; raise UserError where that cannot be."""
-    with place() as device:
+def compute(work: Work, task: Task, hold: Callable[[], Any] = nullcontext) -> Report:
+    """Do a task: simulate its seeds while holding a device, then put its blocks; raise UserError where that cannot be."""
+    with hold() as device:
         p, results, made = simulated(work, task, device)
     start, target = perf_counter(), store.target(work.out)
     for name, table in files(work, task, p, results):

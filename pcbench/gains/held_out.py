@@ -4,8 +4,8 @@ from typing import Any
 
 from pcbench.dataset import run_study
 from pcbench.dataset.seeds import Seeds
-from pcbench.gains.history import Judged
-from pcbench.gains.objective import Goal
+from pcbench.gains.history import Judgement
+from pcbench.gains.objective import Objective
 from pcbench.observers import base_of
 from pcbench.statistics import POOLED
 from pcbench.study import Study, given, read, scenarios_of
@@ -17,9 +17,9 @@ def judge(
     study: Study,
     observer: str,
     found: dict[str, Any],
-    aim: Goal,
+    aim: Objective,
     seeds: dict[str, Seeds],
-) -> list[Judged]:
+) -> list[Judgement]:
     """Run start and tuned on the same draws, for each range of seeds."""
     base = base_of(observer) or observer
     mine = given(study, scenarios_of(study)[study.scenarios[0]], observer)
@@ -35,11 +35,11 @@ def judge(
         sign = 1.0 if pair["observer_a"] == labels[1] else -1.0
         (a, a_se, bad), (b, b_se, worse) = stats.loc[list(labels), ["mean", "se", "diverged"]].to_numpy().tolist()
         gap = sign * float(pair["mean_diff"]), float(pair["se"])
-        out.append(Judged(what, each, a, a_se, b, b_se, *gap, (int(bad), int(worse))))
+        out.append(Judgement(what, each, a, a_se, b, b_se, *gap, (int(bad), int(worse))))
     return out
 
 
-def against(judged: list[Judged]) -> str:
+def against(judged: list[Judgement]) -> str:
     """Return why what was found is not to be used, if it is not: worse than its start on the judging runs."""
     (j,) = (each for each in judged if each.what == "judging")
     if j.diverged[1] > j.diverged[0]:

@@ -1,4 +1,4 @@
-"""One tuning: an observer's free parameters in a scenario, so much effort, judged on other draws than it was tuned on."""
+"""One tuning: an observer's free parameters in a scenario, within a budget, judged on other draws than it was tuned on."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,10 +11,10 @@ from pcbench import planning
 from pcbench.dataset import store
 from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.gains import gradient, history, minimise, parameters, ways
+from pcbench.gains import evaluation, gradient, history, minimise, parameters
 from pcbench.gains.held_out import against, judge
-from pcbench.gains.history import History, Judged, Point
-from pcbench.gains.objective import Goal, goal
+from pcbench.gains.history import Evaluation, History, Judgement
+from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
@@ -33,17 +33,17 @@ class NoStart(UserError):
     """A tuning's start does not work."""
 
 
-class Tuned(NamedTuple):
+class Tuning(NamedTuple):
     """What a tuning found."""
 
     study: dict[str, Any]  # the scenario and the observer with the options chosen: what tuned.toml says
     start: dict[str, Any]  # the free parameters as they were,
     found: dict[str, Any]  # and at the least value seen
     kept_start: str  # why the start was kept; empty: what was found is chosen
-    judged: list[Judged]
-    points: list[Point]
+    judged: list[Judgement]
+    points: list[Evaluation]
     method: str
-    goal: Goal
+    objective: Objective
 
 
 def tune(
@@ -60,7 +60,7 @@ def tune(
     out: str | Path | None = None,
     overrides: list[str] | None = None,
     progress: Progress = SILENT,
-) -> Tuned:
+) -> Tuning:
     """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
 
     `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
@@ -74,14 +74,14 @@ def tune(
     with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
         study, cell = read.one_cell(scenario, [observer], overrides or [])
         where = f"{where} in {cell.scenario.name}"
-        aim = goal(objective, cell.scenario, signal, where)
+        aim = objective_of(objective, cell.scenario, signal, where)
         how_far = f"{method or 'the method that fits'}, seeds {training}, {', '.join(only or ['all'])} free"
         mine = given(study, cell.scenario, observer)
         about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(study)[:12]}"
         whole = f"{about}, {budget} points, judged on {judges}"
-        place = store.target(str(out) if out is not None else spare)
-        if done := history.finished(place, whole, about):
-            return Tuned(goal=aim, **done)
+        target = store.target(str(out) if out is not None else spare)
+        if done := history.finished(target, whole, about):
+            return Tuning(objective=aim, **done)
         known = planning.setting(cell)
         study, options, designed = _startable(study, cell, observer, known)
         every, start = freed(observer, known, options, designed, only, where)
@@ -90,10 +90,10 @@ def tune(
             return entry_of(observer).design(known, parameters.put(options, every, at)).gains
 
         (p,) = planning.plan(study)
-        ways.check_estimates(p, aim, where)
-        how = ways.method_for(method, aim, p, where)
-        evaluate = ways.evaluated(how, p, aim, study.root_seed, np.arange(*training), design)
-        trials = History(place, about, parameters.entries(every))
+        evaluation.check_estimates(p, aim, where)
+        how = evaluation.method_for(method, aim, p, where)
+        evaluate = evaluation.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
+        trials = History(target, about, parameters.entries(every))
         progress.begin("points", budget)
         progress.note("compiling")
         _descend(how, trials, start, evaluate, budget, where, progress)
@@ -101,7 +101,7 @@ def tune(
         progress.note("judging on other seeds")
         judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
         kept = against(judged)
-        tuned = Tuned(
+        tuned = Tuning(
             _study(study, observer, {} if kept else found),
             parameters.written(every, start),
             found,
@@ -111,7 +111,7 @@ def tune(
             how,
             aim,
         )
-        history.finish(place, whole, tuned)
+        history.finish(target, whole, tuned)
         return tuned
 
 
@@ -153,7 +153,7 @@ def _descend(
     how: str,
     trials: History,
     start: Vector,
-    evaluate: ways.Evaluate,
+    evaluate: evaluation.Evaluate,
     budget: int,
     where: str,
     progress: Progress,
@@ -170,7 +170,7 @@ def _descend(
         progress.note(f"least so far {trials.best.value:.5g}")
         return value, slope
 
-    store.make(trials.place)
+    store.make(trials.target)
     if how == "descent":
         minimise.descent(ask, start, budget)
     else:

@@ -2,7 +2,7 @@
 
     paper     as a scenario's source prints them (its options), with the study's own options over them
     design    by the observer's own design for the noise and the delays as they are
-    tuned     by `tune`: the same effort for every observer, from the better of the two above on the training runs
+    tuned     by `tune`: the same budget for every observer, from the better of the two above on the training runs
 
 Three ranges of seeds have nothing in common: training runs, those that decide whether a tuned gain or its start is kept, and
 the study's own, on which all are compared. Of a study with several cells gains are tuned in the first and run in all.
@@ -22,7 +22,7 @@ from pcbench.dataset.ownership import BESIDE, TEXT
 from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
-from pcbench.gains.objective import Goal, goal
+from pcbench.gains.objective import Objective, objective_of
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.observers import entry_of
 from pcbench.study import Study, given, observers_of, options_of, scenarios_of
@@ -40,31 +40,33 @@ class Version(NamedTuple):
     note: str = ""  # why its gains are not those found
 
 
-class Prepared(NamedTuple):
+class ExplicitStudy(NamedTuple):
     """A study with every option explicit, and what its labels are."""
 
     study: Study
     versions: list[Version]  # empty: one tuning only, nothing to compare
-    aim: Goal | None = None
+    aim: Objective | None = None
 
 
-def prepare(study: Study, out: str | Path | None, fresh: bool, progress: Progress = SILENT) -> Prepared:
+def prepare(study: Study, out: str | Path | None, fresh: bool, progress: Progress = SILENT) -> ExplicitStudy:
     """Return the study to be run: designed and tuned as it asks. What tuning leaves stands in out/tuning, and goes on there.
 
     Raises UserError where several tunings, or tuned gains, are asked for in more than one scenario.
     """
     if study.tunings == ["paper"]:
-        return Prepared(study, [])
+        return ExplicitStudy(study, [])
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
         designed = {o: study.options.get(o, {}) | dict(entry_of(o).designed or {}) for o in labels}
-        return Prepared(_with(study, {o: how for o, how in designed.items() if how}), [])
+        return ExplicitStudy(_with(study, {o: how for o, how in designed.items() if how}), [])
     if len(study.scenarios) > 1:
         raise UserError(
             f"{study.name}: tuning: got {study.tunings} for {len(study.scenarios)} scenarios, expected one: gains are tuned "
             "for one task; run a study for each."
         )
-    aim = goal(study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune")
+    aim = objective_of(
+        study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune"
+    )
     _apart(study)
     _ours(study, out, fresh)
     scenario = scenarios_of(study)[study.scenarios[0]]
@@ -83,7 +85,7 @@ def prepare(study: Study, out: str | Path | None, fresh: bool, progress: Progres
     order = list(paper)
     versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
     every = {v.label: options[v.label] for v in versions}
-    return Prepared(_with(study, every, list(every)), versions, aim)
+    return ExplicitStudy(_with(study, every, list(every)), versions, aim)
 
 
 def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Study:
@@ -115,20 +117,20 @@ def _ours(study: Study, out: str | Path | None, fresh: bool) -> None:
     """Raise UserError where a folder holds something else, before anything is written; `fresh` removes earlier tunings."""
     if out is None:
         return
-    place = store.target(str(out))
-    said, names = store.text(place, TEXT), store.names(place)
+    target = store.target(str(out))
+    said, names = store.text(target, TEXT), store.names(target)
     others = [name for name in names if not name.startswith(BESIDE)]
     if said is None and others:
         raise UserError(
-            f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
+            f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
         )
     if said is not None and not any(name.startswith(BESIDE) for name in names) and not fresh:
         raise UserError(
-            f"{place.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
+            f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
             "start over with --fresh."
         )
     for name in [name for name in names if fresh and name.startswith(BESIDE[0])]:
-        store.remove(place, name)
+        store.remove(target, name)
 
 
 def _untuned(papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str, dict[str, Any]]]:
@@ -145,7 +147,7 @@ def _untuned(papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str
 
 
 def _better(
-    study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Goal, progress: Progress
+    study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Objective, progress: Progress
 ) -> dict[str, dict[str, Any]]:
     """By observer that has free parameters, the options of its better version on the training runs: where tuning starts."""
     free_ones = [v for v in versions if _is_free(study, v, options[v.label])]
@@ -179,7 +181,7 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
 
 
 def _tuned(
-    study: Study, observer: str, start: dict[str, Any], aim: Goal, out: str | Path | None, progress: Progress
+    study: Study, observer: str, start: dict[str, Any], aim: Objective, out: str | Path | None, progress: Progress
 ) -> tuple[str, dict[str, Any]]:
     """Why the start is kept (empty: it is not), and the options found."""
     renamed = Progress(

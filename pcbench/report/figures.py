@@ -28,14 +28,14 @@ def write(
 
     Of every scenario the `signals` that it has; None: those it is known by; an empty list: all.
     """
-    place, names = store.target(str(out)), []
-    store.make(place)
+    target, names = store.target(str(out)), []
+    store.make(target)
     progress.begin("figures", None)
     for name, figure in drawn(result, metric, signals):
         for kind in KINDS:
             content = io.BytesIO()
             figure.savefig(content, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
-            store.put(place, f"{name}.{kind}", content.getvalue())
+            store.put(target, f"{name}.{kind}", content.getvalue())
         names.append(name)
         progress.step(1)
     return names

@@ -54,7 +54,7 @@ def arrow(table: pd.DataFrame) -> pa.Table:
 
 def tuned(found: Any, observer: str, folder: str | None, console: Console) -> None:
     """Print what a tuning found: start against tuned on training and judging seeds, and the options."""
-    aim = found.goal
+    aim = found.objective
     what = "mean square" if aim.metric != aim.base else aim.metric
     judged = found.judged
     columns = [
