@@ -4,7 +4,7 @@
     python benchmarks/studies.py --only memory
     python benchmarks/studies.py --small      # every row and check, a few runs each: its figures mean nothing then
 
-writing: the time that tasks spend on their files, of the time that all places have; and what the same tasks take longer
+writing: the time that tasks spend on their files, of the time that all devices have; and what the same tasks take longer
          with files than without, in turn (on a shared machine good to some per cent).
 workers: the same study on one and on two local Dask workers, warm; time on one / (2 x time on two). The same of bare
          processes that only simulate, in turn: what the machine gives where both cores are busy.
@@ -32,6 +32,7 @@ from typing import Any
 from pcbench import api
 from pcbench.dataset import executors, fill, ownership, store, task
 from pcbench.machine import process, provenance
+from pcbench.machine.progress import Progress
 from pcbench.simulation import batch
 from pcbench.study import read
 
@@ -44,9 +45,9 @@ WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's stu
 }
 
 
-def without_files(work: task.Work, one: task.Task, place: Callable[[], Any]) -> task.Report:
+def without_files(work: task.Work, one: task.Task, hold: Callable[[], Any]) -> task.Report:
     """Simulate a task's seeds and leave it at that."""
-    with place() as device:
+    with hold() as device:
         made = task.simulated(work, one, device)[2]
     return task.Report(one.runs, ("", 0), made.compile_seconds, 0.0, provenance.versions())
 
@@ -57,18 +58,14 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
     Exits with a sentence where other runs were done than asked for.
     """
     with tempfile.TemporaryDirectory() as out, process.float64():
-        place, began = store.target(out), []
-        claimed = ownership.claim(place, read.grid_of(study, {}, []))
-
-        def tell(event: str, value: float) -> None:
-            if event == "planned":
-                began.append(time.perf_counter())
-
-        effort = fill.fill(place, claimed, [], execute, fill.everything(claimed, []), fill.Options(block), tell)
+        target, began = store.target(out), []
+        owned = ownership.claim(target, read.grid_of(study, {}, []))
+        planned = Progress(begin=lambda what, many: began.append(time.perf_counter()))
+        cost = fill.fill(target, owned, [], execute, fill.everything(owned, []), fill.Sizes(block), planned)
         took, asked = time.perf_counter() - began[0], study["seeds"] * len(study["observers"])
-        if effort.runs != asked:
-            raise SystemExit(f"studies: got {effort.runs} runs, expected {asked}.")
-        return took, effort.writing_seconds
+        if cost.runs != asked:
+            raise SystemExit(f"studies: got {cost.runs} runs, expected {asked}.")
+        return took, cost.writing_seconds
 
 
 def writing(turns: int, small: bool) -> None:
@@ -86,7 +83,7 @@ def writing(turns: int, small: bool) -> None:
                 task.compute = whole
                 took, wrote = timed(study | {"seeds": seeds}, execute, block)
                 longer.append(took / base[-1] - 1)
-                share.append(wrote / (took * len(batch.places())))
+                share.append(wrote / (took * len(batch.devices())))
         each = ", ".join(f"{100 * more:+.1f}" for more in longer)
         print(
             f"writing: {scenario}: {100 * statistics.median(share):.2f} % of {base[0]:.0f} s; longer by {each} %",

@@ -9,10 +9,11 @@ import pandas as pd
 
 from pcbench.dataset import run_study
 from pcbench.dataset.result import Result
-from pcbench.dataset.run_study import Say, Tell, silent
+from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
 from pcbench.gains import fair_table, versions
 from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import alone, drafts, padding
 from pcbench.plants import signals_of
 from pcbench.study.read import Described, grid_of, one_cell
@@ -38,7 +39,7 @@ def run(
     workers: int | None = None,
     block: int | None = None,
     memory: str | int | None = None,
-    tell: Tell = silent,
+    progress: Progress = SILENT,
     say: Say = lambda sentence: None,
 ) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there: run again, it goes on.
@@ -48,16 +49,16 @@ def run(
     again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of every observer is
     that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a scheduler's address,
     or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
-    a time; by default a quarter of the machine's). `tell` hears of progress, `say` of damaged files. A study's `tuning` is done
-    first: `gains.versions`; of several the result has a table `fair`. Raises UserError, one sentence, for whatever the user
-    can mend.
+    a time; by default a quarter of the machine's). `progress` hears how far it is (`machine.progress`), `say` of damaged files.
+    A study's `tuning` is done first: `gains.versions`; of several the result has a table `fair`. Raises UserError, one
+    sentence, for whatever the user can mend.
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     grid = grid_of(study, changes | {"first_seed": first_seed}, overrides or [])
     with process.float64():
-        how = run_study.How(fresh, until_se, max_seeds, devices, dask, workers, block, memory, tell, say).checked()
-        made = versions.prepare(grid, out, fresh, tell)
+        how = run_study.How(fresh, until_se, max_seeds, devices, dask, workers, block, memory, progress, say).checked()
+        made = versions.prepare(grid, out, fresh, progress)
         return fair_table.report(made, run_study.execute(made.grid, out, how), out, how)
 
 

@@ -22,10 +22,10 @@ TAKES = {
     "one constant delay": "of one constant age",
     "constant delays": "taken regularly, all channels together; each channel of a constant age of its own",
 }
-Said = dict[str, Any]
+Description = dict[str, Any]
 
 
-def plant(name: str) -> Said:
+def plant(name: str) -> Description:
     """Return a plant with its states, unknown inputs, and parameters."""
     p = PLANTS[name]
     return {
@@ -36,7 +36,7 @@ def plant(name: str) -> Said:
     }
 
 
-def observer(name: str) -> Said:
+def observer(name: str) -> Description:
     """Return an observer with the samples it takes and its options."""
     o = OBSERVERS[name]
     return {
@@ -48,7 +48,7 @@ def observer(name: str) -> Said:
     }
 
 
-def options(model: type[BaseModel]) -> dict[str, Said]:
+def options(model: type[BaseModel]) -> dict[str, Description]:
     """Return every option of a model: type, default, range, what it is, and whether it can be tuned."""
     properties = model.model_json_schema()["properties"]
     return {
@@ -62,7 +62,7 @@ def options(model: type[BaseModel]) -> dict[str, Said]:
     }
 
 
-def _kind(schema: Mapping[str, Any]) -> Said:
+def _kind(schema: Mapping[str, Any]) -> Description:
     """The type of an option in words, and its range or its choices."""
     schema = next((each for each in schema.get("anyOf", []) if each.get("type") != "null"), schema)
     if "enum" in schema:
@@ -82,7 +82,7 @@ def _type(schema: Mapping[str, Any]) -> str:
     return {"boolean": "true or false", "object": "table", "integer": "whole number", "string": "text"}.get(kind, kind)
 
 
-def scenario(name: str) -> Said:
+def scenario(name: str) -> Description:
     """Return a scenario with its plant, its times, its observers and its source."""
     s = SCENARIOS[name]
     signals = signals_in(s)
@@ -107,7 +107,7 @@ def scenario(name: str) -> Said:
     }
 
 
-def study(name: str) -> Said:
+def study(name: str) -> Description:
     """Return a built-in study."""
     s = STUDIES[name]
     return {
@@ -120,18 +120,18 @@ def study(name: str) -> Said:
     }
 
 
-def metric(name: str) -> Said:
+def metric(name: str) -> Description:
     """Return what a metric means."""
     return {"summary": MEANING.get(name) or METRICS[name]}
 
 
-def axis(name: str) -> Said:
+def axis(name: str) -> Description:
     """Return what an axis of a study holds."""
     unit = AXIS_UNITS.get(name, "s")
     return {"summary": MEANING[name] + (f" [{unit}]" if unit not in ("", "1") else "")}
 
 
-def choice(name: str) -> Said:
+def choice(name: str) -> Description:
     """Return a choice of `[options.scenario]`."""
     said = options(Choices)[name]
     return {"summary": said["description"]} | said
@@ -144,7 +144,7 @@ METRICS = {
     "divergence": "fraction of runs whose error became non-finite or left the scenario's bound",
     "unsettled": "fraction of the other runs whose error left its band in the tail",
 }
-CATALOGUE: dict[str, tuple[tuple[str, ...], Callable[[str], Said]]] = {
+CATALOGUE: dict[str, tuple[tuple[str, ...], Callable[[str], Description]]] = {
     "observers": (tuple(OBSERVERS), observer),
     "scenarios": (tuple(SCENARIOS), scenario),
     "plants": (tuple(PLANTS), plant),
@@ -157,7 +157,7 @@ WITHOUT_WORD = ("observers", "scenarios", "plants", "studies")  # what `pcbench 
 TITLES = {"choices": "choices ([options.scenario] of a study)", "axes": "axes (besides plant.PARAMETER)"}
 
 
-def found(kind: str, name: str | None = None) -> dict[str, Said]:
+def found(kind: str, name: str | None = None) -> dict[str, Description]:
     """Return what there is of a kind, by name, or the one of that name; raise UserError for another word."""
     if kind not in CATALOGUE:
         raise unknown("list", "kind of thing", kind, CATALOGUE)

@@ -39,11 +39,11 @@ def merge(
 
     Example: pcbench merge monday tuesday --out both
     """
-    from pcbench.cli.screen.progress import counting
+    from pcbench.cli.screen.progress import bar
     from pcbench.dataset import merge
 
-    with counting(quiet) as tell:
-        made = merge.merge(folders, into, tell)
+    with bar(quiet) as progress:
+        made = merge.merge(folders, into, progress)
     again = f" {made.doubled:,} runs stood in more than one, all of them equal." if made.doubled else ""
     lack = (
         f" {made.missing:,} runs are missing: pcbench run {into}/study.toml --out {into} fills them."
@@ -67,11 +67,11 @@ def verify(
     """
     setup()
     from pcbench.cli.screen import folder as screen
-    from pcbench.cli.screen.progress import counting
+    from pcbench.cli.screen.progress import bar
     from pcbench.dataset import verify
 
-    with counting(quiet or as_json) as tell:
-        found = verify.verify(folder, None if every else sample, seed, tell)
+    with bar(quiet or as_json) as progress:
+        found = verify.verify(folder, None if every else sample, seed, progress)
     if as_json:
         print(json.dumps(found._asdict(), indent=2))
     elif not quiet:

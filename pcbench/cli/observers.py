@@ -53,9 +53,9 @@ def design(
         study, cell, found = design.design(scenario, observer, method=method, overrides=changes)
         text = design.to_toml(design.as_study(study, cell, observer, found)) if file is not None else ""
     if file is not None:
-        place = store.target(Path(file).parent)
-        store.make(place)
-        store.put(place, Path(file).name, text.encode())
+        target = store.target(Path(file).parent)
+        store.make(target)
+        store.put(target, Path(file).name, text.encode())
     if as_json:
         print(readable({"scenario": scenario, "observer": observer} | found.certificate._asdict()))
     else:

@@ -50,16 +50,16 @@ def _one(paper: str, title: str, rows: list[Any], quiet: bool, as_json: bool) ->
 
 def _every(page: Path | None, quiet: bool, as_json: bool) -> None:
     from pcbench.cli.screen import claims
-    from pcbench.cli.screen.progress import counting
+    from pcbench.cli.screen.progress import bar
     from pcbench.dataset import store
     from pcbench.reproduce import PAPERS, every
     from pcbench.reproduce.claim import counts
     from pcbench.reproduce.page import page as written
 
     if page is not None:
-        store.make(store.target(page.parent))  # a place that cannot be written is said before the work
-    with counting(quiet or as_json) as draw:
-        found = every.claims(stoppable(draw))
+        store.make(store.target(page.parent))  # a folder that cannot be written is said before the work
+    with bar(quiet or as_json) as progress:
+        found = every.claims(stoppable(progress))
     if page is not None:
         store.put(store.target(page.parent), page.name, written(found).encode())
     if as_json:

@@ -24,23 +24,22 @@ def report(
     """
     setup()
     from pcbench import statistics
-    from pcbench.cli.screen.progress import counting
+    from pcbench.cli.screen.progress import bar
     from pcbench.machine import process
 
     statistics.compared(metric, "--metric")
     where = f"{folder.rstrip('/')}/report.html" if file is None else file
-    with process.float64(), counting(quiet) as draw:
-        tell = stoppable(draw)
+    with process.float64(), bar(quiet) as drawn:
+        progress = stoppable(drawn)
         if figures is not None:
             from pcbench.dataset.result import opened
             from pcbench.report import figures as pictures
 
-            tell("figures", 0.0)
-            names = pictures.write(opened(folder), figures, tell, metric, chosen(signal))
+            names = pictures.write(opened(folder), figures, progress, metric, chosen(signal))
             where, said = figures, f"{len(names)} figures as SVG and PNG in {figures}"
         else:
             from pcbench.report import page
 
-            size = page.write(folder, where, tell, metric, chosen(signal))
+            size = page.write(folder, where, progress, metric, chosen(signal))
             said = f"{where}: one page of {size / 1e6:.1f} MB, which opens in any browser"
     print(where if quiet else said)

@@ -46,21 +46,21 @@ def run(
     setup()
     from pcbench import api, statistics
     from pcbench.cli.screen import gains, results
-    from pcbench.cli.screen.progress import progress
+    from pcbench.cli.screen.progress import bar
     from pcbench.study import read
 
     statistics.compared(metric, "--metric")
     asked, where = read.described(read.raw_of(study, changes or []), study), chosen(signal)
     read.require_signals(asked, where, "--signal")
-    place = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
-    with progress(quiet or as_json) as draw:
+    into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
+    with bar(quiet or as_json, "designing gains") as progress:
         result = api.run(
             study,
             overrides=changes,
             seeds=seeds,
             first_seed=first_seed,
             observers=None if observers is None else names(observers),
-            out=place,
+            out=into,
             fresh=fresh,
             until_se=until_se,
             max_seeds=max_seeds,
@@ -68,24 +68,24 @@ def run(
             workers=workers,
             block=block,
             memory=memory,
-            tell=stoppable(draw),
+            progress=stoppable(progress),
             say=say,
         )
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
-        summary = {"study": asked.name, "out": place, "provenance": result.provenance, "stats": stats}
+        summary = {"study": asked.name, "out": into, "provenance": result.provenance, "stats": stats}
         if result.fair is not None:
             summary["fair"] = json.loads(result.fair.to_json(orient="records"))
         print(json.dumps(summary, indent=2))
     elif quiet:
-        print(place)
+        print(into)
     else:
         screen = console()
         results.closing(result, screen, metric, where)
         if result.fair is not None:
             gains.fair(result.fair, screen)
-        screen.print(results.effort(result, place), highlight=False, markup=False, soft_wrap=True)
-        screen.print(f"Now look at it: pcbench report {place}", highlight=False, markup=False, soft_wrap=True)
+        screen.print(results.took(result, into), highlight=False, markup=False, soft_wrap=True)
+        screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)
 
 
 def trace(

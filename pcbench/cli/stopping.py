@@ -6,6 +6,8 @@ from collections.abc import Callable
 from importlib.machinery import ExtensionFileLoader
 from typing import Any
 
+from pcbench.machine.progress import Progress
+
 STOPPED = 130  # the exit code of a program that Ctrl-C has ended
 SOON = 0.05  # [s] until it is tried again
 _ASKED: list[int] = []
@@ -50,11 +52,14 @@ def stop_if_asked() -> None:
         raise KeyboardInterrupt
 
 
-def stoppable(draw: Callable[[str, float], None]) -> Callable[[str, float], None]:
-    """Return a `tell` that draws what it hears, and stops where that was asked for."""
+def stoppable(progress: Progress) -> Progress:
+    """Return what hears the same, and stops where that was asked for."""
 
-    def tell(event: str, value: float) -> None:
-        stop_if_asked()
-        draw(event, value)
+    def stopping(hear: Callable[..., None]) -> Callable[..., None]:
+        def heard(*said: Any) -> None:
+            stop_if_asked()
+            hear(*said)
 
-    return tell
+        return heard
+
+    return Progress(stopping(progress.begin), stopping(progress.step), stopping(progress.note))

@@ -7,6 +7,7 @@ import typer
 
 from pcbench.cli.shared import AsJson, Quiet, Set, console, names, out, setup
 from pcbench.cli.stopping import stoppable
+from pcbench.dataset.seeds import Seeds
 from pcbench.errors import UserError
 
 SeedRange = Annotated[str | None, typer.Option(metavar="FIRST:END", help="seeds, the end left out")]
@@ -32,10 +33,11 @@ def tune(
     Example: pcbench tune cart/gaussian pccebo --objective tail_rmse --out tuned
     """
     setup()
-    from pcbench.cli.screen import gains, progress
-    from pcbench.gains import tune
+    from pcbench.cli.screen import gains
+    from pcbench.cli.screen.progress import bar
+    from pcbench.gains import history, tune
 
-    with progress.tuning(quiet or as_json) as draw:
+    with bar(quiet or as_json, "designing gains") as progress:
         found = tune.tune(
             scenario,
             observer,
@@ -48,22 +50,22 @@ def tune(
             judges=_seeds(judge, "--judge", tune.JUDGES),
             out=folder,
             overrides=changes,
-            tell=stoppable(draw),
+            progress=stoppable(progress),
         )
     if as_json:
-        judged = [j._asdict() for j in found.judged]
-        goal = {"metric": found.goal.metric, "signal": found.goal.name, "unit": found.goal.unit}
+        judged = [history.plain(j) for j in found.judged]
+        goal = {"metric": found.objective.metric, "signal": found.objective.name, "unit": found.objective.unit}
         summary = {"start": found.start, "found": found.found, "kept_start": found.kept_start, "goal": goal}
         print(json.dumps(summary | {"judged": judged, "points": len(found.points), "method": found.method}, indent=2))
     elif not quiet:
         gains.tuned(found, observer, folder, console())
 
 
-def _seeds(text: str | None, where: str, default: tuple[int, int]) -> tuple[int, int]:
-    """Return (first, how many) of FIRST:END."""
+def _seeds(text: str | None, where: str, default: Seeds) -> Seeds:
+    """Return the seeds of FIRST:END."""
     if text is None:
         return default
     first, colon, end = text.partition(":")
     if not (colon and first.strip().isdecimal() and end.strip().isdecimal() and int(first) < int(end)):
         raise UserError(f"{where}: got '{text}', expected FIRST:END such as 0:256; write that.")
-    return int(first), int(end) - int(first)
+    return Seeds(int(first), int(end))

@@ -24,11 +24,11 @@ def kind_of(out: str | Path) -> str:
 def put(out: str | Path, table: pa.Table) -> None:
     """Put a table into a file, whole or not at all."""
     kind, (folder, _, name) = kind_of(out), str(out).replace("\\", "/").rpartition("/")
-    place = store.target(folder or ("/" if str(out).startswith("/") else "."))
-    store.make(place)
+    target = store.target(folder or ("/" if str(out).startswith("/") else "."))
+    store.make(target)
     if kind == ".parquet":
-        store.put_table(place, name, table)
+        store.put_table(target, name, table)
         return
     content = io.BytesIO()
     csv.write_csv(table, content, csv.WriteOptions(quoting_style="needed"))
-    store.put(place, name, content.getvalue())
+    store.put(target, name, content.getvalue())

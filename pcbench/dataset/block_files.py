@@ -16,29 +16,28 @@ import pyarrow as pa
 
 from pcbench.dataset import parquet, store
 from pcbench.dataset.columns import SCHEMA
+from pcbench.dataset.seeds import Seeds
 from pcbench.errors import UserError
 
 ABOUT = b"pcbench.block"  # the key in a file's metadata
 NAME = re.compile(r"runs/scenario=([^/]+)/observer=([^/]+)/cell-(\d+)-seeds-(\d+)-(\d+)\.parquet")
 DIGITS = 12  # of a seed or a cell's number; all that a study may ask for has fewer
 OTHER_SCHEMA = "it is of another version of the tables"
-Range = tuple[int, int]  # first seed, one past the last
 
 
 class Block(NamedTuple):
-    """The runs of one observer in one cell over the seeds first .. last - 1."""
+    """The runs of one observer in one cell over a range of seeds."""
 
     scenario: str
     observer: str
     cell: int
-    first: int
-    last: int
+    seeds: Seeds
 
     @property
     def name(self) -> str:
         """Return the file it stands in, below the dataset's folder."""
         folder = f"runs/scenario={quote(self.scenario, safe='')}/observer={quote(self.observer, safe='')}"
-        return f"{folder}/cell-{self.cell:05d}-seeds-{self.first:010d}-{self.last - 1:010d}.parquet"
+        return f"{folder}/cell-{self.cell:05d}-seeds-{self.seeds.first:010d}-{self.seeds.stop - 1:010d}.parquet"
 
 
 def block_of(name: str) -> Block | None:
@@ -49,34 +48,34 @@ def block_of(name: str) -> Block | None:
     scenario, observer, cell, first, last = found.groups()
     if max(len(cell), len(first), len(last)) > DIGITS or int(last) < int(first):
         return None
-    return Block(unquote(scenario), unquote(observer), int(cell), int(first), int(last) + 1)
+    return Block(unquote(scenario), unquote(observer), int(cell), Seeds(int(first), int(last) + 1))
 
 
-def present(place: store.Target) -> list[Block]:
+def present(target: store.Target) -> list[Block]:
     """Return the blocks that have a file, sorted; raise UserError for a table that is none."""
     out = []
-    for name in store.names(place, "runs"):
+    for name in store.names(target, "runs"):
         block = block_of(name)
         if block is None:
             raise UserError(
-                f"{place.name}/{name}: is no block of a study, expected cell-*-seeds-*.parquet; move it away."
+                f"{target.name}/{name}: is no block of a study, expected cell-*-seeds-*.parquet; move it away."
             )
         out.append(block)
     return sorted(out)
 
 
-def read(place: store.Target, block: Block) -> pa.Table:
+def read(target: store.Target, block: Block) -> pa.Table:
     """Return a block's rows, every page checked; raise UserError, naming the file, where it is damaged."""
-    found = _whole(place, block)
+    found = _whole(target, block)
     if isinstance(found, str):
         raise UserError(
-            f"{place.name}/{block.name}: is damaged ({found}), expected a whole block; run the study again to have it redone."
+            f"{target.name}/{block.name}: is damaged ({found}), expected a whole block; run the study again to have it redone."
         )
     return found
 
 
-def _whole(place: store.Target, block: Block) -> pa.Table | str:
-    content = store.get(place, block.name)
+def _whole(target: store.Target, block: Block) -> pa.Table | str:
+    content = store.get(target, block.name)
     if content is None:
         return "it is gone"
     try:
@@ -90,9 +89,9 @@ def about(table: pa.Table) -> dict[str, Any]:
     return _about(table.schema.metadata)
 
 
-def about_block(place: store.Target, block: Block) -> dict[str, Any]:
+def about_block(target: store.Target, block: Block) -> dict[str, Any]:
     """Return the same from a block's footer alone."""
-    found = store.footer(place, block.name)
+    found = store.footer(target, block.name)
     return _about(found.metadata) if found else {}
 
 
@@ -122,9 +121,9 @@ def digest(table: pa.Table, said: dict[str, Any]) -> str:
     return out.hexdigest()[:32]
 
 
-def damage(place: store.Target, block: Block, cell: str) -> str | None:
+def damage(target: store.Target, block: Block, cell: str) -> str | None:
     """Return what is wrong with a block's file; None where it is whole and of the cell with this digest."""
-    table = _whole(place, block)
+    table = _whole(target, block)
     if isinstance(table, str):
         return table
     said, metadata = about(table), table.schema.metadata or {}
@@ -132,9 +131,9 @@ def damage(place: store.Target, block: Block, cell: str) -> str | None:
         return OTHER_SCHEMA
     if said.get("cell") != cell:
         return "it is of another cell"
-    if (said.get("observer"), said.get("first"), said.get("last")) != (block.observer, block.first, block.last):
+    if (said.get("observer"), said.get("first"), said.get("last")) != (block.observer, *block.seeds):
         return "it is another block than its name says"
-    if len(table) != said.get("rows") or len(table) % (block.last - block.first):
+    if len(table) != said.get("rows") or len(table) % block.seeds.many:
         return f"it has {len(table)} rows, expected {said.get('rows')}"
     if digest(table, said) != said.get("digest"):
         return "its rows are not those that were written"
@@ -145,8 +144,8 @@ def settle(blocks: Iterable[Block]) -> tuple[list[Block], list[Block]]:
     """Return the blocks of one observer and cell that follow one another, and those that would double a row."""
     kept: list[Block] = []
     doubled: list[Block] = []
-    for block in sorted(blocks, key=lambda b: (b.first, -b.last)):
-        (kept if not kept or block.first >= kept[-1].last else doubled).append(block)
+    for block in sorted(blocks, key=lambda b: (b.seeds.first, -b.seeds.stop)):
+        (kept if not kept or block.seeds.first >= kept[-1].seeds.stop else doubled).append(block)
     return kept, doubled
 
 
@@ -156,14 +155,3 @@ def settled(blocks: Iterable[Block]) -> list[Block]:
     for b in blocks:
         each.setdefault((b.scenario, b.observer, b.cell), []).append(b)
     return sorted(b for mine in each.values() for b in settle(mine)[0])
-
-
-def gaps(blocks: Iterable[Block], first: int, last: int, size: int) -> list[Range]:
-    """Return the ranges of first .. last - 1 that no block holds, cut at multiples of `size`."""
-    out, at = [], first
-    for start, end in [*sorted((b.first, b.last) for b in blocks), (last, last)]:
-        while at < min(start, last):
-            out.append((at, min(start, last, (at // size + 1) * size)))
-            at = out[-1][1]
-        at = max(at, end)
-    return out

@@ -18,9 +18,10 @@ import pandas as pd
 import pyarrow as pa
 from scipy.special import stdtr
 
-from pcbench.dataset import block_files, columns, ownership, store, summary
-from pcbench.dataset.block_files import Block, Range
-from pcbench.dataset.ownership import Claim
+from pcbench.dataset import block_files, cell_rows, columns, ownership, store, summary
+from pcbench.dataset.block_files import Block
+from pcbench.dataset.ownership import Owned
+from pcbench.dataset.seeds import Seeds, common, joined
 from pcbench.dataset.verify import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
@@ -67,107 +68,103 @@ def compare(a: Any, b: Any) -> Comparison:
 
     Blocks are looked at by their footers: `verify` reads them whole.
     """
-    places = store.target(a), store.target(b)
-    claims = ownership.opened(places[0]), ownership.opened(places[1])
-    if found := ownership.differences(claims[0], _rooted(claims[1], claims[0].study.root_seed)):
+    targets = store.target(a), store.target(b)
+    holdings = ownership.opened(targets[0]), ownership.opened(targets[1])
+    if found := ownership.differences(holdings[0], _rooted(holdings[1], holdings[0].study.root_seed)):
         raise UserError(
-            f"{places[1].name}: is of another study than {places[0].name} ({'; '.join(found[:3])}), expected the same study; "
+            f"{targets[1].name}: is of another study than {targets[0].name} ({'; '.join(found[:3])}), expected the same study; "
             "compare results of one study."
         )
-    sides = [_side(place, claimed) for place, claimed in zip(places, claims, strict=True)]
-    common = _common(*sides)
-    left, right = (_stats(side, common) for side in sides)
+    sides = [_side(target, owned) for target, owned in zip(targets, holdings, strict=True)]
+    shared = _shared(*sides)
+    left, right = (_stats(side, shared) for side in sides)
     both = left.merge(right, on=KEY, how="outer", suffixes=("_a", "_b"), indicator=True)
     only = int((both._merge == "left_only").sum()), int((both._merge == "right_only").sum())
     rows = judged(both[both._merge == "both"].drop(columns="_merge"))
-    return Comparison(rows, only, made_by(*places))
+    return Comparison(rows, only, made_by(*targets))
 
 
-def _rooted(claimed: Claim, root_seed: int) -> Claim:
+def _rooted(owned: Owned, root_seed: int) -> Owned:
     """A claim as it would be with another root seed: that changes draws, and is no other study here."""
-    study = claimed.study.model_copy(update={"root_seed": root_seed})
-    every = rooted(claimed.cells, root_seed)
-    return Claim(study, every, to_toml(study, every))
+    study = owned.study.model_copy(update={"root_seed": root_seed})
+    every = rooted(owned.cells, root_seed)
+    return Owned(study, every, to_toml(study, every))
 
 
 class Side(NamedTuple):
     """One of two results."""
 
-    place: store.Target
-    claimed: Claim
+    target: store.Target
+    owned: Owned
     stats: pa.Table
     digests: dict[tuple[str, int], str]  # what tells its cells from all others, whatever their root seed and number
     blocks: dict[tuple[str, int, str], list[Block]]  # by scenario, cell and observer
 
 
-def _side(place: store.Target, claimed: Claim) -> Side:
+def _side(target: store.Target, owned: Owned) -> Side:
     """Return a result; raise UserError where it is not finished or not whole."""
-    found = summary.table(place, "stats.parquet")
+    found = summary.table(target, "stats.parquet")
     if found is None:
         raise UserError(
-            f"{place.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to go on."
+            f"{target.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to go on."
         )
     blocks: dict[tuple[str, int, str], list[Block]] = {}
-    for b in sorted(block_files.settled(block_files.present(place))):
-        if store.footer(place, b.name) is None:
+    for b in sorted(block_files.settled(block_files.present(target))):
+        if store.footer(target, b.name) is None:
             raise UserError(
-                f"{place.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
+                f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
             )
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    return Side(place, claimed, found, {c.key: identity(c, 0) for c in claimed.cells}, blocks)
+    return Side(target, owned, found, {c.key: identity(c, 0) for c in owned.cells}, blocks)
 
 
-Drawn = dict[tuple[str, str, str], list[Range]]  # by scenario, cell's digest and observer: ranges of seeds, joined
+Draws = dict[tuple[str, str, str], list[Seeds]]  # by scenario, cell's digest and observer, joined
+CommonSeeds = dict[tuple[str, str, str], Seeds]  # the same, of the seeds that two sides have in common
 
 
-def _drawn(side: Side) -> Drawn:
-    out: Drawn = {}
+def _drawn(side: Side) -> Draws:
+    out: Draws = {}
     for (scenario, cell, observer), mine in side.blocks.items():
-        joined = out.setdefault((scenario, side.digests[scenario, cell], observer), [])
-        for b in mine:
-            if joined and joined[-1][1] == b.first:
-                joined[-1] = (joined[-1][0], b.last)
-            else:
-                joined.append((b.first, b.last))
+        out[scenario, side.digests[scenario, cell], observer] = joined(b.seeds for b in mine)
     return out
 
 
-def _common(a: Side, b: Side) -> dict[tuple[str, str, str], Range]:
+def _shared(a: Side, b: Side) -> CommonSeeds:
     """Return the seeds that two sides share where they do not hold the same: the longest range, by cell and observer."""
-    if a.claimed.study.root_seed != b.claimed.study.root_seed:
+    if a.owned.study.root_seed != b.owned.study.root_seed:
         return {}
     out, here = {}, _drawn(b)
     for key, mine in _drawn(a).items():
-        both = [(max(i, k), min(j, m)) for i, j in mine for k, m in here.get(key, [])]
-        if here.get(key) not in (None, mine) and (shared := [r for r in both if r[0] < r[1]]):
-            out[key] = max(shared, key=lambda r: r[1] - r[0])
+        both = [common(i, j) for i in mine for j in here.get(key, [])]
+        if here.get(key) not in (None, mine) and any(seeds.many for seeds in both):
+            out[key] = max(both, key=lambda seeds: seeds.many)
     return out
 
 
-def _stats(side: Side, common: dict[tuple[str, str, str], Range]) -> pd.DataFrame:
-    """The rows of stats with what tells a cell from others, and the draws they stand on; over the `common` seeds, if any."""
-    frame, drawn, root = columns.frame(_over(side, common)), _drawn(side), side.claimed.study.root_seed
-    cells = {c.key: c for c in side.claimed.cells}
+def _stats(side: Side, shared: CommonSeeds) -> pd.DataFrame:
+    """The rows of stats with what tells a cell from others, and the draws they stand on; over the `shared` seeds, if any."""
+    frame, drawn, root = columns.frame(_over(side, shared)), _drawn(side), side.owned.study.root_seed
+    cells = {c.key: c for c in side.owned.cells}
     keys = list(zip(frame.scenario, frame.cell, strict=True))
     frame["digest"] = [side.digests[key] for key in keys]
-    frame["where"] = [_where(cells[key].values, list(side.claimed.study.axes)) for key in keys]
+    frame["where"] = [_where(cells[key].values, list(side.owned.study.axes)) for key in keys]
     named = list(zip(frame.scenario, frame.digest, frame.observer, strict=True))
-    frame["draws"] = [f"{root}: {[common[name]] if name in common else drawn[name]}" for name in named]
-    frame["narrowed"] = [name in common for name in named]
+    frame["draws"] = [f"{root}: {[shared[name]] if name in shared else drawn[name]}" for name in named]
+    frame["narrowed"] = [name in shared for name in named]
     numbers = ["n", "diverged", *(c for c in frame.columns[frame.columns.get_loc("mean") :] if frame[c].dtype == float)]
     frame["bits"] = [row.tobytes() for row in frame[numbers].to_numpy(float)]
     return frame[[*KEY, "where", "unit", "draws", "narrowed", "n", "mean", "se", "bits"]]
 
 
-def _over(side: Side, common: dict[tuple[str, str, str], Range]) -> pa.Table:
+def _over(side: Side, shared: CommonSeeds) -> pa.Table:
     """The table stats, made anew of the runs where only some of the seeds are common."""
     axes = columns.axes_of(dict.fromkeys(side.stats.column_names))
     parts = []
-    for cell in side.claimed.cells if common else ():
-        found = summary.observed(side.place, side.claimed, cell, side.blocks)
+    for cell in side.owned.cells if shared else ():
+        found = cell_rows.observed(side.target, side.owned, cell, side.blocks)
         for observer, each in found.items():
-            within = common.get((cell.scenario.name, side.digests[cell.key], observer))
-            rows, _ = summary.summary(side.place, side.claimed.study.name, cell, {observer: each}, within)
+            within = shared.get((cell.scenario.name, side.digests[cell.key], observer))
+            rows, _ = cell_rows.rows_of(side.target, side.owned.study.name, cell, {observer: each}, within)
             parts.append(columns.rows_table(rows, columns.stats_order(axes)))
     return pa.concat_tables(parts) if parts else side.stats
 
@@ -214,7 +211,7 @@ def welch(ma: Any, sa: Any, na: Any, mb: Any, sb: Any, nb: Any) -> Any:
 
 def made_by(a: store.Target, b: store.Target) -> list[str]:
     """Return what differs in what the provenances say of libraries and machines, a phrase each."""
-    there, here = (summary.record(place) or {} for place in (a, b))
+    there, here = (summary.record(target) or {} for target in (a, b))
     old, new = (_flat({k: each.get(k) for k in MADE_BY}) for each in (there, here))
     keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]
     return [f"{k}: {old.get(k, 'nothing')} there, {new.get(k, 'nothing')} here" for k in keys]

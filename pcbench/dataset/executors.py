@@ -1,7 +1,7 @@
 """Where tasks are done: in this process, on all cores or accelerators, or by Dask's workers.
 
-An executor is a function (work, tasks) -> reports as they come, in any order: `work(task, place)` is a pure function that
-leaves whole files and computes only while it holds a place (`with place() as device`); `tasks` are drawn as places become
+An executor is a function (work, tasks) -> reports as they come, in any order: `work(task, hold)` is a pure function that
+leaves whole files and computes only while it holds a device (`with hold() as device`); `tasks` are drawn as devices become
 free, so that memory does not grow with their number.
 """
 
@@ -28,7 +28,7 @@ PATIENCE = "20s"  # for a scheduler to answer
 
 
 def share(memory: str | int | None, address: str | None, workers: int | None, count: int | None) -> float:
-    """Return the bytes of results that one task may take, of all that are allowed: two are under way at each place.
+    """Return the bytes of results that one task may take, of all that are allowed: two are under way on each device.
 
     Of workers elsewhere the memory is not known here: a stated share, unless `memory` says what each of them has.
     """
@@ -36,7 +36,7 @@ def share(memory: str | int | None, address: str | None, workers: int | None, co
         raise UserError(f"--workers: got {workers} without --dask local, expected both; leave --workers out.")
     if address not in (None, "local"):
         return SHARE if memory is None else allowed(memory) / 2
-    at_once = (workers or batch.cores()) if address else len(batch.places(count))
+    at_once = (workers or batch.cores()) if address else len(batch.devices(count))
     return allowed(memory) / (2 * max(at_once, 1))
 
 
@@ -44,26 +44,26 @@ def share(memory: str | int | None, address: str | None, workers: int | None, co
 def here(count: int | None = None) -> Iterator[Executor]:
     """Yield the executor of this process: `count` calls at a time, by default one a core or accelerator.
 
-    There are twice as many tasks under way as places to compute: while one writes its files, another computes.
+    There are twice as many tasks under way as devices to compute on: while one writes its files, another computes.
     """
-    places: SimpleQueue[Any] = SimpleQueue()
-    for device in batch.places(count):
-        places.put(device)
-    many = 2 * places.qsize()
+    free: SimpleQueue[Any] = SimpleQueue()
+    for device in batch.devices(count):
+        free.put(device)
+    many = 2 * free.qsize()
     pool = ThreadPoolExecutor(many, "pcbench")
 
     @contextmanager
-    def place() -> Iterator[Any]:
-        device = places.get()
+    def hold() -> Iterator[Any]:
+        device = free.get()
         try:
             yield device
         finally:
-            places.put(device)
+            free.put(device)
 
     def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
         left, under_way = iter(tasks), set[Future[Any]]()
         while True:
-            under_way |= {pool.submit(work, t, place) for t in islice(left, many - len(under_way))}
+            under_way |= {pool.submit(work, t, hold) for t in islice(left, many - len(under_way))}
             if not under_way:
                 return
             done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
@@ -81,7 +81,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
     """Yield the executor of a Dask cluster: the scheduler at an address, or "local" for so many processes of this machine.
 
     A worker computes one task at a time on one device, and writes one meanwhile where it has two threads. One that dies loses
-    its tasks to another; a task done twice leaves the same file. The dataset's place must be one that all workers reach.
+    its tasks to another; a task done twice leaves the same file. All workers must reach the dataset.
     Raises UserError where there is no such cluster.
     """
     distributed = _distributed()
@@ -150,7 +150,7 @@ def _distributed() -> Any:
 
 def _local(distributed: Any, workers: int | None) -> Any:
     """A cluster of spawned processes on this machine, each with one device; of two threads one computes at a time."""
-    if batch.places()[0].platform != "cpu":
+    if batch.devices()[0].platform != "cpu":
         raise UserError(
             "--dask: got 'local' on a machine with accelerators, all of which this process uses by itself; expected a "
             "scheduler's address; leave --dask out."
@@ -171,7 +171,7 @@ def _local(distributed: Any, workers: int | None) -> Any:
 def _on_a_worker(work: Callable[..., Any], task: Any) -> Any:
     """Do a task in a worker's process, which becomes pcbench's own at its first task, and computes one at a time."""
     _set_up()
-    return work(task, _place)
+    return work(task, _hold)
 
 
 @cache
@@ -180,7 +180,7 @@ def _set_up() -> None:
 
 
 @contextmanager
-def _place() -> Iterator[None]:
+def _hold() -> Iterator[None]:
     with _COMPUTING:
         yield
 

@@ -13,13 +13,15 @@ from typing import Any, NamedTuple
 
 from pcbench import planning
 from pcbench.dataset import block_files, ownership, store, task
-from pcbench.dataset.block_files import Block, Range
+from pcbench.dataset.block_files import Block
 from pcbench.dataset.columns import SCHEMA
 from pcbench.dataset.executors import Executor
-from pcbench.dataset.ownership import Claim
+from pcbench.dataset.ownership import Owned
 from pcbench.dataset.pickled import lay_aside, take_up, unpack
+from pcbench.dataset.seeds import Seeds, counted, gaps
 from pcbench.errors import UserError
 from pcbench.machine import provenance
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.planning.padding import Planned
 from pcbench.study import observers_of
@@ -28,19 +30,18 @@ from pcbench.study.cells import Cell
 CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
 TASKS = 64  # to share among cores and workers
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
-Wanted = Callable[[Cell], Range]  # the seeds of a cell, first and one past the last
-Missing = dict[tuple[str, int], dict[str, list[Range]]]  # by cell and observer
-Tell = Callable[[str, float], None]
+SeedsOf = Callable[[Cell], Seeds]
+Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
 
 
-class Options(NamedTuple):
+class Sizes(NamedTuple):
     """How a study is run: of no influence on any number."""
 
     block: int | None = None  # seeds a block
     memory: float = float("inf")  # bytes that results may take at a time
 
 
-class Effort(NamedTuple):
+class Cost(NamedTuple):
     """What a run of a study took."""
 
     runs: int = 0
@@ -53,36 +54,36 @@ class Effort(NamedTuple):
         return sum(self.compiled.values())
 
 
-def added(a: Effort, b: Effort) -> Effort:
+def added(a: Cost, b: Cost) -> Cost:
     """Return what two runs took together."""
-    return Effort(a.runs + b.runs, a.writing_seconds + b.writing_seconds, {**a.compiled, **b.compiled})
+    return Cost(a.runs + b.runs, a.writing_seconds + b.writing_seconds, {**a.compiled, **b.compiled})
 
 
-def everything(claimed: Claim, there: list[Block]) -> Wanted:
+def everything(owned: Owned, there: list[Block]) -> SeedsOf:
     """Return the seeds that a study names, and those that some observer of a cell has beyond: all of them are to have them."""
-    first, last = claimed.study.first_seed, claimed.study.first_seed + claimed.study.seeds
-    ends: dict[tuple[str, int], int] = {}
+    named = counted(owned.study.first_seed, owned.study.seeds)
+    stops: dict[tuple[str, int], int] = {}
     for b in there:
-        ends[b.scenario, b.cell] = max(ends.get((b.scenario, b.cell), last), b.last)
-    return lambda cell: (first, ends.get(cell.key, last))
+        stops[b.scenario, b.cell] = max(stops.get((b.scenario, b.cell), named.stop), b.seeds.stop)
+    return lambda cell: Seeds(named.first, stops.get(cell.key, named.stop))
 
 
-def whole(place: store.Target, claimed: Claim, say: Callable[[str], None]) -> list[Block]:
+def whole(target: store.Target, owned: Owned, say: Callable[[str], None]) -> list[Block]:
     """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
-    digests = ownership.digests(claimed)
-    known = {s: set(observers_of(claimed.study, s)) for s in claimed.study.scenarios}
-    there = block_files.present(place)
+    digests = ownership.digests(owned)
+    known = {s: set(observers_of(owned.study, s)) for s in owned.study.scenarios}
+    there = block_files.present(target)
     for b in there:
         if (b.scenario, b.cell) not in digests or b.observer not in known[b.scenario]:
             raise UserError(
-                f"{place.name}/{b.name}: is of no cell of this study, expected its blocks only; move it away."
+                f"{target.name}/{b.name}: is of no cell of this study, expected its blocks only; move it away."
             )
     with ThreadPoolExecutor() as pool:
-        found = list(pool.map(lambda b: block_files.damage(place, b, digests[b.scenario, b.cell]), there))
+        found = list(pool.map(lambda b: block_files.damage(target, b, digests[b.scenario, b.cell]), there))
     for b, wrong in zip(there, found, strict=True):
         if wrong == block_files.OTHER_SCHEMA:
             raise UserError(
-                f"{place.name}/{b.name}: {wrong}, expected version {SCHEMA}; give a new folder with --out, or start over with "
+                f"{target.name}/{b.name}: {wrong}, expected version {SCHEMA}; give a new folder with --out, or start over with "
                 "--fresh."
             )
     good = [b for b, wrong in zip(there, found, strict=True) if not wrong]
@@ -90,70 +91,77 @@ def whole(place: store.Target, claimed: Claim, say: Callable[[str], None]) -> li
     stays = set(kept)
     for b, wrong in zip(there, found, strict=True):
         if wrong:
-            say(f"{place.name}/{b.name}: is damaged ({wrong}); it is done again.")
+            say(f"{target.name}/{b.name}: is damaged ({wrong}); it is done again.")
         elif b not in stays:
-            say(f"{place.name}/{b.name}: holds seeds that another block holds; it is removed.")
+            say(f"{target.name}/{b.name}: holds seeds that another block holds; it is removed.")
         else:
             continue
-        store.remove(place, b.name)
-    _of_these_releases(place, kept, say)
+        store.remove(target, b.name)
+    _of_these_releases(target, kept, say)
     return kept
 
 
-def _of_these_releases(place: store.Target, kept: list[Block], say: Callable[[str], None]) -> None:
+def _of_these_releases(target: store.Target, kept: list[Block], say: Callable[[str], None]) -> None:
     """Say where a study goes on with other releases than it was begun with."""
-    if kept and (old := block_files.about_block(place, kept[0]).get("versions", {})) != (new := provenance.versions()):
+    if kept and (old := block_files.about_block(target, kept[0]).get("versions", {})) != (new := provenance.versions()):
         changed = ", ".join(f"{k} {old.get(k)}, now {v}" for k, v in new.items() if old.get(k) != v)
-        say(f"{place.name}: was begun with {changed}; the last bits of what is added may be rounded in another way.")
+        say(f"{target.name}: was begun with {changed}; the last bits of what is added may be rounded in another way.")
 
 
-def missing(claimed: Claim, there: list[Block], wanted: Wanted, size: Callable[[Cell], int]) -> Missing:
+def missing(owned: Owned, there: list[Block], wanted: SeedsOf, size: Callable[[Cell], int]) -> Gaps:
     """Return the ranges of seeds that no block holds."""
-    have: dict[tuple[str, int, str], list[Block]] = {}
+    have: dict[tuple[str, int, str], list[Seeds]] = {}
     for b in there:
-        have.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    out: Missing = {}
-    for cell in claimed.cells:
-        for o in observers_of(claimed.study, cell.scenario.name):
-            if ranges := block_files.gaps(have.get((*cell.key, o), []), *wanted(cell), size(cell)):
+        have.setdefault((b.scenario, b.cell, b.observer), []).append(b.seeds)
+    out: Gaps = {}
+    for cell in owned.cells:
+        for o in observers_of(owned.study, cell.scenario.name):
+            if ranges := gaps(have.get((*cell.key, o), []), wanted(cell), size(cell)):
                 out.setdefault(cell.key, {})[o] = ranges
     return out
 
 
-def lacking(place: store.Target, claimed: Claim) -> int:
+def lacking(target: store.Target, owned: Owned) -> int:
     """Return how many runs of a study have no block."""
-    there = block_files.present(place)
-    todo = missing(claimed, there, everything(claimed, there), lambda cell: 2**40)
-    return sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)
+    there = block_files.present(target)
+    todo = missing(owned, there, everything(owned, there), lambda cell: 2**40)
+    return runs_in(todo)
+
+
+def runs_in(todo: Gaps) -> int:
+    """Return how many runs are missing."""
+    return sum(seeds.many for labels in todo.values() for ranges in labels.values() for seeds in ranges)
 
 
 def fill(
-    place: store.Target,
-    claimed: Claim,
+    target: store.Target,
+    owned: Owned,
     there: list[Block],
     execute: Executor,
-    wanted: Wanted,
-    options: Options,
-    tell: Tell,
-) -> Effort:
+    wanted: SeedsOf,
+    sizes: Sizes,
+    progress: Progress = SILENT,
+) -> Cost:
     """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be."""
-    todo = missing(claimed, there, wanted, partial(_block, claimed, wanted, options))
+    todo = missing(owned, there, wanted, partial(_block, owned, wanted, sizes))
     if not todo:
-        ownership.renew(place, claimed)
-        return Effort()
+        ownership.renew(target, owned)
+        return Cost()
     with tempfile.TemporaryDirectory(prefix="pcbench-") as shelf:
-        groups = _planned(claimed, todo, Path(shelf))
-        ownership.begin(place, claimed)
-        tell("planned", float(sum(b - a for labels in todo.values() for ranges in labels.values() for a, b in ranges)))
-        work = partial(task.compute, task.Work(place.uri, claimed.study.name, claimed.study.root_seed, options.memory))
+        groups = _planned(owned, todo, Path(shelf))
+        ownership.begin(target, owned)
+        progress.begin("runs", runs_in(todo))
+        progress.note("compiling")
+        work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
         compiled: dict[Any, float] = {}
         runs, writing = 0, 0.0
         for report in execute(work, _tasks(groups, todo)):
             _alike(report)
             compiled[report.program] = report.compile_seconds
             runs, writing = runs + report.runs, writing + report.writing_seconds
-            tell("runs", report.runs)
-        return Effort(runs, writing, compiled)
+            progress.step(report.runs)
+            progress.note("simulating")
+        return Cost(runs, writing, compiled)
 
 
 def _alike(report: task.Report) -> None:
@@ -167,25 +175,25 @@ def _alike(report: task.Report) -> None:
         )
 
 
-def _block(claimed: Claim, wanted: Wanted, options: Options, cell: Cell) -> int:
+def _block(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
     """Seeds a block: up to four calls, while tasks enough are left to share; more where there would be too many files."""
-    if options.block:
-        one = task.bytes_of_a_block(cell, claimed.study, 1)
-        return int(max(min(options.block, options.memory / one), 1))
-    first, last = wanted(cell)
-    size, pairs = planning.width(cell), sum(len(observers_of(claimed.study, c.scenario.name)) for c in claimed.cells)
+    if sizes.block:
+        one = task.bytes_of_a_block(cell, owned.study, 1)
+        return int(max(min(sizes.block, sizes.memory / one), 1))
+    many = wanted(cell).many
+    size, pairs = planning.width(cell), sum(len(observers_of(owned.study, c.scenario.name)) for c in owned.cells)
 
     def may_double() -> bool:
-        tasks = len(claimed.cells) * (last - first) / (2 * size)
+        tasks = len(owned.cells) * many / (2 * size)
         few = size < CALLS * planning.width(cell) and tasks >= TASKS
-        return few or pairs * (last - first) / size > MANY_FILES
+        return few or pairs * many / size > MANY_FILES
 
-    while may_double() and task.bytes_of_a_block(cell, claimed.study, 2 * size) < options.memory:
+    while may_double() and task.bytes_of_a_block(cell, owned.study, 2 * size) < sizes.memory:
         size *= 2
     return size
 
 
-class Laid(NamedTuple):
+class WaitingCell(NamedTuple):
     """A planned cell laid aside until its tasks are drawn."""
 
     aside: Path | Planned
@@ -194,23 +202,23 @@ class Laid(NamedTuple):
     labels: tuple[str, ...]
 
 
-def _planned(claimed: Claim, todo: Missing, shelf: Path) -> list[Laid]:
+def _planned(owned: Owned, todo: Gaps, shelf: Path) -> list[WaitingCell]:
     """Plan what is to do and lay it aside, cells of one program together."""
     room = padding.Room()
     drafts: list[Path | Planned] = []
-    for p in padding.checked(planning.drafts(claimed.cells, todo)):
+    for p in padding.checked(planning.drafts(owned.cells, todo)):
         room = padding.larger(room, padding.room_of(p))
         if p.labels:
             drafts.append(lay_aside(p, shelf / str(len(drafts))))
-    groups: dict[Any, list[Laid]] = {}
+    groups: dict[Any, list[WaitingCell]] = {}
     for i, draft in enumerate(drafts):
         p = padding.fitted(unpack(take_up(draft)), room)
-        mine = Laid(lay_aside(p, shelf / str(i)), p.layout.width, p.cell.key, p.labels)
+        mine = WaitingCell(lay_aside(p, shelf / str(i)), p.layout.width, p.cell.key, p.labels)
         groups.setdefault(padding.key_of(p), []).append(mine)
     return [each for group in groups.values() for each in group]
 
 
-def _tasks(planned: list[Laid], todo: Missing) -> Iterator[task.Task]:
+def _tasks(planned: list[WaitingCell], todo: Gaps) -> Iterator[task.Task]:
     for laid in planned:
         ranges = {label: todo[laid.cell][label] for label in laid.labels if label in todo[laid.cell]}
         if ranges:

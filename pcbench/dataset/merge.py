@@ -1,27 +1,29 @@
 """Several datasets of one study made one: other seeds, other machines. What two of them hold must be equal, row by row."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import pyarrow as pa
 
 from pcbench.dataset import block_files, fill, ownership, parquet, store, summary
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.ownership import Claim
+from pcbench.dataset.ownership import Owned
+from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.dataset.verify import difference
 from pcbench.errors import UserError
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.study.as_toml import to_toml
 
 
 class Part(NamedTuple):
     """A block where it stands, and as it is called in the merged dataset."""
 
-    place: store.Target
+    target: store.Target
     there: Block
     block: Block
 
 
-class Merged(NamedTuple):
+class MergeReport(NamedTuple):
     """What a merge made."""
 
     blocks: int
@@ -29,122 +31,128 @@ class Merged(NamedTuple):
     missing: int  # runs that no dataset held
 
 
-def merge(given: list[Any], out: Any, tell: Callable[[str, float], None] = lambda event, value: None) -> Merged:
+def merge(given: list[Any], out: Any, progress: Progress = SILENT) -> MergeReport:
     """Copy the blocks of several datasets of one study into a new one and close it; raise UserError where they disagree.
 
     Nothing is written before every overlap has been found equal.
     """
     if len(given) < 2:
         raise UserError(f"merge: got {len(given)} dataset, expected two or more; name them.")
-    places = [store.target(each) for each in given]
-    claims = [ownership.opened(place) for place in places]
-    for place, claimed in zip(places[1:], claims[1:], strict=True):
-        if changed := ownership.differences(claims[0], claimed):
+    targets = [store.target(each) for each in given]
+    holdings = [ownership.opened(target) for target in targets]
+    for target, owned in zip(targets[1:], holdings[1:], strict=True):
+        if changed := ownership.differences(holdings[0], owned):
             raise UserError(
-                f"{place.name}: is of another study than {places[0].name} ({'; '.join(changed[:3])}), expected the same study "
-                "with other seeds; merge datasets of one study."
+                f"{target.name}: is of another study than {targets[0].name} ({'; '.join(changed[:3])}), expected the same "
+                "study with other seeds; merge datasets of one study."
             )
-    target = store.target(out)
-    if found := store.names(target):  # also what an interrupted merge left: whole blocks, to be removed by hand
+    into = store.target(out)
+    if found := store.names(into):  # also what an interrupted merge left: whole blocks, to be removed by hand
         raise UserError(
-            f"{target.name}: holds files already ({found[0]}), expected a new folder; give another with --out, or remove it."
+            f"{into.name}: holds files already ({found[0]}), expected a new folder; give another with --out, or remove it."
         )
-    parts = _parts(places, claims)
-    tell("merging", float(2 * sum(map(len, parts.values()))))
+    parts = _parts(targets, holdings)
+    progress.begin("merging", 2 * sum(map(len, parts.values())))
     for mine in parts.values():  # first look, then write
         for _ in _pieces(mine):
-            tell("merged", 1.0)
-    whole = _whole(claims)
-    ownership.begin(target, whole)
+            progress.step(1)
+    whole = _whole(holdings)
+    ownership.begin(into, whole)
     doubled = 0
     for mine in parts.values():
         for name, content, twice in _pieces(mine):
             doubled += twice
             if content is not None:
-                store.put(target, name, content)
-            tell("merged", 1.0)
-    return _closed(target, whole, places, doubled)
+                store.put(into, name, content)
+            progress.step(1)
+    return _closed(into, whole, targets, doubled)
 
 
-def _parts(places: list[store.Target], claims: list[Claim]) -> dict[tuple[str, int, str], list[Part]]:
+def _parts(targets: list[store.Target], holdings: list[Owned]) -> dict[tuple[str, int, str], list[Part]]:
     """Return the blocks of all datasets by what they will be part of; numbers of cells are those of the first."""
-    first = claims[0]
+    first = holdings[0]
     numbers = {(s, digest): number for (s, number), digest in ownership.digests(first).items()}
     out: dict[tuple[str, int, str], list[Part]] = {}
-    for place, claimed in zip(places, claims, strict=True):
-        digests = ownership.digests(claimed)
-        for b in block_files.present(place):
-            if wrong := block_files.damage(place, b, digests.get((b.scenario, b.cell), "")):
+    for target, owned in zip(targets, holdings, strict=True):
+        digests = ownership.digests(owned)
+        for b in block_files.present(target):
+            if wrong := block_files.damage(target, b, digests.get((b.scenario, b.cell), "")):
                 raise UserError(
-                    f"{place.name}/{b.name}: is damaged ({wrong}), expected a whole block; run its study again first."
+                    f"{target.name}/{b.name}: is damaged ({wrong}), expected a whole block; run its study again first."
                 )
             number = numbers[b.scenario, digests[b.scenario, b.cell]]
-            part = Part(place, b, b._replace(cell=number))
+            part = Part(target, b, b._replace(cell=number))
             out.setdefault((b.scenario, number, b.observer), []).append(part)
-    return {key: sorted(parts, key=lambda p: (p.block.first, -p.block.last)) for key, parts in sorted(out.items())}
+    return {
+        key: sorted(parts, key=lambda p: (p.block.seeds.first, -p.block.seeds.stop))
+        for key, parts in sorted(out.items())
+    }
 
 
 def _pieces(parts: list[Part]) -> Iterator[tuple[str, Any, int]]:
     """Yield for each part of one observer and cell: a name, its bytes or None, and how many runs it held again."""
     kept: list[Part] = []
     for part in parts:
-        at = kept[-1].block.last if kept else part.block.first  # the furthest: what lies within the kept is not kept
-        twice = max(min(at, part.block.last) - part.block.first, 0)
+        mine = part.block.seeds
+        at = kept[-1].block.seeds.stop if kept else mine.first  # the furthest: what lies within the kept is not kept
+        twice = max(min(at, mine.stop) - mine.first, 0)
         if twice:
             _equal(part, kept)
-        start = max(at, part.block.first)
-        if start >= part.block.last:
+        left = Seeds(max(at, mine.first), mine.stop)
+        if not left.many:
             yield part.block.name, None, twice
             continue
         kept.append(part)
-        block = part.block._replace(first=start)
+        block = part.block._replace(seeds=left)
         if block == part.there:
-            content = store.get(part.place, block.name)
+            content = store.get(part.target, block.name)
             if content is None:
-                raise UserError(f"{part.place.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
+                raise UserError(
+                    f"{part.target.name}/{block.name}: is gone, expected a dataset at rest; merge it again."
+                )
             yield block.name, content, twice
         else:
-            yield block.name, parquet.encoded(cut(block_files.read(part.place, part.there), block)), twice
+            yield block.name, parquet.encoded(cut(block_files.read(part.target, part.there), block)), twice
 
 
 def cut(table: pa.Table, block: Block) -> pa.Table:
     """Return the rows of a table that a block is to hold, with the block's number of the cell."""
     said = block_files.about(table)
     many = len(table) // (said["last"] - said["first"])
-    rows = table.slice((block.first - said["first"]) * many, (block.last - block.first) * many)
+    rows = table.slice((block.seeds.first - said["first"]) * many, block.seeds.many * many)
     i = rows.schema.get_field_index("cell")
     rows = rows.set_column(i, rows.schema.field(i), pa.array([block.cell] * len(rows), pa.int64()))
-    return block_files.sealed(rows, said | {"first": block.first, "last": block.last})
+    return block_files.sealed(rows, said | {"first": block.seeds.first, "last": block.seeds.stop})
 
 
 def _equal(part: Part, kept: list[Part]) -> None:
     """Raise UserError where a part disagrees with one that holds the same seeds."""
     for other in kept:
-        first, last = max(part.block.first, other.block.first), min(part.block.last, other.block.last)
-        if first < last:
-            same = part.block._replace(first=first, last=last)
-            a, b = (cut(block_files.read(p.place, p.there), same) for p in (other, part))
+        both = common(part.block.seeds, other.block.seeds)
+        if both.many:
+            same = part.block._replace(seeds=both)
+            a, b = (cut(block_files.read(p.target, p.there), same) for p in (other, part))
             if not a.equals(b):
                 apart = difference(a, b)
                 how = "in more than numbers" if apart is None else f"by {apart.relative:.1e} of themselves"
                 raise UserError(
-                    f"{part.place.name}/{part.there.name}: its seeds {first} .. {last - 1} differ {how} from those in "
-                    f"{other.place.name}, expected equal rows; find out with pcbench verify which of them comes out again."
+                    f"{part.target.name}/{part.there.name}: its seeds {both.first} .. {both.stop - 1} differ {how} from those "
+                    f"in {other.target.name}, expected equal rows; find out with pcbench verify which of them comes out again."
                 )
 
 
-def _whole(claims: list[Claim]) -> Claim:
+def _whole(holdings: list[Owned]) -> Owned:
     """The study over all seeds, with the cells as the first dataset numbers them."""
-    studies = [c.study for c in claims]
-    first = min(s.first_seed for s in studies)
-    last = max(s.first_seed + s.seeds for s in studies)
-    study = studies[0].model_copy(update={"first_seed": first, "seeds": last - first})
-    return Claim(study, claims[0].cells, to_toml(study, claims[0].cells))
+    studies = [c.study for c in holdings]
+    each = [counted(s.first_seed, s.seeds) for s in studies]
+    whole = Seeds(min(seeds.first for seeds in each), max(seeds.stop for seeds in each))
+    study = studies[0].model_copy(update={"first_seed": whole.first, "seeds": whole.many})
+    return Owned(study, holdings[0].cells, to_toml(study, holdings[0].cells))
 
 
-def _closed(target: store.Target, whole: Claim, places: list[store.Target], doubled: int) -> Merged:
+def _closed(into: store.Target, whole: Owned, targets: list[store.Target], doubled: int) -> MergeReport:
     """Close the merged dataset, where every observer has the same seeds."""
-    there, lacking = block_files.present(target), fill.lacking(target, whole)
+    there, lacking = block_files.present(into), fill.lacking(into, whole)
     if not lacking:
-        summary.close(target, whole, there, {"merged": [p.name for p in places]})
-    return Merged(len(there), doubled, lacking)
+        summary.close(into, whole, there, {"merged": [p.name for p in targets]})
+    return MergeReport(len(there), doubled, lacking)

@@ -8,7 +8,7 @@ import tomllib
 from typing import Any, NamedTuple
 
 from pcbench.dataset import block_files, repair, store
-from pcbench.dataset.changes import changes
+from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.study import Study, read
 from pcbench.study.as_toml import to_toml
@@ -21,9 +21,10 @@ BESIDE = ("tuning/", "training/")  # of a study whose gains are tuned: made befo
 KEPT = ("options", "scenarios", "observers", "cells")  # under [resolved]
 NOT_TOML_EITHER = (*NOT_TOML, KeyError, TypeError, AttributeError)
 SHOWN = 3  # differences that a refusal names
+GROWS = ("seeds", "first_seed", "axes", "observers", "scenarios", "options", "lti", "resolved")
 
 
-class Claim(NamedTuple):
+class Owned(NamedTuple):
     """A study and the cells it has in its folder."""
 
     study: Study
@@ -32,61 +33,61 @@ class Claim(NamedTuple):
     fresh: bool = False  # what an older run left goes when this one begins
 
 
-def claim(place: store.Target, grid: Grid, fresh: bool = False) -> Claim:
-    """Return the study with its cells as numbered in a place; raise UserError where that belongs to another. Writes nothing.
+def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
+    """Return the study with its cells as numbered in a target; raise UserError where that belongs to another. Writes nothing.
 
     With `fresh` a study of pcbench's own that stands there is to go.
     """
     study, every = grid
-    said = store.text(place, TEXT)
-    blocks = block_files.present(place)
+    said = store.text(target, TEXT)
+    blocks = block_files.present(target)
     if fresh and (blocks or said is not None):
         if said is not None and not blocks:
-            _read(place, said)
-        return Claim(study, every, to_toml(study, every), True)
+            _read(target, said)
+        return Owned(study, every, to_toml(study, every), True)
     if blocks and (said is None or not _readable(said)):
-        every = repair.cells_of_blocks(place, grid, blocks)
-        return Claim(study, every, to_toml(study, every))
+        every = repair.cells_of_blocks(target, grid, blocks)
+        return Owned(study, every, to_toml(study, every))
     if said is None:
-        others = [name for name in store.names(place) if not name.startswith(BESIDE)]
+        others = [name for name in store.names(target) if not name.startswith(BESIDE)]
         if others:
             raise UserError(
-                f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
+                f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
             )
-        return Claim(study, every, to_toml(study, every))
-    there = _read(place, said)
+        return Owned(study, every, to_toml(study, every))
+    there = _read(target, said)
     every = numbered(every, there["resolved"]["cells"])
     _only_what_stands(there, blocks)
-    changed = [*changes(there, tomllib.loads(to_toml(study, every))), *_reshaped(place, there, study)]
+    changed = [*changes(there, tomllib.loads(to_toml(study, every))), *_reshaped(target, there, study)]
     if changed and blocks:
         more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
         raise UserError(
-            f"{place.name}: holds the results of another study ({'; '.join(changed[:SHOWN])}{more}), expected the same one, or "
-            "one with more seeds, cells or observers; give a new folder with --out, or start over with --fresh."
+            f"{target.name}: holds the results of another study ({'; '.join(changed[:SHOWN])}{more}), expected the same one, "
+            "or one with more seeds, cells or observers; give a new folder with --out, or start over with --fresh."
         )
     if changed:  # nothing was finished there
         every = grid.cells
-    return Claim(study, every, to_toml(study, every))
+    return Owned(study, every, to_toml(study, every))
 
 
-def opened(place: store.Target) -> Claim:
-    """Return the study that stands in a place, with its cells; raise UserError where there is none."""
-    said = store.text(place, TEXT)
+def opened(target: store.Target) -> Owned:
+    """Return the study that stands in a target, with its cells; raise UserError where there is none."""
+    said = store.text(target, TEXT)
     if said is None:
         raise UserError(
-            f"{place.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
+            f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
         )
-    there = _read(place, said)
-    study, every = _grid(place, there)
-    return Claim(study, numbered(every, there["resolved"]["cells"]), said.decode())
+    there = _read(target, said)
+    study, every = _grid(target, there)
+    return Owned(study, numbered(every, there["resolved"]["cells"]), said.decode())
 
 
-def digests(claimed: Claim) -> dict[tuple[str, int], str]:
+def digests(owned: Owned) -> dict[tuple[str, int], str]:
     """Return by key what tells each cell of a study from all others."""
-    return {c.key: c.digest for c in claimed.cells}
+    return {c.key: c.digest for c in owned.cells}
 
 
-def differences(a: Claim, b: Claim) -> list[str]:
+def differences(a: Owned, b: Owned) -> list[str]:
     """Return what differs between two studies besides their seeds and the order of their cells, a phrase each."""
     old, new = (tomllib.loads(each.text) for each in (a, b))
     for each in (old, new):
@@ -95,35 +96,35 @@ def differences(a: Claim, b: Claim) -> list[str]:
     return list(dict.fromkeys([*changes(old, new), *changes(new, old)]))
 
 
-def numbers_in(claimed: Claim) -> dict[str, list[str]]:
+def numbers_in(owned: Owned) -> dict[str, list[str]]:
     """Return by scenario the digests of the cells in order of number, as a study's text says."""
-    return dict(tomllib.loads(claimed.text)["resolved"]["cells"])
+    return dict(tomllib.loads(owned.text)["resolved"]["cells"])
 
 
-def begin(place: store.Target, claimed: Claim) -> None:
-    """Make the place the study's own, before anything is written there; what closes an older run goes."""
-    store.make(place)
+def begin(target: store.Target, owned: Owned) -> None:
+    """Make the target the study's own, before anything is written there; what closes an older run goes."""
+    store.make(target)
     for name in CLOSING:
-        store.remove(place, name)
-    if claimed.fresh:
-        for name in store.names(place, "runs"):
+        store.remove(target, name)
+    if owned.fresh:
+        for name in store.names(target, "runs"):
             if block_files.block_of(name):
-                store.remove(place, name)
-    renew(place, claimed)
+                store.remove(target, name)
+    renew(target, owned)
 
 
-def renew(place: store.Target, claimed: Claim) -> None:
-    """Put the study's text into its place, where it says something else."""
-    if store.text(place, TEXT) != claimed.text.encode():
-        store.put(place, TEXT, claimed.text.encode())
+def renew(target: store.Target, owned: Owned) -> None:
+    """Write the study's text, unless it stands there already."""
+    if store.text(target, TEXT) != owned.text.encode():
+        store.put(target, TEXT, owned.text.encode())
 
 
-def _grid(place: store.Target, there: dict[str, Any]) -> Grid:
-    return read.grid(_said(there), f"{place.name}/{TEXT}")
+def _grid(target: store.Target, there: dict[str, Any]) -> Grid:
+    return read.grid(_said(there), f"{target.name}/{TEXT}")
 
 
-def _study(place: store.Target, there: dict[str, Any]) -> Study:
-    return read.described(_said(there) | {"seeds": 1}, f"{place.name}/{TEXT}")
+def _study(target: store.Target, there: dict[str, Any]) -> Study:
+    return read.described(_said(there) | {"seeds": 1}, f"{target.name}/{TEXT}")
 
 
 def _said(there: dict[str, Any]) -> dict[str, Any]:
@@ -132,16 +133,15 @@ def _said(there: dict[str, Any]) -> dict[str, Any]:
 
 def _only_what_stands(there: dict[str, Any], blocks: list[block_files.Block]) -> None:
     """Take the seeds of a study that have no block for not yet asked: a run with more that was stopped binds nobody."""
-    first, last = there["first_seed"], there["first_seed"] + there["seeds"]
     if blocks:
-        begin, end = min(b.first for b in blocks), max(b.last for b in blocks)
-        there["first_seed"] = max(first, begin)
-        there["seeds"] = max(min(last, end) - there["first_seed"], 0)
+        standing = Seeds(min(b.seeds.first for b in blocks), max(b.seeds.stop for b in blocks))
+        left = common(counted(there["first_seed"], there["seeds"]), standing)
+        there.update(first_seed=left.first, seeds=left.many)
 
 
-def _reshaped(place: store.Target, there: dict[str, Any], study: Study) -> Any:
+def _reshaped(target: store.Target, there: dict[str, Any], study: Study) -> Any:
     """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
-    for name in sorted(channels_apart(_study(place, there)) ^ channels_apart(study)):
+    for name in sorted(channels_apart(_study(target, there)) ^ channels_apart(study)):
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
 
 
@@ -154,18 +154,18 @@ def _readable(said: bytes) -> bool:
     return True
 
 
-def _read(place: store.Target, said: bytes) -> dict[str, Any]:
+def _read(target: store.Target, said: bytes) -> dict[str, Any]:
     """Return what a study's text says; raise UserError where it is damaged."""
     try:
         return _parts(said)
     except NOT_TOML_EITHER:
-        if many := len(block_files.present(place)):
+        if many := len(block_files.present(target)):
             raise UserError(
-                f"{place.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; run its study again "
-                f"with --out {place.name} to have it written anew: the {many} blocks that stand are kept."
+                f"{target.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; run its study again "
+                f"with --out {target.name} to have it written anew: the {many} blocks that stand are kept."
             ) from None
         raise UserError(
-            f"{place.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; move it away, or give "
+            f"{target.name}/{TEXT}: is not as pcbench run has written it, expected a resolved study; move it away, or give "
             "a new folder with --out."
         ) from None
 
@@ -180,3 +180,51 @@ def _parts(said: bytes) -> dict[str, Any]:
     if not (numbers and lists and parts and isinstance(there.get("axes", {}), dict)):
         raise ValueError("not of the kinds that are written")
     return there
+
+
+def changes(there: dict[str, Any], here: dict[str, Any]) -> Any:
+    """Yield what differs between a study on disk and one that is to go on there, a phrase each."""
+    for key in sorted((there.keys() | here.keys()) - set(GROWS)):
+        if there.get(key) != here.get(key):
+            yield _phrase(key, there.get(key), here.get(key))
+    a, b = (counted(study["first_seed"], study["seeds"]) for study in (there, here))
+    if common(a, b) != a:
+        yield f"seeds: {a.first} .. {a.stop - 1} there, {b.first} .. {b.stop - 1} here"
+    old, new = there["resolved"], here["resolved"]
+    for scenario, names in old["observers"].items():
+        if scenario not in new["observers"]:
+            yield f"scenarios: {scenario} there, not here"
+            continue
+        for name in names:
+            if name not in new["observers"][scenario]:
+                yield f"observers: {name} there, not here"
+        yield from _deep(f"options of {scenario}", old["options"].get(scenario, {}), new["options"][scenario], names)
+        yield from _deep(scenario, old["scenarios"].get(scenario, {}), new["scenarios"][scenario])
+    yield from _deep("options.scenario", old["options"]["scenario"], new["options"]["scenario"])
+    yield from _lost(there, here)
+
+
+def _lost(there: dict[str, Any], here: dict[str, Any]) -> Any:
+    """Yield the axes that have lost a value or come anew where cells were lost."""
+    old, new = there["resolved"].get("cells", {}), here["resolved"].get("cells", {})
+    if any(set(old[s]) - set(new.get(s, [])) or len(set(new.get(s, []))) < len(old[s]) for s in old):
+        axes, found = (there.get("axes", {}), here.get("axes", {})), []
+        for name in sorted(axes[0].keys() | axes[1].keys()):
+            a, b = (each.get(name) for each in axes)
+            if a is None or b is None or any(v not in b for v in a):
+                found.append(_phrase(f"axes.{name}", a, b))
+        yield from found or ["cells: some that stand there are not of this study"]
+
+
+def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Any:
+    for key in sorted(names if names is not None else old.keys() | new.keys()):
+        a, b = old.get(key), new.get(key)
+        if isinstance(a, dict) and isinstance(b, dict):
+            yield from _deep(f"{where}.{key}", a, b)
+        elif a != b:
+            yield _phrase(f"{where}.{key}", a, b)
+
+
+def _phrase(where: str, there: Any, here: Any) -> str:
+    say = ["nothing" if v is None else repr(v) if len(repr(v)) < 60 else repr(v)[:57] + "..." for v in (there, here)]
+    return f"{where}: {say[0]} there, {say[1]} here"

@@ -10,9 +10,10 @@ from math import ceil, inf, isfinite
 from typing import NamedTuple
 
 from pcbench import statistics
-from pcbench.dataset import block_files, store, summary
-from pcbench.dataset.fill import Wanted
-from pcbench.dataset.ownership import Claim
+from pcbench.dataset import block_files, cell_rows, store
+from pcbench.dataset.fill import SeedsOf
+from pcbench.dataset.ownership import Owned
+from pcbench.dataset.seeds import Seeds, counted
 from pcbench.errors import UserError, unknown
 from pcbench.plants import signals_of
 from pcbench.study import scenarios_of
@@ -24,7 +25,7 @@ BUDGET = 100  # times the study's seeds, where no budget is given
 METRICS = (*statistics.RUN_METRICS, *statistics.POOLED, "divergence", "unsettled")
 
 
-class Goal(NamedTuple):
+class Precision(NamedTuple):
     """A standard error to be reached."""
 
     metric: str
@@ -33,7 +34,7 @@ class Goal(NamedTuple):
     most: int | None  # seeds a cell
 
 
-def parse(text: str | None, most: int | None) -> Goal | None:
+def parse(text: str | None, most: int | None) -> Precision | None:
     """Return the goal that METRIC=VALUE or METRIC.SIGNAL=VALUE states; raise UserError where it states none."""
     if text is None:
         if most is not None:
@@ -53,33 +54,33 @@ def parse(text: str | None, most: int | None) -> Goal | None:
         raise unknown("--until-se", "metric", metric, METRICS)
     if most is not None and most < 1:
         raise UserError(f"--max-seeds: got {most}, expected a number of seeds, 1 or more; leave it out.")
-    return Goal(metric, signal or None, value, most)
+    return Precision(metric, signal or None, value, most)
 
 
-def rounds(goal: Goal | None, place: store.Target, claimed: Claim, say: Callable[[str], None]) -> Iterator[Wanted]:
+def rounds(goal: Precision | None, target: store.Target, owned: Owned, say: Callable[[str], None]) -> Iterator[SeedsOf]:
     """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent.
 
     Each round looks at the seeds of the last one alone, whatever else stands: a run that was stopped ends as one that was not.
     """
     if goal is None:
         return
-    first, seeds, short = claimed.study.first_seed, claimed.study.seeds, 0
-    most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in claimed.cells}
-    pending = list(claimed.cells)
+    first, seeds, short = owned.study.first_seed, owned.study.seeds, 0
+    most, size = goal.most or BUDGET * seeds, {cell.key: seeds for cell in owned.cells}
+    pending = list(owned.cells)
     while pending:
-        there = by_cell(block_files.settled(block_files.present(place)))
+        there = by_cell(block_files.settled(block_files.present(target)))
         for cell in list(pending):
             has = size[cell.key]
-            error = _error(goal, place, claimed, cell, there[cell.key], first + has)
+            error = _error(goal, target, owned, cell, there[cell.key], first + has)
             size[cell.key] = max(has, min(enough(has, error, goal.value), most))
             if size[cell.key] == has:
                 pending.remove(cell)
                 short += error > goal.value
         if pending:
-            yield lambda cell: (first, first + size[cell.key])
+            yield lambda cell: counted(first, size[cell.key])
     if short:
         say(
-            f"--until-se: {short} of {len(claimed.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
+            f"--until-se: {short} of {len(owned.cells)} cells stopped at {most} seeds, short of the goal; raise --max-seeds."
         )
 
 
@@ -91,25 +92,25 @@ def by_cell(there: list[block_files.Block]) -> dict[tuple[str, int], list[block_
     return out
 
 
-def check(goal: Goal | None, claimed: Claim) -> None:
+def check(goal: Precision | None, owned: Owned) -> None:
     """Raise UserError where a goal is of a signal that no scenario has."""
     if goal is None:
         return
-    names = {name for c in claimed.cells for name, _ in signals_of(c.scenario)}
+    names = {name for c in owned.cells for name, _ in signals_of(c.scenario)}
     if goal.signal is not None and goal.signal not in names:
         raise unknown("--until-se", "signal", goal.signal, names)
 
 
 def _error(
-    goal: Goal, place: store.Target, claimed: Claim, cell: Cell, there: list[block_files.Block], last: int
+    goal: Precision, target: store.Target, owned: Owned, cell: Cell, there: list[block_files.Block], stop: int
 ) -> float:
-    """Return the largest standard error of any observer over the seeds below `last`; inf where one run gives none."""
+    """Return the largest standard error of any observer over the seeds below `stop`; inf where one run gives none."""
     blocks: dict[tuple[str, int, str], list[block_files.Block]] = {}
     for b in there:
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    found = summary.observed(place, claimed, cell, blocks)
-    rows, _ = summary.summary(place, claimed.study.name, cell, found, (0, last))
-    shown = scenarios_of(claimed.study)[cell.scenario.name].scoring.headline or (signals_of(cell.scenario)[0][0],)
+    found = cell_rows.observed(target, owned, cell, blocks)
+    rows, _ = cell_rows.rows_of(target, owned.study.name, cell, found, Seeds(0, stop))
+    shown = scenarios_of(owned.study)[cell.scenario.name].scoring.headline or (signals_of(cell.scenario)[0][0],)
     signals = [goal.signal] if goal.signal else shown
     mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
     if not mine:

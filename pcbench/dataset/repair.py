@@ -11,20 +11,20 @@ from pcbench.study import Study
 from pcbench.study.cells import Cell, Grid, numbered
 
 
-def cells_of_blocks(place: store.Target, grid: Grid, blocks: list[Block]) -> list[Cell]:
+def cells_of_blocks(target: store.Target, grid: Grid, blocks: list[Block]) -> list[Cell]:
     """Return the cells of the study that blocks are of, numbered as their names say, and its other cells after them.
 
     Raises UserError where a block is of another study: of other options, or of a cell that the study does not have.
     """
     with ThreadPoolExecutor() as pool:
-        each = list(pool.map(lambda b: block_files.about_block(place, b), blocks))
+        each = list(pool.map(lambda b: block_files.about_block(target, b), blocks))
     here: dict[str, list[Cell]] = {}
     for cell in grid.cells:
         here.setdefault(cell.scenario.name, []).append(cell)
     for b, said in zip(blocks, each, strict=True):
         if wrong := next(_apart(grid.study, here, b, said), None):
             raise UserError(
-                f"{place.name}/study.toml: is gone or damaged, and {b.name} is not of the study given ({wrong}), expected the "
+                f"{target.name}/study.toml: is gone or damaged, and {b.name} is not of the study given ({wrong}), expected the "
                 "study that these blocks are of; run that, or give a new folder with --out."
             )
     numbers: dict[str, dict[int, str]] = {}

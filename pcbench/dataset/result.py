@@ -16,19 +16,19 @@ from pcbench.study import Study, observers_of
 
 def opened(out: str | Path) -> "Result":
     """Return what a run has left in a folder or under a URI; raise UserError where there is nothing, or it is not whole."""
-    place = store.target(str(out))
-    claimed = ownership.opened(place)
-    there = block_files.settled(block_files.present(place))
-    if not summary.is_closed(place, there):
+    target = store.target(str(out))
+    owned = ownership.opened(target)
+    there = block_files.settled(block_files.present(target))
+    if not summary.is_closed(target, there):
         raise UserError(
-            f"{place.name}: got a study without closing tables of its runs, expected a finished one; go on with pcbench run "
-            f"{place.name}/study.toml --out {place.name}."
+            f"{target.name}: got a study without closing tables of its runs, expected a finished one; go on with pcbench run "
+            f"{target.name}/study.toml --out {target.name}."
         )
-    result = Result(claimed.study, place, out, fill.Effort())
-    if (found := store.get(place, FAIR)) is not None:
+    result = Result(owned.study, target, out, fill.Cost())
+    if (found := store.get(target, FAIR)) is not None:
         if (table := parquet.whole(found)) is None:
             raise UserError(
-                f"{place.name}/{FAIR}: is damaged, expected it as it was written; run the study again to have it made anew."
+                f"{target.name}/{FAIR}: is damaged, expected it as it was written; run the study again to have it made anew."
             )
         result.fair = table.to_pandas()
     return result
@@ -40,12 +40,10 @@ class Result:
     Without a folder of its own it stands in a temporary one, which goes when the result does.
     """
 
-    def __init__(
-        self, study: Study, place: store.Target, out: Path | str | None, effort: fill.Effort, keep: Any = None
-    ):
-        self.study, self.out, self.effort, self._place, self._keep = study, out, effort, place, keep
+    def __init__(self, study: Study, target: store.Target, out: Path | str | None, cost: fill.Cost, keep: Any = None):
+        self.study, self.out, self.cost, self._target, self._keep = study, out, cost, target, keep
         self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `gains.versions`
-        self.provenance: dict[str, Any] = summary.record(place) or {}
+        self.provenance: dict[str, Any] = summary.record(target) or {}
 
     @cached_property
     def stats(self) -> pd.DataFrame:
@@ -70,32 +68,34 @@ class Result:
         here = (ds.field("scenario") == scenario) & (ds.field("cell") == cell)
         found = self._read(["observer", "seed", "signal", "diverged", *metrics], filter=here)
         order = {name: i for i, name in enumerate(observers_of(self.study, scenario))}
-        found["place"] = found.observer.astype(str).map(order)
-        return found.sort_values(["place", "seed"], kind="stable", ignore_index=True).drop(columns="place")
+        found["rank"] = found.observer.astype(str).map(order)
+        return found.sort_values(["rank", "seed"], kind="stable", ignore_index=True).drop(columns="rank")
 
     def _read(self, columns: list[str] | None = None, filter: ds.Expression | None = None) -> pd.DataFrame:
         """Rows of the blocks, every page checked; raise UserError, naming the file, where one is damaged."""
         try:
             return self._dataset().to_table(columns, filter=filter).to_pandas()
         except (pa.ArrowException, OSError) as error:
-            for block in block_files.present(self._place):
-                block_files.read(self._place, block)
+            for block in block_files.present(self._target):
+                block_files.read(self._target, block)
             raise UserError(
-                f"{self._place.name}/runs: cannot be read ({said(error)}), expected whole blocks; see pcbench verify "
-                f"{self._place.name}."
+                f"{self._target.name}/runs: cannot be read ({said(error)}), expected whole blocks; see pcbench verify "
+                f"{self._target.name}."
             ) from None
 
     def _dataset(self) -> ds.Dataset:
         checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
         kind = ds.ParquetFileFormat(default_fragment_scan_options=checked)
-        files = [f"{self._place.root}/{name}" for name in store.names(self._place, "runs")]
-        base = f"{self._place.root}/runs"
-        return ds.dataset(files, filesystem=self._place.fs, format=kind, partitioning="hive", partition_base_dir=base)
+        files = [f"{self._target.root}/{name}" for name in store.names(self._target, "runs")]
+        base = f"{self._target.root}/runs"
+        return ds.dataset(files, filesystem=self._target.fs, format=kind, partitioning="hive", partition_base_dir=base)
 
     def _closing(self, name: str) -> pd.DataFrame:
-        found = summary.table(self._place, name)
+        found = summary.table(self._target, name)
         if found is None:
-            raise UserError(f"{self._place.name}/{name}: is gone or damaged; run the study again to have it made anew.")
+            raise UserError(
+                f"{self._target.name}/{name}: is gone or damaged; run the study again to have it made anew."
+            )
         return columns.frame(found)
 
     def __repr__(self) -> str:

@@ -12,14 +12,10 @@ from pcbench.dataset import block_files, executors, fill, ownership, precision, 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.study.cells import Grid
 
-Tell = Callable[[str, float], None]
 Say = Callable[[str], None]
-
-
-def silent(event: str, value: float) -> None:
-    """Hear of progress and do nothing."""
 
 
 class How(NamedTuple):
@@ -33,7 +29,7 @@ class How(NamedTuple):
     workers: int | None = None
     block: int | None = None
     memory: str | int | None = None
-    tell: Tell = silent
+    progress: Progress = SILENT
     say: Say = lambda sentence: None
 
     def checked(self) -> "How":
@@ -49,35 +45,35 @@ class How(NamedTuple):
 def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there. Errors are those of `pcbench.run`."""
     how = (how or How()).checked()
-    goal, tell, say = precision.parse(how.until_se, how.max_seeds), how.tell, how.say
+    goal, say = precision.parse(how.until_se, how.max_seeds), how.say
     with process.float64(), ExitStack() as stack:
         start, began = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
-        place = store.target(keep.name if keep else str(out))
-        claimed = ownership.claim(place, grid, how.fresh)
-        precision.check(goal, claimed)
+        target = store.target(keep.name if keep else str(out))
+        owned = ownership.claim(target, grid, how.fresh)
+        precision.check(goal, owned)
         share = executors.share(how.memory, how.dask, how.workers, how.devices)
-        choice = fill.Options(how.block, share)
+        sizes = fill.Sizes(how.block, share)
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
-        there = [] if claimed.fresh else fill.whole(place, claimed, say)
-        effort = fill.fill(place, claimed, there, run_tasks, fill.everything(claimed, there), choice, tell)
-        for wanted in precision.rounds(goal, place, claimed, say):
-            there = block_files.settled(block_files.present(place))
-            effort = fill.added(effort, fill.fill(place, claimed, there, run_tasks, wanted, choice, tell))
-        there = block_files.settled(block_files.present(place))
-        if effort.runs or not summary.is_closed(place, there):
-            tell("closing", 0.0)
+        there = [] if owned.fresh else fill.whole(target, owned, say)
+        cost = fill.fill(target, owned, there, run_tasks, fill.everything(owned, there), sizes, how.progress)
+        for wanted in precision.rounds(goal, target, owned, say):
+            there = block_files.settled(block_files.present(target))
+            cost = fill.added(cost, fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress))
+        there = block_files.settled(block_files.present(target))
+        if cost.runs or not summary.is_closed(target, there):
+            how.progress.note("statistics")
             about = {
                 "started": began.isoformat(timespec="seconds"),
                 "wall_seconds": round(perf_counter() - start, 3),
-                "compile_seconds": round(effort.compile_seconds, 3),
-                "writing_seconds": round(effort.writing_seconds, 3),
-                "runs_added": effort.runs,
+                "compile_seconds": round(cost.compile_seconds, 3),
+                "writing_seconds": round(cost.writing_seconds, 3),
+                "runs_added": cost.runs,
                 "until_se": how.until_se,
             }
-            summary.close(place, claimed, there, about)
+            summary.close(target, owned, there, about)
     where: str | Path | None = out
-    if out is not None and place.local:
-        where = Path(place.root if "://" in str(out) else out)
-    return Result(grid.study, place, where, effort, keep)
+    if out is not None and target.local:
+        where = Path(target.root if "://" in str(out) else out)
+    return Result(grid.study, target, where, cost, keep)

@@ -34,7 +34,7 @@ _COUNT = itertools.count()
 
 
 class Target(NamedTuple):
-    """A place for tables."""
+    """Where tables stand: a folder, or a bucket's."""
 
     fs: pafs.FileSystem
     root: str  # the path on it
@@ -48,7 +48,7 @@ class Target(NamedTuple):
 
 
 def target(out: str | Path) -> Target:
-    """Return the place that a path or a URI names; raise UserError where pyarrow knows no such place."""
+    """Return what a path or a URI names; raise UserError where pyarrow cannot reach it."""
     if not str(out).strip():
         raise UserError("--out: got an empty name, expected a folder or a URI; give one, or leave --out out.")
     if "://" not in str(out):
@@ -82,21 +82,21 @@ def _reached(out: str) -> Target:
         ) from None
 
 
-def put(place: Target, name: str, content: Any) -> None:
-    """Put bytes under a name below the place, whole or not at all; the place itself must be there."""
-    path = f"{place.root}/{name}"
-    with said(f"{place.name}/{name}"):
-        if not place.local:
-            with place.fs.open_output_stream(path) as stream:
+def put(target: Target, name: str, content: Any) -> None:
+    """Put bytes under a name below the target, whole or not at all; the target itself must be there."""
+    path = f"{target.root}/{name}"
+    with said(f"{target.name}/{name}"):
+        if not target.local:
+            with target.fs.open_output_stream(path) as stream:
                 stream.write(content)
             return
-        beside = Path(place.root) / f".{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
+        beside = Path(target.root) / f".{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
         try:
             with open(beside, "wb") as f:
                 f.write(content)
                 f.flush()
                 os.fsync(f.fileno())
-            _folders(place.root, name)
+            _folders(target.root, name)
             os.replace(beside, path)
             _sync_folder(Path(path).parent)
         finally:
@@ -104,81 +104,81 @@ def put(place: Target, name: str, content: Any) -> None:
                 beside.unlink(missing_ok=True)
 
 
-def put_table(place: Target, name: str, table: pa.Table) -> None:
+def put_table(target: Target, name: str, table: pa.Table) -> None:
     """Put one Parquet file, checked before it is seen: its rows and schema are read back."""
-    put(place, name, parquet.encoded(table))
+    put(target, name, parquet.encoded(table))
 
 
-def put_json(place: Target, name: str, content: dict[str, Any]) -> None:
+def put_json(target: Target, name: str, content: dict[str, Any]) -> None:
     """Put one JSON file."""
-    put(place, name, (json.dumps(content, indent=2) + "\n").encode())
+    put(target, name, (json.dumps(content, indent=2) + "\n").encode())
 
 
-def document(place: Target, name: str) -> dict[str, Any] | None:
+def document(target: Target, name: str) -> dict[str, Any] | None:
     """Return what a JSON file holds; None where there is none, or it holds no JSON object."""
     try:
-        found = json.loads(text(place, name) or b"null")
+        found = json.loads(text(target, name) or b"null")
     except ValueError:
         return None
     return found if isinstance(found, dict) else None
 
 
-def get(place: Target, name: str) -> pa.Buffer | None:
+def get(target: Target, name: str) -> pa.Buffer | None:
     """Return what stands under a name; None where nothing does."""
-    with said(f"{place.name}/{name}", "read"):
-        if place.fs.get_file_info(f"{place.root}/{name}").type != pafs.FileType.File:
+    with said(f"{target.name}/{name}", "read"):
+        if target.fs.get_file_info(f"{target.root}/{name}").type != pafs.FileType.File:
             return None
-        with place.fs.open_input_file(f"{place.root}/{name}") as file:
+        with target.fs.open_input_file(f"{target.root}/{name}") as file:
             return file.read_buffer()
 
 
-def text(place: Target, name: str) -> bytes | None:
+def text(target: Target, name: str) -> bytes | None:
     """Return the same as Python's bytes."""
-    found = get(place, name)
+    found = get(target, name)
     return None if found is None else found.to_pybytes()
 
 
-def names(place: Target, under: str = "") -> list[str]:
-    """Return the names of all files below a folder of the place, sorted; those hidden by a dot or _ are left out."""
-    return sorted(sizes(place, under))
+def names(target: Target, under: str = "") -> list[str]:
+    """Return the names of all files below a folder of the target, sorted; those hidden by a dot or _ are left out."""
+    return sorted(sizes(target, under))
 
 
-def sizes(place: Target, under: str = "") -> dict[str, int]:
+def sizes(target: Target, under: str = "") -> dict[str, int]:
     """Return the bytes of those files."""
-    with said(place.name, "read"):
-        base = f"{place.root}/{under}" if under else place.root
-        found = place.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
-        each = {i.path[len(place.root) + 1 :]: int(i.size or 0) for i in found if i.is_file}
+    with said(target.name, "read"):
+        base = f"{target.root}/{under}" if under else target.root
+        found = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
+        each = {i.path[len(target.root) + 1 :]: int(i.size or 0) for i in found if i.is_file}
         return {name: size for name, size in each.items() if not any(part[0] in "._" for part in name.split("/"))}
 
 
-def footer(place: Target, name: str) -> Any:
+def footer(target: Target, name: str) -> Any:
     """Return a Parquet file's metadata, without its rows; None where they cannot be read."""
     try:
-        with place.fs.open_input_file(f"{place.root}/{name}") as file:
+        with target.fs.open_input_file(f"{target.root}/{name}") as file:
             return pq.read_metadata(file)
     except (pa.ArrowException, OSError):
         return None
 
 
-def remove(place: Target, name: str) -> None:
+def remove(target: Target, name: str) -> None:
     """Remove a file, if it is there."""
-    with said(f"{place.name}/{name}"), suppress(FileNotFoundError):
-        place.fs.delete_file(f"{place.root}/{name}")
+    with said(f"{target.name}/{name}"), suppress(FileNotFoundError):
+        target.fs.delete_file(f"{target.root}/{name}")
 
 
-def make(place: Target) -> None:
-    """Make the place, and clear away what killed writers have left unfinished there."""
-    with said(place.name):
-        place.fs.create_dir(place.root, recursive=True)
-        if place.local:
-            for left in unfinished(place):
+def make(target: Target) -> None:
+    """Make the target, and clear away what killed writers have left unfinished there."""
+    with said(target.name):
+        target.fs.create_dir(target.root, recursive=True)
+        if target.local:
+            for left in unfinished(target):
                 left.unlink(missing_ok=True)
 
 
-def unfinished(place: Target) -> list[Path]:
+def unfinished(target: Target) -> list[Path]:
     """Return the unfinished files of writers that are gone: dead here, or silent for a day elsewhere."""
-    return [p for p in Path(place.root).glob(f".*{PARTIAL}") if _forgotten(p)] if place.local else []
+    return [p for p in Path(target.root).glob(f".*{PARTIAL}") if _forgotten(p)] if target.local else []
 
 
 def _forgotten(path: Path) -> bool:

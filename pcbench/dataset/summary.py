@@ -1,59 +1,50 @@
-"""From the blocks of a dataset to its closing tables: stats and pairs, read cell by cell, chunk by chunk.
+"""From the blocks of a dataset to its closing tables, stats and pairs, and the record of how they came about.
 
-What they hold is a function of the rows alone: not of how these are cut into files, nor of who computed them.
+What they hold is a function of the rows alone: not of how these are cut into files, nor of who computed them. They are written
+as they grow, compressed, so that memory hardly grows with the number of cells.
 """
 
 import hashlib
 import json
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from pcbench import statistics
-from pcbench.dataset import block_files, columns, parquet, store
-from pcbench.dataset.block_files import Block, Range
-from pcbench.dataset.ownership import Claim
-from pcbench.dataset.summary_parts import Gathered, adjusted
-from pcbench.errors import UserError
+from pcbench.dataset import block_files, cell_rows, columns, parquet, store
+from pcbench.dataset.block_files import Block
+from pcbench.dataset.ownership import Owned
+from pcbench.dataset.seeds import Seeds, joined
 from pcbench.machine import provenance
-from pcbench.plants import signals_of
-from pcbench.study import observers_of
 from pcbench.study.as_toml import digest
-from pcbench.study.cells import Cell
 
 PROVENANCE = "provenance.json"
+ROWS = 20_000  # that are gathered before they are written
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
 
 
-class Observed(NamedTuple):
-    """The runs of one observer in one cell."""
-
-    blocks: list[Block]
-    about: dict[str, Any]  # what its first block says of itself
-
-
-def close(place: store.Target, claimed: Claim, there: list[Block], about: dict[str, Any]) -> None:
+def close(target: store.Target, owned: Owned, there: list[Block], about: dict[str, Any]) -> None:
     """Write stats.parquet and pairs.parquet of the blocks that are there, and provenance.json with what is said `about` it."""
-    stats, pairs, weakest = closing_tables(place, claimed, there)
-    store.put(place, "stats.parquet", stats)
-    store.put(place, "pairs.parquet", pairs)
+    stats, pairs, weakest = closing_tables(target, owned, there)
+    store.put(target, "stats.parquet", stats)
+    store.put(target, "pairs.parquet", pairs)
     digests = {"stats.parquet": digest_of(stats), "pairs.parquet": digest_of(pairs)}
     study = {
         "schema": columns.SCHEMA,
-        "study": claimed.study.name,
-        "study_sha256": digest(claimed.study, claimed.cells),
-        "root_seed": claimed.study.root_seed,
+        "study": owned.study.name,
+        "study_sha256": digest(owned.study, owned.cells),
+        "root_seed": owned.study.root_seed,
         "blocks": len(there),
     }
     said = provenance.describe() | study | about | {"certificates": weakest, "digests": digests}
-    store.put_json(place, PROVENANCE, said | {"digest": _digest(said)})
+    store.put_json(target, PROVENANCE, said | {"digest": _digest(said)})
 
 
-def record(place: store.Target) -> dict[str, Any] | None:
+def record(target: store.Target) -> dict[str, Any] | None:
     """Return what provenance.json says; None where it is not there, or not as it was written."""
-    said = store.document(place, PROVENANCE)
+    said = store.document(target, PROVENANCE)
     return said if said and said.get("digest") == _digest(said) else None
 
 
@@ -68,23 +59,23 @@ def digest_of(content: Any) -> str:
 
 
 def closing_tables(
-    place: store.Target, claimed: Claim, there: list[Block]
+    target: store.Target, owned: Owned, there: list[Block]
 ) -> tuple[pa.Buffer, pa.Buffer, dict[str, dict[str, Any]]]:
     """Return stats and pairs as the bytes of their files, and the weakest certificates.
 
     Cells are taken in the order of the study, those without runs left out.
     """
     made_of = {FROM: fingerprint(there)}
-    stats, pairs, there = Gathered(made_of), Gathered(made_of), block_files.settled(there)
+    stats, pairs, there = GrowingTable(made_of), GrowingTable(made_of), block_files.settled(there)
     weakest: dict[str, dict[str, Any]] = {}
     blocks: dict[tuple[str, int, str], list[Block]] = {}
     for b in sorted(there):
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    for cell in claimed.cells:
-        found = observed(place, claimed, cell, blocks)
+    for cell in owned.cells:
+        found = cell_rows.observed(target, owned, cell, blocks)
         if not found:
             continue
-        rows, compared = summary(place, claimed.study.name, cell, found)
+        rows, compared = cell_rows.rows_of(target, owned.study.name, cell, found)
         axes = columns.axes_of(rows[0])
         stats.add(columns.rows_table(rows, columns.stats_order(axes)))
         pairs.add(columns.rows_table(compared, columns.pairs_order(axes)))
@@ -97,36 +88,34 @@ def closing_tables(
 
 def fingerprint(there: list[Block]) -> bytes:
     """Return the digest of which runs there are, however they are cut into blocks."""
-    joined: list[Block] = []
+    ranges: dict[tuple[str, str, int], list[Seeds]] = {}
     for b in block_files.settled(there):
-        if joined and joined[-1][:3] == b[:3] and joined[-1].last == b.first:
-            joined[-1] = joined[-1]._replace(last=b.last)
-        else:
-            joined.append(b)
-    return hashlib.sha256(repr([tuple(b) for b in joined]).encode()).hexdigest().encode()
+        ranges.setdefault(b[:3], []).append(b.seeds)
+    whole = [(*key, *seeds) for key, each in ranges.items() for seeds in joined(each)]
+    return hashlib.sha256(repr(whole).encode()).hexdigest().encode()
 
 
-def damaged(place: store.Target) -> list[str]:
+def damaged(target: store.Target) -> list[str]:
     """Return the closing files that stand and are not as they were written."""
-    said = record(place)
+    said = record(target)
     if said is None:
-        return [PROVENANCE] if store.get(place, PROVENANCE) is not None else []
-    return [name for name in said["digests"] if store.get(place, name) is not None and table(place, name) is None]
+        return [PROVENANCE] if store.get(target, PROVENANCE) is not None else []
+    return [name for name in said["digests"] if store.get(target, name) is not None and table(target, name) is None]
 
 
-def is_closed(place: store.Target, there: list[Block]) -> bool:
+def is_closed(target: store.Target, there: list[Block]) -> bool:
     """Return whether the closing tables stand, and are of these blocks."""
     for name in ("stats.parquet", "pairs.parquet"):
-        found = table(place, name)
+        found = table(target, name)
         said = {} if found is None else found.schema.metadata or {}
         if said.get(FROM) != fingerprint(there) or said.get(b"pcbench.schema") != columns.SCHEMA.encode():
             return False
     return True
 
 
-def table(place: store.Target, name: str) -> pa.Table | None:
+def table(target: store.Target, name: str) -> pa.Table | None:
     """Return a closing table; None where it is not there, or not as it was written: every byte counts."""
-    content, said = store.get(place, name), record(place)
+    content, said = store.get(target, name), record(target)
     if content is None or said is None or said["digests"].get(name) != digest_of(content):
         return None
     try:
@@ -135,100 +124,49 @@ def table(place: store.Target, name: str) -> pa.Table | None:
         return None
 
 
-def observed(
-    place: store.Target, claimed: Claim, cell: Cell, blocks: dict[tuple[str, int, str], list[Block]]
-) -> dict[str, Observed]:
-    """Return what there is of a cell, by observer."""
-    out = {}
-    for name in observers_of(claimed.study, cell.scenario.name):
-        if mine := blocks.get((*cell.key, name)):
-            out[name] = Observed(mine, block_files.about_block(place, mine[0]))
-    return out
+class GrowingTable:
+    """A table, at least one, whose rows come in parts."""
+
+    def __init__(self, about: dict[bytes, bytes]) -> None:
+        self.about, self.sink = about, pa.BufferOutputStream()
+        self.waiting: list[pa.Table] = []
+        self.writer: Any = None
+
+    def add(self, table: pa.Table) -> None:
+        """Add some rows."""
+        self.waiting.append(table.replace_schema_metadata((table.schema.metadata or {}) | self.about))
+        if sum(map(len, self.waiting)) >= ROWS:
+            self._write()
+
+    def content(self) -> pa.Buffer:
+        """Return the file's bytes."""
+        self._write()
+        self.writer.close()
+        return self.sink.getvalue()
+
+    def _write(self) -> None:
+        if self.waiting:
+            table = pa.concat_tables(self.waiting)
+            how = {"compression": "zstd", "write_page_checksum": True}
+            self.writer = self.writer or pq.ParquetWriter(self.sink, table.schema, **how)
+            self.writer.write_table(table)
+            self.waiting = []
 
 
-def summary(
-    place: store.Target, study: str, cell: Cell, found: dict[str, Observed], within: Range | None = None
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the rows of stats and of pairs of one cell, over the seeds `within` a range where it is given."""
-    s, signals = cell.scenario, signals_of(cell.scenario)
-    names, units = [name for name, _ in signals], dict(signals)
-    head = columns.keys(study, cell) | {"plant": s.plant}
-    carries = {name: each.about["carries_input"] for name, each in found.items()}
-    bounds = {name: _seen(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
-    described, compared = statistics.summarise(
-        lambda: chunks(place, found, within), bounds, names, s.belief.prior_std + s.belief.unknown_std
-    )
-    stats, pairs = [], []
-    for name, rows in described.items():
-        for row in rows:
-            signal, unit = signals[row["signal"]]
-            about = {"observer": name, "carries_input": carries[name], "unit": columns.unit_of(row["metric"], unit)}
-            stats.append(head | row | about | {"signal": signal})
-    for row in compared:
-        about = {"unit": columns.unit_of(row["metric"], units[row["signal"]]), "p_holm": np.nan}
-        about |= {f"carries_input_{side}": carries[row[f"observer_{side}"]] for side in "ab"}
-        pairs.append(head | about | row)
-    return stats, pairs
-
-
-def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> Any:
-    """The bound where it is one: below a part of the prior it is zero for every purpose."""
-    if bound is None:
-        return None
-    return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])
-
-
-def chunks(
-    place: store.Target, found: dict[str, Observed], within: Range | None = None
-) -> Iterator[dict[str, statistics.Results]]:
-    """Yield the runs of a cell by observer, the seeds of one chunk after the other."""
-    readers = {name: _by_chunk(place, each.blocks, within) for name, each in found.items()}
-    while True:
-        each = {name: next(reader, None) for name, reader in readers.items()}
-        if all(results is None for results in each.values()):
-            return
-        many = {name: 0 if results is None else len(results["diverged"]) for name, results in each.items()}
-        if len(set(many.values())) > 1:
-            raise UserError(
-                f"{place.name}: observers of a cell have different seeds ({many}), expected the same; run the study again."
-            )
-        yield {name: results for name, results in each.items() if results is not None}
-
-
-def _by_chunk(place: store.Target, blocks: list[Block], within: Range | None) -> Iterator[statistics.Results]:
-    """Yield one observer's runs, cut at multiples of a chunk."""
-    held: list[statistics.Results] = []
-    at = None
-    for block in blocks:
-        start, stop = block.first, block.last
-        if within is not None:
-            start, stop = max(start, within[0]), min(stop, within[1])
-        if start >= stop:
-            continue
-        results = results_of(block_files.read(place, block))
-        while start < stop:
-            chunk = start // statistics.CHUNK
-            if held and chunk != at:
-                yield _joined(held)
-                held = []
-            at, end = chunk, min(stop, (chunk + 1) * statistics.CHUNK)
-            held.append({m: v[..., start - block.first : end - block.first] for m, v in results.items()})
-            start = end
-    if held:
-        yield _joined(held)
-
-
-def _joined(parts: list[statistics.Results]) -> statistics.Results:
-    return {m: np.concatenate([p[m] for p in parts], -1) for m in parts[0]} if len(parts) > 1 else parts[0]
-
-
-def results_of(table: pa.Table) -> statistics.Results:
-    """Return the metrics that a block holds, [what the observer estimates, seeds]; `diverged` [seeds]."""
-    said = block_files.about(table)
-    runs = said["last"] - said["first"]
-
-    def square(name: str) -> Any:
-        return table[name].to_numpy().reshape(runs, -1).T
-
-    out = {m: square(m)[:many] for m, many in said["metrics"].items()}
-    return out | {"diverged": square("diverged")[0].astype(bool), "unsettled": square("status") == "unsettled"}
+def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:
+    """Put Holm's adjusted p-values into the rows of pairs: one family a scenario, signal and metric."""
+    file = parquet.opened(content)
+    families: dict[tuple[str, ...], list[float]] = {}
+    keys = ["scenario", "signal", "metric"]
+    for batch in file.iter_batches(columns=[*keys, "p_value"], use_threads=False):
+        for *family, p in zip(*(batch[c].to_pylist() for c in [*keys, "p_value"]), strict=True):
+            families.setdefault(tuple(family), []).append(np.nan if p is None else p)
+    after = {family: iter(statistics.holm(np.array(p))) for family, p in families.items()}
+    out = GrowingTable(about)
+    for i in range(file.num_row_groups):
+        table = file.read_row_group(i, use_threads=False)
+        mine = zip(*(table[c].to_pylist() for c in keys), strict=True)
+        column = pa.array([float(next(after[family])) for family in mine], pa.float64(), from_pandas=True)
+        target = table.schema.get_field_index("p_holm")
+        out.add(table.set_column(target, table.schema.field(target), column))
+    return out.content()

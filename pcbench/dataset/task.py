@@ -13,6 +13,7 @@ import numpy as np
 
 from pcbench.dataset import block_files, columns, store
 from pcbench.dataset.pickled import unpack
+from pcbench.dataset.seeds import Seeds
 from pcbench.errors import UserError
 from pcbench.machine import process, provenance
 from pcbench.planning import in_memory
@@ -29,7 +30,7 @@ ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as 
 class Work(NamedTuple):
     """What all tasks of a study share."""
 
-    out: str  # the dataset's place
+    out: str  # where the dataset stands
     study: str
     root_seed: int
     memory: float = float("inf")  # bytes that one task may take
@@ -39,12 +40,12 @@ class Task(NamedTuple):
     """Some seeds of one cell, for the observers of one program."""
 
     parcel: bytes | Planned  # the planned cell
-    pieces: tuple[tuple[int, int, tuple[str, ...]], ...]  # (first, last, observers): the blocks to write
+    pieces: tuple[tuple[Seeds, tuple[str, ...]], ...]  # seeds and observers: the blocks to write
 
     @property
     def runs(self) -> int:
         """Return how many runs its blocks hold."""
-        return sum((last - first) * len(labels) for first, last, labels in self.pieces)
+        return sum(seeds.many * len(labels) for seeds, labels in self.pieces)
 
 
 class Report(NamedTuple):
@@ -57,9 +58,9 @@ class Report(NamedTuple):
     versions: dict[str, str]  # of what computed it
 
 
-def compute(work: Work, task: Task, place: Callable[[], Any] = nullcontext) -> Report:
-    """Do a task: simulate its seeds while holding a place, then put its blocks; raise UserError where that cannot be."""
-    with place() as device:
+def compute(work: Work, task: Task, hold: Callable[[], Any] = nullcontext) -> Report:
+    """Do a task: simulate its seeds while holding a device, then put its blocks; raise UserError where that cannot be."""
+    with hold() as device:
         p, results, made = simulated(work, task, device)
     start, target = perf_counter(), store.target(work.out)
     for name, table in files(work, task, p, results):
@@ -72,25 +73,25 @@ def compute(work: Work, task: Task, place: Callable[[], Any] = nullcontext) -> R
 def files(work: Work, task: Task, p: Planned, results: in_memory.Results) -> Iterator[tuple[str, Any]]:
     """Yield the blocks of a task, (name, rows) each."""
     at = 0
-    for first, last, labels in task.pieces:
+    for seeds, labels in task.pieces:
         for label in labels:
-            mine = {m: values[..., at : at + last - first] for m, values in results[label].items()}
-            yield block(work, p, label, mine, first, last)
-        at += last - first
+            mine = {m: values[..., at : at + seeds.many] for m, values in results[label].items()}
+            yield block(work, p, label, mine, seeds)
+        at += seeds.many
 
 
 def simulated(work: Work, task: Task, device: Any = None) -> tuple[Planned, in_memory.Results, batch.Program]:
     """Return what the runs of a task leave; raise UserError where a call takes more memory than there is for it."""
     with process.float64():
         p = unpack(task.parcel)
-        seeds = np.concatenate([np.arange(first, last) for first, last, _ in task.pieces])
+        seeds = np.concatenate([np.arange(*each) for each, _ in task.pieces])
         jobs = list(in_memory.jobs(p, work.root_seed, seeds))
         made = batch.program(p.layout, jobs[0], device)
         _fits(p, made.memory, work.memory)
         return p, in_memory.results(p, batch.serial(made, jobs)), made
 
 
-def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: int, last: int) -> tuple[str, Any]:
+def block(work: Work, p: Planned, label: str, results: dict[str, Any], seeds: Seeds) -> tuple[str, Any]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
     c, signals = p.certificates[label], signals_of(p.cell.scenario)
     many = len(results["mae"])
@@ -101,8 +102,8 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: in
         "cell": p.cell.digest,
         "observer": label,
         "options": p.cell.told[label],
-        "first": first,
-        "last": last,
+        "first": seeds.first,
+        "last": seeds.stop,
         "metrics": {m: len(results[m]) for m in RUN_METRICS if m in results},
         "carries_input": p.carries_input[label],
         "bound": bound,
@@ -115,23 +116,23 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: in
         "versions": provenance.versions(),
     }
     head = columns.keys(work.study, p.cell)
-    table = columns.runs_table(head, results, np.arange(first, last), signals, p.carries_input[label])
-    name = block_files.Block(p.cell.scenario.name, label, p.cell.number, first, last).name
+    table = columns.runs_table(head, results, np.arange(*seeds), signals, p.carries_input[label])
+    name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
     return name, block_files.sealed(table, about)
 
 
-def tasks(parcel: bytes | Planned, width: int, missing: dict[str, list[block_files.Range]]) -> Iterator[Task]:
+def tasks(parcel: bytes | Planned, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:
     """Yield the tasks that fill the `missing` ranges of a cell, by observer: blocks as cut, as many as fill a call."""
-    wanted: dict[block_files.Range, list[str]] = {}
+    wanted: dict[Seeds, list[str]] = {}
     for label, ranges in missing.items():
         for each in ranges:
             wanted.setdefault(each, []).append(label)
-    pieces: list[tuple[int, int, tuple[str, ...]]] = []
-    for (first, last), labels in sorted(wanted.items()):
-        if pieces and sum(b - a for a, b, _ in pieces) + last - first > width:
+    pieces: list[tuple[Seeds, tuple[str, ...]]] = []
+    for seeds, labels in sorted(wanted.items()):
+        if pieces and sum(each.many for each, _ in pieces) + seeds.many > width:
             yield Task(parcel, tuple(pieces))
             pieces = []
-        pieces.append((first, last, tuple(labels)))
+        pieces.append((seeds, tuple(labels)))
     if pieces:
         yield Task(parcel, tuple(pieces))
 

@@ -10,7 +10,9 @@ import pyarrow as pa
 from pcbench import planning
 from pcbench.dataset import block_files, executors, fill, ownership, parquet, store, summary, task
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.ownership import Claim
+from pcbench.dataset.ownership import Owned
+from pcbench.dataset.seeds import Seeds
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.study import observers_of
 from pcbench.study.as_toml import digest
@@ -32,7 +34,7 @@ class Share(NamedTuple):
 
 
 class Status(NamedTuple):
-    """What stands in a place."""
+    """What stands in a dataset."""
 
     study: str
     shares: list[Share]
@@ -44,30 +46,30 @@ class Status(NamedTuple):
 
 
 def status(out: Any) -> Status:
-    """Return what stands in a place, from the blocks' names and footers; raise UserError where there is no study."""
-    place = store.target(out)
-    claimed = ownership.opened(place)
-    there = block_files.present(place)
-    study, rows = claimed.study, []
+    """Return what stands in a dataset, from the blocks' names and footers; raise UserError where there is no study."""
+    target = store.target(out)
+    owned = ownership.opened(target)
+    there = block_files.present(target)
+    study, rows = owned.study, []
     by: dict[tuple[str, str], list[Block]] = {}
     for b in there:
         by.setdefault((b.scenario, b.observer), []).append(b)
     kept = block_files.settled(there)
     doubled = [b.name for b in sorted(set(there) - set(kept))]
-    wanted = fill.everything(claimed, there)
-    todo = fill.missing(claimed, kept, wanted, lambda cell: 2**40)
+    wanted = fill.everything(owned, there)
+    todo = fill.missing(owned, kept, wanted, lambda cell: 2**40)
     for scenario in study.scenarios:
-        mine = [c for c in claimed.cells if c.scenario.name == scenario]
-        asked = sum(last - first for first, last in map(wanted, mine))
+        mine = [c for c in owned.cells if c.scenario.name == scenario]
+        asked = sum(wanted(cell).many for cell in mine)
         for observer in observers_of(study, scenario):
             gaps = [todo.get((scenario, c.number), {}).get(observer, []) for c in mine]
-            lacking = sum(b - a for ranges in gaps for a, b in ranges)
+            lacking = sum(seeds.many for ranges in gaps for seeds in ranges)
             blocks_there = len(by.get((scenario, observer), []))
             rows.append(Share(scenario, observer, len(mine), blocks_there, asked - lacking, asked))
-    sizes = store.sizes(place)
-    damaged = [b.name for b in there if store.footer(place, b.name) is None] + summary.damaged(place)
-    left = [p.name for p in store.unfinished(place)]
-    return Status(study.name, rows, damaged, doubled, left, sum(sizes.values()), summary.is_closed(place, there))
+    sizes = store.sizes(target)
+    damaged = [b.name for b in there if store.footer(target, b.name) is None] + summary.damaged(target)
+    left = [p.name for p in store.unfinished(target)]
+    return Status(study.name, rows, damaged, doubled, left, sum(sizes.values()), summary.is_closed(target, there))
 
 
 class Verdict(NamedTuple):
@@ -79,61 +81,59 @@ class Verdict(NamedTuple):
     differing: list[str]  # a sentence each
 
 
-def verify(out: Any, sample: int | None, seed: int, tell: Callable[[str, float], None]) -> Verdict:
-    """Check every file of a place, and compute `sample` blocks (None: all) again; compare bit for bit.
+def verify(out: Any, sample: int | None, seed: int, progress: Progress = SILENT) -> Verdict:
+    """Check every file of a dataset, and compute `sample` blocks (None: all) again; compare bit for bit.
 
     Blocks are drawn with `seed`. The closing tables are made again and compared too.
     """
-    place = store.target(out)
-    claimed = ownership.opened(place)
-    digests = ownership.digests(claimed)
-    there, wrong, good = block_files.present(place), [], []
-    tell("checking", float(len(there)))
+    target = store.target(out)
+    owned = ownership.opened(target)
+    digests = ownership.digests(owned)
+    there, wrong, good = block_files.present(target), [], []
+    progress.begin("checking", len(there))
     for b in there:
-        found = block_files.damage(place, b, digests.get((b.scenario, b.cell), ""))
+        found = block_files.damage(target, b, digests.get((b.scenario, b.cell), ""))
         wrong += [f"{b.name}: {found}."] if found else []
         good += [] if found else [b]
-        tell("checked", 1.0)
+        progress.step(1)
     kept = block_files.settled(good)
     wrong += [f"{b.name}: holds seeds that another block holds." for b in sorted(set(good) - set(kept))]
-    wrong += _others(place, claimed)
-    wrong += [] if wrong else _closing_differs(place, claimed, kept)
+    wrong += _others(target, owned)
+    wrong += [] if wrong else _closing_differs(target, owned, kept)
     chosen = kept
     if sample is not None and sample < len(kept):
         chosen = [kept[i] for i in sorted(np.random.default_rng(seed).choice(len(kept), sample, replace=False))]
-    tell("again", float(len(chosen)))
-    return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(place, claimed, chosen, tell)))
+    progress.begin("computing again", len(chosen))
+    return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(target, owned, chosen, progress)))
 
 
-def _again(
-    place: store.Target, claimed: Claim, chosen: list[Block], tell: Callable[[str, float], None]
-) -> Iterator[str]:
+def _again(target: store.Target, owned: Owned, chosen: list[Block], progress: Progress) -> Iterator[str]:
     """Yield a sentence for every block that does not come out again."""
-    work = partial(_compared, place, task.Work("", claimed.study.name, claimed.study.root_seed))
+    work = partial(_compared, target, task.Work("", owned.study.name, owned.study.root_seed))
     with executors.here() as execute:
-        for count, sentences in execute(work, _tasks(claimed, chosen)):
-            tell("compared", count)
+        for count, sentences in execute(work, _tasks(owned, chosen)):
+            progress.step(count)
             yield from sentences
 
 
-def _tasks(claimed: Claim, chosen: list[Block]) -> Iterator[task.Task]:
+def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:
     """Yield what computes blocks again: those of one cell and the same seeds together."""
-    by: dict[tuple[str, int], dict[block_files.Range, list[str]]] = {}
+    by: dict[tuple[str, int], dict[Seeds, list[str]]] = {}
     for b in chosen:
-        by.setdefault((b.scenario, b.cell), {}).setdefault((b.first, b.last), []).append(b.observer)
-    room = padding.needed(planning.drafts(claimed.cells, ()))
-    for draft in planning.drafts(claimed.cells, by):
-        for (first, last), observers in by[draft.cell.key].items() if draft.labels else ():
+        by.setdefault((b.scenario, b.cell), {}).setdefault(b.seeds, []).append(b.observer)
+    room = padding.needed(planning.drafts(owned.cells, ()))
+    for draft in planning.drafts(owned.cells, by):
+        for seeds, observers in by[draft.cell.key].items() if draft.labels else ():
             if labels := tuple(label for label in draft.labels if label in observers):
-                yield task.Task(padding.fitted(draft, room), ((first, last, labels),))
+                yield task.Task(padding.fitted(draft, room), ((seeds, labels),))
 
 
-def _compared(place: store.Target, work: task.Work, one: task.Task, hold: Callable[[], Any]) -> tuple[int, list[str]]:
+def _compared(target: store.Target, work: task.Work, one: task.Task, hold: Callable[[], Any]) -> tuple[int, list[str]]:
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
         p, results, _ = task.simulated(work, one, device)
     made = [(block_files.block_of(name), table) for name, table in task.files(work, one, p, results)]
-    return len(made), [said for b, now in made if b for said in _difference(b, block_files.read(place, b), now)]
+    return len(made), [said for b, now in made if b for said in _difference(b, block_files.read(target, b), now)]
 
 
 def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
@@ -187,27 +187,27 @@ def _sizes(table: pa.Table) -> np.ndarray:
     return np.array([peaks[signal == i].max() for i in range(signal.max() + 1)])[signal]
 
 
-def _others(place: store.Target, claimed: Claim) -> Iterator[str]:
+def _others(target: store.Target, owned: Owned) -> Iterator[str]:
     """Yield a sentence for every file beside the blocks that is not as it was written."""
-    for name in summary.damaged(place):
+    for name in summary.damaged(target):
         yield f"{name}: is not as it was written; run the study again to have it made anew."
-    said = summary.record(place)
-    if said and said["study_sha256"] != digest(claimed.study, claimed.cells):
+    said = summary.record(target)
+    if said and said["study_sha256"] != digest(owned.study, owned.cells):
         yield f"{ownership.TEXT}: is not of the study that was run; run that again to have it written anew."
-    for name in [n for n in store.names(place) if n.startswith("examples/") or n == FAIR]:
-        content = store.get(place, name)
+    for name in [n for n in store.names(target) if n.startswith("examples/") or n == FAIR]:
+        content = store.get(target, name)
         if content is None or parquet.whole(content) is None:
             yield f"{name}: is not as it was written; remove it to have it made anew."
 
 
-def _closing_differs(place: store.Target, claimed: Claim, kept: list[Block]) -> Any:
+def _closing_differs(target: store.Target, owned: Owned, kept: list[Block]) -> Any:
     """Yield a sentence for every closing table that does not follow from the blocks."""
-    if not summary.is_closed(place, kept):
+    if not summary.is_closed(target, kept):
         return ["stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."]
-    stats, pairs, _ = summary.closing_tables(place, claimed, kept)
+    stats, pairs, _ = summary.closing_tables(target, owned, kept)
     out = []
     for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
-        there = summary.table(place, name)
+        there = summary.table(target, name)
         if there is None or not there.equals(parquet.parsed(made)):
             out.append(f"{name}: does not follow from the blocks; run the study again to have it made anew.")
     return out

@@ -12,12 +12,12 @@ from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import How
 from pcbench.dataset.verify import FAIR
 from pcbench.gains import tune
-from pcbench.gains.objective import Goal
-from pcbench.gains.versions import Prepared, Version
+from pcbench.gains.objective import Objective
+from pcbench.gains.versions import ExplicitStudy, Version
 from pcbench.study import read
 
 
-def report(made: Prepared, result: Result, out: str | Path | None, how: How) -> Result:
+def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How) -> Result:
     """Return the result with its table `fair`: every version on training seeds and on the study's own, and against the bound.
 
     One row per cell and version: `training` and `held_out` are means of the objective (of a pooled one the root of the mean
@@ -27,7 +27,7 @@ def report(made: Prepared, result: Result, out: str | Path | None, how: How) -> 
     """
     if made.aim is None:
         return result
-    seeds = {"first_seed": tune.TRAINING[0], "seeds": made.study.tune.training}
+    seeds = {"first_seed": tune.TRAINING.first, "seeds": made.study.tune.training}
     beside = None if out is None else f"{out}/training"
     training = run_study.execute(
         read.grid_of(made.study, seeds, []), beside, how._replace(until_se=None, max_seeds=None)
@@ -39,7 +39,7 @@ def report(made: Prepared, result: Result, out: str | Path | None, how: How) -> 
     return result
 
 
-def table(versions: list[Version], aim: Goal, training: pd.DataFrame, held_out: pd.DataFrame) -> pd.DataFrame:
+def table(versions: list[Version], aim: Objective, training: pd.DataFrame, held_out: pd.DataFrame) -> pd.DataFrame:
     """Return the table from the stats of the training runs and of the study's own."""
     rows: list[dict[str, Any]] = []
     for cell in held_out.cell.unique():
@@ -57,7 +57,7 @@ def table(versions: list[Version], aim: Goal, training: pd.DataFrame, held_out: 
     return pd.DataFrame(rows)
 
 
-def _row(stats: pd.DataFrame, cell: int, label: str, aim: Goal, metric: str) -> dict[str, Any]:
+def _row(stats: pd.DataFrame, cell: int, label: str, aim: Objective, metric: str) -> dict[str, Any]:
     mine = (stats.cell == cell) & (stats.observer == label) & (stats.signal == aim.name) & (stats.metric == metric)
     found: list[dict[str, Any]] = stats[mine].to_dict("records")  # type: ignore[assignment]
     return found[0] if found else dict.fromkeys(("mean", "se", "ci_low", "ci_high"), np.nan)

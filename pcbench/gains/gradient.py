@@ -15,7 +15,7 @@ from jax import Array
 from pydantic import ValidationError
 
 from pcbench.errors import UserError
-from pcbench.gains.objective import Goal
+from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.planning.padding import Planned
 from pcbench.simulation import batch, differentiable
@@ -32,7 +32,7 @@ def numbers(gains: Any) -> list[Any]:
     return [a for a in jax.tree.leaves(gains) if np.issubdtype(np.result_type(a), np.floating)]
 
 
-def backwards(p: Planned, goal: Goal, root_seed: int, seeds: Any) -> Callable[[Any], Slope]:
+def backwards(p: Planned, goal: Objective, root_seed: int, seeds: Any) -> Callable[[Any], Slope]:
     """Return what gives, for gains of a planned cell's one observer, the mean over runs and its derivatives."""
     (label, _), *_ = p.layout.observers
     layout = p.layout._replace(width=min(LANES, len(seeds)))
@@ -60,7 +60,7 @@ def backwards(p: Planned, goal: Goal, root_seed: int, seeds: Any) -> Callable[[A
         if not compiled:
             lowered = jax.jit(jax.value_and_grad(mean, has_aux=True)).lower(reals, others, bare, *calls[0])
             compiled.append(lowered.compile(options))
-        with ThreadPoolExecutor(len(batch.places())) as pool:
+        with ThreadPoolExecutor(len(batch.devices())) as pool:
             parts = list(pool.map(lambda c: batch.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
         slopes = [sum(g) for g in zip(*(slope for _, slope, _ in parts), strict=True)]
         return sum(value for value, _, _ in parts), slopes, any(lost for _, _, lost in parts)
@@ -86,7 +86,7 @@ def chain(slopes: list[Any], design: Callable[[Vector], Any], at: Vector) -> Vec
 
 
 def _allowed(design: Callable[[Vector], Any], at: Vector) -> list[Any] | None:
-    """The gains at a place as numbers; None where its design refuses."""
+    """The gains at a point as numbers; None where its design refuses."""
     try:
         return numbers(design(at))
     except (UserError, ValidationError):

@@ -11,6 +11,7 @@ import pyarrow as pa
 import tomli_w
 
 from pcbench.dataset import parquet, store
+from pcbench.dataset.seeds import Seeds, counted
 from pcbench.errors import UserError
 from pcbench.gains.parameters import Vector
 
@@ -19,12 +20,11 @@ ABOUT = b"pcbench.tuning"  # the key in the file's metadata: what was tuned for 
 PAUSE = 2.0  # [s] between two writings
 
 
-class Judged(NamedTuple):
+class Judgement(NamedTuple):
     """A goal's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
 
     what: str  # training or judging
-    first: int
-    seeds: int
+    seeds: Seeds
     start: float
     start_se: float
     tuned: float
@@ -34,7 +34,7 @@ class Judged(NamedTuple):
     diverged: tuple[int, int]  # runs, of start and tuned
 
 
-class Point(NamedTuple):
+class Evaluation(NamedTuple):
     """One point asked for."""
 
     at: tuple[float, ...]  # the free parameters
@@ -46,10 +46,10 @@ class Point(NamedTuple):
 class History:
     """The points of a tuning in the order in which they were asked for; what was seen before is told again."""
 
-    def __init__(self, place: store.Target, about: str, names: list[str], tell: Callable[[str, float], None]):
-        self.place, self.about, self.names, self.tell = place, about, names, tell
-        self.points: list[Point] = []
-        self.before = _read(place, about)
+    def __init__(self, target: store.Target, about: str, names: list[str]):
+        self.target, self.about, self.names = target, about, names
+        self.points: list[Evaluation] = []
+        self.before = _read(target, about)
         self.written = monotonic()
 
     def ask(self, at: Vector, evaluate: Callable[[Vector], tuple[float, Vector]]) -> tuple[float, Vector]:
@@ -61,28 +61,27 @@ class History:
             self.before = self.before[:number]
             start = monotonic()
             value, slope = evaluate(at)
-            point = Point(key, value, tuple(map(float, slope)), monotonic() - start)
+            point = Evaluation(key, value, tuple(map(float, slope)), monotonic() - start)
         self.points.append(point)
         late = monotonic() - self.written > PAUSE and isfinite(
             self.points[0].value
         )  # a start that fails leaves nothing
         if number >= len(self.before) and late:
             self.write()
-        self.tell("point", self.best.value)
         return point.value, np.array(point.slope)
 
     @property
-    def best(self) -> Point:
+    def best(self) -> Evaluation:
         """Return the point of the least value."""
         return min(self.points, key=lambda point: point.value)
 
     def write(self) -> None:
-        """Put the history in its place."""
-        store.put_table(self.place, HISTORY, _table(self.points, self.names, self.about))
+        """Write the history."""
+        store.put_table(self.target, HISTORY, _table(self.points, self.names, self.about))
         self.written = monotonic()
 
 
-def _table(points: list[Point], names: list[str], about: str) -> pa.Table:
+def _table(points: list[Evaluation], names: list[str], about: str) -> pa.Table:
     """The history as a table: value is null where the gains were refused."""
     columns: dict[str, Any] = {"point": np.arange(len(points))}
     columns |= {f"free.{name}": np.array([p.at[i] for p in points]) for i, name in enumerate(names)}
@@ -94,13 +93,13 @@ def _table(points: list[Point], names: list[str], about: str) -> pa.Table:
     return pa.table(columns).replace_schema_metadata({ABOUT: about.encode()})
 
 
-def _read(place: store.Target, about: str) -> list[Point]:
+def _read(target: store.Target, about: str) -> list[Evaluation]:
     """What an earlier run has seen; raise UserError where that was another tuning."""
-    content = store.get(place, HISTORY)
+    content = store.get(target, HISTORY)
     if content is None:
-        if others := [name for name in store.names(place) if name != FOUND]:
+        if others := [name for name in store.names(target) if name != FOUND]:
             raise UserError(
-                f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
+                f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
             )
         return []
     try:
@@ -109,7 +108,7 @@ def _read(place: store.Target, about: str) -> list[Point]:
         free, slopes = ([c for c in table.column_names if c.startswith(k)] for k in ("free.", "slope."))
         rows = table.to_pylist()
         points = [
-            Point(
+            Evaluation(
                 tuple(row[c] for c in free),
                 float("inf") if row["objective"] is None else row["objective"],
                 tuple(float("nan") if row[c] is None else row[c] for c in slopes),
@@ -119,38 +118,46 @@ def _read(place: store.Target, about: str) -> list[Point]:
         ]
     except (pa.ArrowException, OSError, ValueError, KeyError):
         raise UserError(
-            f"{place.name}/{HISTORY}: is damaged, expected a tuning's history; remove it, or give another folder with --out."
+            f"{target.name}/{HISTORY}: is damaged, expected a tuning's history; remove it, or give another folder with --out."
         ) from None
     if said != about:
         raise UserError(
-            f"{place.name}: holds another tuning ({said}), expected {about}; give another folder with --out."
+            f"{target.name}: holds another tuning ({said}), expected {about}; give another folder with --out."
         )
     return points
 
 
-def finish(place: store.Target, about: str, tuned: Any) -> None:
-    """Put what was found into its place: a study that can be run, and under [resolved.tuning] how it came about."""
+def finish(target: store.Target, about: str, tuned: Any) -> None:
+    """Write what was found: a study that can be run, and under [resolved.tuning] how it came about."""
     said = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
-    said |= {"method": tuned.method, "judged": [_plain(j) for j in tuned.judged]}
-    store.put(place, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
+    said |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judged]}
+    store.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
 
 
-def finished(place: store.Target, whole: str, about: str) -> dict[str, Any] | None:
+def finished(target: store.Target, whole: str, about: str) -> dict[str, Any] | None:
     """Return the parts of what an earlier run of the same tuning has found; None where there is none.
 
     `whole` is what was done to the end, `about` what its history is of.
     """
-    content = store.text(place, FOUND)
+    content = store.text(target, FOUND)
     try:
         study = tomllib.loads((content or b"").decode())
         said = study.pop("resolved")["tuning"]
         if said.pop("about") != whole:
             return None
-        judged = [Judged(**j | {"diverged": tuple(j["diverged"])}) for j in said.pop("judged")]
-        return said | {"study": study, "judged": judged, "points": _read(place, about)}
+        judged = [_judged(**j) for j in said.pop("judged")]
+        return said | {"study": study, "judged": judged, "points": _read(target, about)}
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # not there, or damaged: the history is read, and it is written anew
 
 
-def _plain(judged: Judged) -> dict[str, Any]:
-    return judged._asdict() | {"diverged": list(judged.diverged)}
+def plain(judged: Judgement) -> dict[str, Any]:
+    """Return a judgement as it is written: of its seeds the first, and how many."""
+    said = judged._asdict()
+    seeds = said.pop("seeds")
+    head = {"what": said.pop("what"), "first": seeds.first, "seeds": seeds.many}
+    return head | said | {"diverged": list(judged.diverged)}
+
+
+def _judged(first: int, seeds: int, diverged: list[int], **rest: Any) -> Judgement:
+    return Judgement(seeds=counted(first, seeds), diverged=(diverged[0], diverged[1]), **rest)

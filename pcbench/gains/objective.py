@@ -15,7 +15,7 @@ from pcbench.statistics import COMPARED, POOLED
 MEASURES = (*COMPARED, *POOLED)
 
 
-class Goal(NamedTuple):
+class Objective(NamedTuple):
     """A metric of the tables and the signal it is of."""
 
     metric: str
@@ -46,7 +46,7 @@ class Goal(NamedTuple):
         return float("inf") if diverged.any() else self.of(float(np.mean(runs)))
 
 
-def goal(objective: str, scenario: Scenario, signal: str | None, where: str) -> Goal:
+def objective_of(objective: str, scenario: Scenario, signal: str | None, where: str) -> Objective:
     """Return the goal that a metric's name and a signal's say (default: the first that a closing table shows).
 
     Raises UserError for another word.
@@ -60,4 +60,4 @@ def goal(objective: str, scenario: Scenario, signal: str | None, where: str) -> 
     if signal is not None and signal not in names:
         raise unknown(f"{where}: --signal", "signal", signal, names)
     chosen = names.index(signal or (*scenario.scoring.headline, names[0])[0])
-    return Goal(objective, chosen, names[chosen], signals_of(scenario)[chosen][1])
+    return Objective(objective, chosen, names[chosen], signals_of(scenario)[chosen][1])

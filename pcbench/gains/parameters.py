@@ -29,7 +29,7 @@ class NothingFree(UserError):
 
 
 class Free(NamedTuple):
-    """One option; its `size` numbers have the place `first` .. `first + size - 1` among all."""
+    """One option; its `size` numbers are `first` .. `first + size - 1` of all."""
 
     name: str
     kind: str  # positive, between or real
@@ -93,7 +93,7 @@ def _free(label: str, name: str, value: Any, first: int) -> tuple[Free, Vector]:
 
 
 def _holds(options: BaseModel, one: Free, at: Vector) -> bool:
-    """Say whether an option can hold such a value: a number for each output has no place where one for all is asked."""
+    """Say whether an option can hold such a value: not where it asks for one number and gets one for each output."""
     try:
         put(options, [one._replace(first=0)], at)
     except ValidationError:
@@ -102,7 +102,7 @@ def _holds(options: BaseModel, one: Free, at: Vector) -> bool:
 
 
 def used(found: list[Free], at: Vector, gains: Callable[[Vector], list[Any]]) -> list[str]:
-    """Return the names of those that the `gains` depend on at a place; not all do in every way of finding them."""
+    """Return the names of those that the `gains` depend on at a point; not all do in every way of finding them."""
     here, out = gains(at), []
     for f in found:
         try:

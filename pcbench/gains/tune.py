@@ -1,6 +1,5 @@
-"""One tuning: an observer's free parameters in a scenario, so much effort, judged on other draws than it was tuned on."""
+"""One tuning: an observer's free parameters in a scenario, within a budget, judged on other draws than it was tuned on."""
 
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -10,13 +9,15 @@ from pydantic import BaseModel
 
 from pcbench import planning
 from pcbench.dataset import store
+from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.gains import gradient, history, minimise, parameters, ways
+from pcbench.gains import evaluation, gradient, history, minimise, parameters
 from pcbench.gains.held_out import against, judge
-from pcbench.gains.history import History, Judged, Point
-from pcbench.gains.objective import Goal, goal
+from pcbench.gains.history import Evaluation, History, Judgement
+from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
 from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.observers import entry_of
 from pcbench.planning import padding
 from pcbench.study import Study, given, read
@@ -25,27 +26,26 @@ from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import Design, Setting
 
 BUDGET = 60
-TRAINING = (3_000_000_000, 256)  # first seed and how many: no study of the usual seeds meets them
-JUDGES = (3_500_000_000, 1024)
+TRAINING = counted(3_000_000_000, 256)  # no study of the usual seeds meets them
+JUDGES = counted(3_500_000_000, 1024)
 BACK = 0.999  # part of a decay that a gain found for it is proven to have when it is one among others
-Tell = Callable[[str, float], None]
 
 
 class NoStart(UserError):
     """A tuning's start does not work."""
 
 
-class Tuned(NamedTuple):
+class Tuning(NamedTuple):
     """What a tuning found."""
 
     study: dict[str, Any]  # the scenario and the observer with the options chosen: what tuned.toml says
     start: dict[str, Any]  # the free parameters as they were,
     found: dict[str, Any]  # and at the least value seen
     kept_start: str  # why the start was kept; empty: what was found is chosen
-    judged: list[Judged]
-    points: list[Point]
+    judged: list[Judgement]
+    points: list[Evaluation]
     method: str
-    goal: Goal
+    objective: Objective
 
 
 def tune(
@@ -57,32 +57,33 @@ def tune(
     signal: str | None = None,
     method: str | None = None,
     only: list[str] | None = None,
-    training: tuple[int, int] = TRAINING,
-    judges: tuple[int, int] = JUDGES,
+    training: Seeds = TRAINING,
+    judges: Seeds = JUDGES,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
-    tell: Tell = lambda event, value: None,
-) -> Tuned:
+    progress: Progress = SILENT,
+) -> Tuning:
     """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
 
     `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
-    simulated; `training` and `judges` are (first seed, how many). With `out`, a folder, the history stands there, and what was
-    stopped goes on when run again. `tell` hears ("begin", budget), and ("point", least value so far) after each point.
-    Raises UserError for whatever the user can mend.
+    simulated; `training` and `judges` are ranges of seeds, (first, one past the last). With `out`, a folder, the history stands
+    there, and what was stopped goes on when run again. `progress` hears of each point. Raises UserError for whatever the user
+    can mend.
     """
     where = f"tune {observer}"
+    training, judges = Seeds(*training), Seeds(*judges)
     _check(budget, training, judges, where)
     with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
         study, cell = read.one_cell(scenario, [observer], overrides or [])
         where = f"{where} in {cell.scenario.name}"
-        aim = goal(objective, cell.scenario, signal, where)
-        how_far = f"{method or 'the method that fits'}, seeds {_shown(training)}, {', '.join(only or ['all'])} free"
+        aim = objective_of(objective, cell.scenario, signal, where)
+        how_far = f"{method or 'the method that fits'}, seeds {training}, {', '.join(only or ['all'])} free"
         mine = given(study, cell.scenario, observer)
         about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(study, [cell])[:12]}"
-        whole = f"{about}, {budget} points, judged on {_shown(judges)}"
-        place = store.target(str(out) if out is not None else spare)
-        if done := history.finished(place, whole, about):
-            return Tuned(goal=aim, **done)
+        whole = f"{about}, {budget} points, judged on {judges}"
+        target = store.target(str(out) if out is not None else spare)
+        if done := history.finished(target, whole, about):
+            return Tuning(objective=aim, **done)
         known = planning.setting(cell)
         study, cell, designed = _startable(study, cell, observer, known)
         options = cell.options[observer]
@@ -92,17 +93,18 @@ def tune(
             return entry_of(observer).design(known, parameters.put(options, every, at)).gains
 
         (p,) = padding.fit(list(planning.drafts([cell])))
-        ways.check_estimates(p, aim, where)
-        how = ways.method_for(method, aim, p, where)
-        evaluate = ways.evaluated(how, p, aim, study.root_seed, np.arange(training[0], sum(training)), design)
-        trials = History(place, about, parameters.entries(every), tell)
-        tell("begin", float(budget))
-        _descend(how, trials, start, evaluate, budget, where)
+        evaluation.check_estimates(p, aim, where)
+        how = evaluation.method_for(method, aim, p, where)
+        evaluate = evaluation.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
+        trials = History(target, about, parameters.entries(every))
+        progress.begin("points", budget)
+        progress.note("compiling")
+        _descend(how, trials, start, evaluate, budget, where, progress)
         found = parameters.written(every, np.array(trials.best.at))
-        tell("judging", 0.0)
+        progress.note("judging on other seeds")
         judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
         kept = against(judged)
-        tuned = Tuned(
+        tuned = Tuning(
             _study(study, observer, {} if kept else found),
             parameters.written(every, start),
             found,
@@ -112,7 +114,7 @@ def tune(
             how,
             aim,
         )
-        history.finish(place, whole, tuned)
+        history.finish(target, whole, tuned)
         return tuned
 
 
@@ -150,7 +152,15 @@ def freed(
     return parameters.start(observer, options, designed.certificate.numbers, used, where)
 
 
-def _descend(how: str, trials: History, start: Vector, evaluate: ways.Evaluate, budget: int, where: str) -> None:
+def _descend(
+    how: str,
+    trials: History,
+    start: Vector,
+    evaluate: evaluation.Evaluate,
+    budget: int,
+    where: str,
+    progress: Progress,
+) -> None:
     def ask(at: Vector) -> tuple[float, Vector]:
         first = not trials.points
         value, slope = trials.ask(at, evaluate)
@@ -159,9 +169,11 @@ def _descend(how: str, trials: History, start: Vector, evaluate: ways.Evaluate, 
                 f"{where}: a training run diverges, or the gains are refused, at the start; expected a start that works; write "
                 "another one under [options]."
             )
+        progress.step(1)
+        progress.note(f"least so far {trials.best.value:.5g}")
         return value, slope
 
-    store.make(trials.place)
+    store.make(trials.target)
     if how == "descent":
         minimise.descent(ask, start, budget)
     else:
@@ -169,21 +181,17 @@ def _descend(how: str, trials: History, start: Vector, evaluate: ways.Evaluate, 
     trials.write()
 
 
-def _check(budget: int, training: tuple[int, int], judges: tuple[int, int], where: str) -> None:
+def _check(budget: int, training: Seeds, judges: Seeds, where: str) -> None:
     if budget < 1:
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {BUDGET}.")
-    for name, (first, many) in (("--train", training), ("--judge", judges)):
-        if many < 2 or first < 0 or first + many > 2**32:
-            raise UserError(f"{where}: {name}: got {first}:{first + many}, expected two seeds or more of 0:4294967296.")
-    if training[0] < sum(judges) and judges[0] < sum(training):
+    for name, seeds in (("--train", training), ("--judge", judges)):
+        if seeds.many < 2 or seeds.first < 0 or seeds.stop > 2**32:
+            raise UserError(f"{where}: {name}: got {seeds}, expected two seeds or more of 0:4294967296.")
+    if common(training, judges).many:
         raise UserError(
-            f"{where}: got training seeds {_shown(training)} and judging seeds {_shown(judges)}, which overlap; expected none "
+            f"{where}: got training seeds {training} and judging seeds {judges}, which overlap; expected none "
             "in common, for what is tuned on a draw cannot be judged on it; give others."
         )
-
-
-def _shown(seeds: tuple[int, int]) -> str:
-    return f"{seeds[0]}:{sum(seeds)}"
 
 
 def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
     paper     as a scenario's source prints them (its options), with the study's own options over them
     design    by the observer's own design for the noise and the delays as they are
-    tuned     by `tune`: the same effort for every observer, from the better of the two above on the training runs
+    tuned     by `tune`: the same budget for every observer, from the better of the two above on the training runs
 
 Three ranges of seeds have nothing in common: training runs, those that decide whether a tuned gain or its start is kept, and
 the study's own, on which all are compared. Of a study with several cells gains are tuned in the first and run in all.
@@ -19,16 +19,17 @@ import numpy as np
 from pcbench import planning
 from pcbench.dataset import run_study, store
 from pcbench.dataset.ownership import BESIDE, TEXT
-from pcbench.dataset.run_study import Tell, silent
+from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
-from pcbench.gains.objective import Goal, goal
+from pcbench.gains.objective import Objective, objective_of
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.observers import entry_of
 from pcbench.study import Study, given, observers_of, scenarios_of
 from pcbench.study.cells import Grid
 from pcbench.study.read import grid_of, one_cell
 
-JUDGES = (tune.JUDGES[0], 256)
+JUDGES = counted(tune.JUDGES.first, 256)
 
 
 class Version(NamedTuple):
@@ -40,12 +41,12 @@ class Version(NamedTuple):
     note: str = ""  # why its gains are not those found
 
 
-class Prepared(NamedTuple):
+class ExplicitStudy(NamedTuple):
     """A study with every option explicit, and what its labels are."""
 
     grid: Grid
     versions: list[Version]  # empty: one tuning only, nothing to compare
-    aim: Goal | None = None
+    aim: Objective | None = None
 
     @property
     def study(self) -> Study:
@@ -53,33 +54,35 @@ class Prepared(NamedTuple):
         return self.grid.study
 
 
-def prepare(grid: Grid, out: str | Path | None, fresh: bool, tell: Tell = silent) -> Prepared:
+def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress = SILENT) -> ExplicitStudy:
     """Return the study to be run: designed and tuned as it asks. What tuning leaves stands in out/tuning, and goes on there.
 
     Raises UserError where several tunings, or tuned gains, are asked for in more than one scenario.
     """
     study = grid.study
     if study.tunings == ["paper"]:
-        return Prepared(grid, [])
+        return ExplicitStudy(grid, [])
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
         designed = {o: study.options.get(o, {}) | dict(entry_of(o).designed or {}) for o in labels}
-        return Prepared(_with(study, {o: how for o, how in designed.items() if how}), [])
+        return ExplicitStudy(_with(study, {o: how for o, how in designed.items() if how}), [])
     if len(study.scenarios) > 1:
         raise UserError(
             f"{study.name}: tuning: got {study.tunings} for {len(study.scenarios)} scenarios, expected one: gains are tuned "
             "for one task; run a study for each."
         )
-    aim = goal(study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune")
+    aim = objective_of(
+        study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune"
+    )
     _apart(study)
     _ours(study, out, fresh)
     scenario = scenarios_of(study)[study.scenarios[0]]
     paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
     versions, options = _untuned(paper)
     if "tuned" in study.tunings:
-        starts = _better(study, versions, options, aim, tell)
+        starts = _better(study, versions, options, aim, progress)
         for observer, start in starts.items():
-            note, found = _tuned(study, observer, start, aim, out, tell)
+            note, found = _tuned(study, observer, start, aim, out, progress)
             versions.append(Version(f"{observer}-tuned", observer, "tuned", note))
             options[f"{observer}-tuned"] = start | found
     versions = [v for v in versions if v.tuning in study.tunings]
@@ -89,7 +92,7 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, tell: Tell = silent
     order = list(paper)
     versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
     every = {v.label: options[v.label] for v in versions}
-    return Prepared(_with(study, every, list(every)), versions, aim)
+    return ExplicitStudy(_with(study, every, list(every)), versions, aim)
 
 
 def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Grid:
@@ -104,32 +107,37 @@ def _at_first(study: Study) -> Study:
 
 def _apart(study: Study) -> None:
     """Raise UserError where the study's own seeds are among those it tunes on."""
-    for first, many in ((tune.TRAINING[0], study.tune.training), JUDGES):
-        if study.first_seed < first + many and first < study.first_seed + study.seeds:
+    mine = counted(study.first_seed, study.seeds)
+    for its in (_training(study), JUDGES):
+        if common(mine, its).many:
             raise UserError(
-                f"{study.name}: got seeds {study.first_seed} .. {study.first_seed + study.seeds - 1}, expected none of "
-                f"{first} .. {first + many - 1}, on which gains are tuned; give another first_seed."
+                f"{study.name}: got seeds {mine.first} .. {mine.stop - 1}, expected none of {its.first} .. {its.stop - 1}, on "
+                "which gains are tuned; give another first_seed."
             )
+
+
+def _training(study: Study) -> Seeds:
+    return counted(tune.TRAINING.first, study.tune.training)
 
 
 def _ours(study: Study, out: str | Path | None, fresh: bool) -> None:
     """Raise UserError where a folder holds something else, before anything is written; `fresh` removes earlier tunings."""
     if out is None:
         return
-    place = store.target(str(out))
-    said, names = store.text(place, TEXT), store.names(place)
+    target = store.target(str(out))
+    said, names = store.text(target, TEXT), store.names(target)
     others = [name for name in names if not name.startswith(BESIDE)]
     if said is None and others:
         raise UserError(
-            f"{place.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
+            f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
         )
     if said is not None and not any(name.startswith(BESIDE) for name in names) and not fresh:
         raise UserError(
-            f"{place.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
+            f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
             "start over with --fresh."
         )
     for name in [name for name in names if fresh and name.startswith(BESIDE[0])]:
-        store.remove(place, name)
+        store.remove(target, name)
 
 
 def _untuned(papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str, dict[str, Any]]]:
@@ -146,14 +154,14 @@ def _untuned(papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str
 
 
 def _better(
-    study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Goal, tell: Tell
+    study: Study, versions: list[Version], options: dict[str, dict[str, Any]], aim: Objective, progress: Progress
 ) -> dict[str, dict[str, Any]]:
     """By observer that has free parameters, the options of its better version on the training runs: where tuning starts."""
     free_ones = [v for v in versions if _is_free(study, v, options[v.label])]
     if not free_ones:
         return {}
-    tell("comparing starts", 0.0)
-    here = _at_first(study).model_copy(update={"first_seed": tune.TRAINING[0], "seeds": study.tune.training})
+    progress.note("comparing starts")
+    here = _at_first(study).model_copy(update={"first_seed": tune.TRAINING.first, "seeds": study.tune.training})
     labels = [v.label for v in free_ones]
     stats = run_study.execute(_with(here, {label: options[label] for label in labels}, labels)).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
@@ -183,16 +191,13 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
 
 
 def _tuned(
-    study: Study, observer: str, start: dict[str, Any], aim: Goal, out: str | Path | None, tell: Tell
+    study: Study, observer: str, start: dict[str, Any], aim: Objective, out: str | Path | None, progress: Progress
 ) -> tuple[str, dict[str, Any]]:
     """Why the start is kept (empty: it is not), and the options found."""
-
-    def heard(event: str, value: float) -> None:
-        if event == "begin":
-            tell(f"tuning {observer}", value)
-        if event == "point":
-            tell(f"tuning {observer}: least {aim.metric} {value:.4g}", value)
-
+    renamed = Progress(
+        begin=lambda what, many: progress.note(f"tuning {observer}"),
+        note=lambda text: progress.note(f"tuning {observer}: {text}"),
+    )
     options = study.options | {observer: start}
     changes: dict[str, Any] = {
         "options": options,
@@ -209,10 +214,10 @@ def _tuned(
             budget=study.tune.budget,
             objective=study.tune.objective,
             signal=study.tune.signal,
-            training=(tune.TRAINING[0], study.tune.training),
+            training=_training(study),
             judges=JUDGES,
             out=None if out is None else f"{out}/tuning/{observer}",
-            tell=heard,
+            progress=renamed,
         )
     except tune.NoStart:
         return "no start of it works on the training runs", {}

@@ -1,6 +1,6 @@
 """Running planned cells: their seeds in calls of one width, and what each run leaves."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -47,12 +47,10 @@ def execute(
     planned: list[Planned],
     seeds: NDArray[np.int64] | None = None,
     devices: int | None = None,
-    tell: Callable[[str, float], None] = lambda event, value: None,
 ) -> Iterator[Done]:
     """Run every planned cell in this process and yield it, in memory, when its last run is in.
 
-    `seeds` are seed indices, by default 0 .. study.seeds - 1. `tell` hears ("runs", how many). Cells of one shape come
-    together, in their order.
+    `seeds` are seed indices, by default 0 .. study.seeds - 1. Cells of one shape come together, in their order.
     """
     chosen = np.arange(study.seeds) if seeds is None else np.asarray(seeds)
     groups: dict[Any, list[Planned]] = {}
@@ -63,4 +61,3 @@ def execute(
         outcomes = batch.run(group[0].layout, [job for mine in each for job in mine], devices)
         for p, mine in zip(group, each, strict=True):
             yield Done(p, chosen, results(p, (next(outcomes) for _ in mine)))
-            tell("runs", len(chosen) * len(p.labels))

@@ -122,10 +122,10 @@ def distribution(
     for observer, values in part.groupby("observer", sort=False)[metric]:
         ordered = np.sort(values.to_numpy()[np.isfinite(values.to_numpy())])
         if len(ordered):
-            places = np.unique(np.linspace(0, len(ordered) - 1, min(POINTS, len(ordered))).round().astype(int))
-            share = (places + 1) / len(values)
+            indices = np.unique(np.linspace(0, len(ordered) - 1, min(POINTS, len(ordered))).round().astype(int))
+            share = (indices + 1) / len(values)
             ordered = np.where(ordered < ROUNDING, 0.0, ordered)
-            out.append(pd.DataFrame({"observer": observer, "value": ordered[places], "share": share}))
+            out.append(pd.DataFrame({"observer": observer, "value": ordered[indices], "share": share}))
     return pd.concat(out, ignore_index=True) if out else pd.DataFrame({"observer": [], "value": [], "share": []})
 
 

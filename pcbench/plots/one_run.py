@@ -31,19 +31,19 @@ def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
     `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, measured (as it has arrived and is
     held; of signals that an output shows as they are) or target (of a closed loop).
     """
-    place = None if out is None else store.target(str(out))
+    target = None if out is None else store.target(str(out))
     name = f"examples/{scenario.replace('/', '%2F')}.parquet"
     first = cells(study, scenario)[0]
     key = _key(study, first)
-    found = None if place is None else store.get(place, name)
+    found = None if target is None else store.get(target, name)
     kept = None if found is None else parquet.whole(found)
     if kept is not None and kept.schema.metadata.get(KEY) == key:
         return kept.to_pandas()
     made = _made(study, first)
-    if place is not None:
+    if target is not None:
         table = pa.Table.from_pandas(made, preserve_index=False)
         about = {**(table.schema.metadata or {}), KEY: key}
-        store.put_table(place, name, parquet.sealed(table.replace_schema_metadata(about)))
+        store.put_table(target, name, parquet.sealed(table.replace_schema_metadata(about)))
     return made
 
 

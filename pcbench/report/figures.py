@@ -1,7 +1,7 @@
 """The report's pictures as files for a paper: SVG and PNG of each, drawn by matplotlib."""
 
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from pcbench import plots
 from pcbench.dataset import store
 from pcbench.dataset.result import Result
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.plots import frames
 
 DPI = 160
@@ -19,7 +20,7 @@ KINDS = ("svg", "png")
 def write(
     result: Result,
     out: str | Path,
-    tell: Callable[[str, float], None] = lambda event, value: None,
+    progress: Progress = SILENT,
     metric: str = frames.METRIC,
     signals: list[str] | None = None,
 ) -> list[str]:
@@ -27,15 +28,16 @@ def write(
 
     Of every scenario the `signals` that it has; None: those it is known by; an empty list: all.
     """
-    place, names = store.target(str(out)), []
-    store.make(place)
+    target, names = store.target(str(out)), []
+    store.make(target)
+    progress.begin("figures", None)
     for name, figure in drawn(result, metric, signals):
         for kind in KINDS:
             content = io.BytesIO()
             figure.savefig(content, format=kind, dpi=DPI, metadata={"Date": None} if kind == "svg" else None)
-            store.put(place, f"{name}.{kind}", content.getvalue())
+            store.put(target, f"{name}.{kind}", content.getvalue())
         names.append(name)
-        tell("checked", 1.0)
+        progress.step(1)
     return names
 
 

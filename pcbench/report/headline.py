@@ -78,8 +78,8 @@ def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.D
         share = 100 * mine.diverged.sum() / max((mine.n + mine.diverged).sum(), 1)
         median = f"{np.nanmedian(mine['mean']):.4g}" if mine["mean"].notna().any() else "-"
         cells = [str(observer), str(wins.get(observer, 0)), median, "none" if not share else f"{share:.3g} %"]
-        place = {"wins": int(wins.get(observer, 0)), "median": float(mine["mean"].median())}
-        rows.append({"cells": cells, "colour": look[str(observer)].colour, "best": False} | place)
+        rank = {"wins": int(wins.get(observer, 0)), "median": float(mine["mean"].median())}
+        rows.append({"cells": cells, "colour": look[str(observer)].colour, "best": False} | rank)
     rows.sort(key=lambda row: (-row["wins"], row["median"]))
     heads = ["observer", "cells won", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
     ties = int((won.winner == "").sum())

@@ -32,7 +32,7 @@ def heatmap(whole: pd.DataFrame, x: str, y: str, metric: str) -> Chart:
     )
     base, choices = chart.choosing(alt.Chart(chart.rounded(data)), whole, chart.others(whole, x, y))
     cells = base.mark_rect().encode(
-        **_places(whole, x, y),
+        **_axes(whole, x, y),
         color=alt.Color(
             "mean:Q", title=title, scale=scale, legend=alt.Legend(orient="bottom", gradientLength=240, titleLimit=600)
         ),
@@ -57,7 +57,7 @@ def heatmap(whole: pd.DataFrame, x: str, y: str, metric: str) -> Chart:
     return Chart(f"{what} over {frames.label(x)} and {frames.label(y)}", chart.spec(small, choices), text, note)
 
 
-def _places(whole: pd.DataFrame, x: str, y: str) -> dict[str, Any]:
+def _axes(whole: pd.DataFrame, x: str, y: str) -> dict[str, Any]:
     """Both axes of a map; the upper one is named in its caption, for small maps have no room for it."""
     up = chart.order(whole, y)
     return {
@@ -82,11 +82,11 @@ def winners(whole: pd.DataFrame, won: pd.DataFrame, x: str, y: str, metric: str)
         scale=alt.Scale(domain=["", *names], range=["#FFFFFF", *(look[n].colour for n in names)]),
         legend=alt.Legend(values=names, orient="bottom") if names else None,
     )
-    places = _places(whole, x, y)
+    axes = _axes(whole, x, y)
     tips = ["text", chart.safe(x), chart.safe(y), alt.Tooltip("mean:Q", format=".4g", title="its mean")]
-    cells = base.mark_rect(stroke="#CCCCCC").encode(color=colour, tooltip=tips, **places)
+    cells = base.mark_rect(stroke="#CCCCCC").encode(color=colour, tooltip=tips, **axes)
     said = base.mark_text(fontSize=10).encode(
-        text="text", color=alt.condition("datum.winner == ''", alt.value("#777777"), alt.value("#FFFFFF")), **places
+        text="text", color=alt.condition("datum.winner == ''", alt.value("#777777"), alt.value("#FFFFFF")), **axes
     )
     counted = won.text.value_counts()
     text = f"Of {len(won)} cells: " + ", ".join(f"{name} {n}" for name, n in counted.items()) + "."

@@ -1,7 +1,7 @@
 """One self-contained page from a study's folder: tables, charts, and how to repeat it. Nothing is loaded from elsewhere."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
@@ -15,6 +15,7 @@ from pcbench.dataset import store
 from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result, opened
 from pcbench.machine import cache
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.plants import signals_of
 from pcbench.plots import frames, one_run
 from pcbench.report import chart, headline, lines, maps
@@ -22,7 +23,6 @@ from pcbench.report.chart import Chart
 from pcbench.study import scenarios_of
 
 EXPLAINED = ("mae", "rmse", "tail_rmse", "peak", "settling_time", "efficiency", "divergence", "mean_diff", "p_holm")
-Tell = Callable[[str, float], None]
 
 
 class Section(NamedTuple):
@@ -39,7 +39,7 @@ class Section(NamedTuple):
 def write(
     folder: str | Path,
     out: str | Path,
-    tell: Tell = lambda event, value: None,
+    progress: Progress = SILENT,
     metric: str = frames.METRIC,
     signals: list[str] | None = None,
 ) -> int:
@@ -50,7 +50,7 @@ def write(
     Runs shown in time are simulated where the folder has none yet, and kept there. Raises UserError where the folder holds no
     finished study.
     """
-    content = page(opened(folder), tell, metric, signals).encode()
+    content = page(opened(folder), progress, metric, signals).encode()
     target = store.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
     store.make(target)
     store.put(target, str(out).replace("\\", "/").rpartition("/")[2], content)
@@ -59,13 +59,13 @@ def write(
 
 def page(
     result: Result,
-    tell: Tell = lambda event, value: None,
+    progress: Progress = SILENT,
     metric: str = frames.METRIC,
     signals: list[str] | None = None,
 ) -> str:
     """Return the page's HTML; arguments are those of `write`."""
     names = list(dict.fromkeys(result.stats.scenario))
-    tell("scenarios", float(len(names)))
+    progress.begin("scenarios", len(names))
     sections, specs = [], {}
     for number, name in enumerate(names):
         made = []
@@ -82,7 +82,7 @@ def page(
         sections.append(
             Section(f"scenario-{number}", name, f"{s.summary[0].upper()}{s.summary[1:]}.", s.source, tables, made)
         )
-        tell("checked", 1.0)
+        progress.step(1)
     return str(
         _template().render(
             title=f"Study {result.study.name}",

@@ -60,9 +60,9 @@ def claims() -> list[Claim]:
             how = judge(printed, value, min(low, value), max(high, value))
             nearby = f"; {STARTS} starts nearby {low:.3g} to {high:.3g}" if how in ("band", "differs") else ""
             verdict, rough = FALSE if how == "differs" else REPRODUCED, observer == "pio" and how != "differs"
-            place = f"Table 2, {force} {observer.upper()} {what} {x}"
+            claim = f"Table 2, {force} {observer.upper()} {what} {x}"
             steady = STEADY[how] if rough else f"{value:.1g}" if how == "differs" else ""
-            out.append(Claim(place, printed, f"{value:.6g}, {HOW[how]}{nearby}", verdict, steady))
+            out.append(Claim(claim, printed, f"{value:.6g}, {HOW[how]}{nearby}", verdict, steady))
     return out
 
 

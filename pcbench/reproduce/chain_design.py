@@ -18,7 +18,7 @@ from pcbench.synthesis import chain
 CLOSE = 0.06
 
 
-class Printed(NamedTuple):
+class PrintedChain(NamedTuple):
     """One chain as printed, row by row; chain 3 is said to be the same as chain 1."""
 
     d: int
@@ -28,7 +28,7 @@ class Printed(NamedTuple):
 
 
 PRINTED = {
-    1: Printed(
+    1: PrintedChain(
         2,
         "6.2e-3 2.6e-6 5.7e-6 0.652 6.6e-7 1.2e-6 0.732 2.1e-7 6.7e-7",
         {
@@ -40,7 +40,7 @@ PRINTED = {
         },
         {(1, 0): "4.5e-6", (1, 1): "3.5e-5", (2, 2): "1.4e-6"},
     ),
-    2: Printed(
+    2: PrintedChain(
         3,
         "2.9e-2 3.8e-5 8.2e-11 5.3e-3 9.1e-7 1e-9 4.5e-5 8.7e-8 1.2e-9",
         {
@@ -65,7 +65,7 @@ def claims() -> list[Claim]:
     return [*_entries(), *_misprints(), *_undetermined()]
 
 
-def designed(printed: Printed) -> dict[str, Matrix]:
+def designed(printed: PrintedChain) -> dict[str, Matrix]:
     """Return L, H_i, Q_j and V of a chain that follow from its printed T on the plant as printed."""
     A, B, C, *_ = csth.nominal(csth.Numbers(literal=True))
     d, power = printed.d, np.linalg.matrix_power
@@ -93,8 +93,8 @@ def _entries() -> list[Claim]:
             shown = f"{GARBLED[number, name, i]}, read {word}" if (number, name, i) in GARBLED else word
             verdict = REPRODUCED if close(word, value) else MISPRINT
             digits = max(3, len(word.partition("e")[0].replace(".", "").lstrip("0")))
-            place = f"chain {number}: |{name}({i // wide + 1},{i % wide + 1})|"
-            out.append(Claim(place, shown, f"{value:.{digits}g}", verdict))
+            claim = f"chain {number}: |{name}({i // wide + 1},{i % wide + 1})|"
+            out.append(Claim(claim, shown, f"{value:.{digits}g}", verdict))
     return out
 
 

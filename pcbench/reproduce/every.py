@@ -1,29 +1,29 @@
 """All papers at once: one process a paper, as many at a time as there are cores."""
 
 import multiprocessing
-import os
-from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
 from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.reproduce import PAPERS
 from pcbench.reproduce.claim import Claim
+from pcbench.simulation import batch
 
 LONGEST_FIRST = ("arm", "helicopter", "pi-pco", "chain", "cart")  # measured; only how long it takes depends on it
 
 
-def claims(tell: Callable[[str, float], None] = lambda event, value: None) -> dict[str, list[Claim]]:
-    """Return the claims of every paper, in the order of PAPERS; hear "papers" with their number, "reproduced" for each."""
+def claims(progress: Progress = SILENT) -> dict[str, list[Claim]]:
+    """Return the claims of every paper, in the order of PAPERS."""
     names = sorted(PAPERS, key=lambda name: LONGEST_FIRST.index(name) if name in LONGEST_FIRST else -1)
-    tell("papers", float(len(names)))
+    progress.begin("papers", len(names))
     fresh = multiprocessing.get_context("spawn")  # a forked process has jax's threads in an unknown state
     found = {}
-    with ProcessPoolExecutor(min(len(names), cores()), fresh) as pool:
+    with ProcessPoolExecutor(min(len(names), batch.cores()), fresh) as pool:
         waiting = {pool.submit(of, name): name for name in names}
         try:
             for done in as_completed(waiting):
                 found[waiting[done]] = done.result()
-                tell("reproduced", 1.0)
+                progress.step(1)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -34,8 +34,3 @@ def of(paper: str) -> list[Claim]:
     """Return the claims of one paper, in a process that is pcbench's own."""
     process.setup()
     return PAPERS[paper][1]()
-
-
-def cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

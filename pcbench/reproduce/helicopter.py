@@ -14,7 +14,7 @@ from pcbench import api
 from pcbench.machine import process
 from pcbench.plants import helicopter
 from pcbench.reproduce.claim import FINDING, MISPRINT, Claim, digits, found, statement
-from pcbench.reproduce.helicopter_runs import VISCOSITY, Run, misread, record
+from pcbench.reproduce.helicopter_runs import VISCOSITY, Flight, misread, record
 from pcbench.scenarios import SCENARIOS
 from pcbench.synthesis import high_gain
 from pcbench.synthesis.high_gain import limit
@@ -31,7 +31,7 @@ def claims() -> list[Claim]:
         return [*_printed(runs), *_misread(), *_control(runs), *_starts(), *_noise(runs)]
 
 
-def _printed(runs: dict[str, Run]) -> list[Claim]:
+def _printed(runs: dict[str, Flight]) -> list[Claim]:
     """What the paper's two simulations are said to show."""
     out = []
     for name, what in (("constant", "constant delay"), ("varying", "varying delay")):
@@ -76,7 +76,7 @@ def _misread() -> list[Claim]:
     return out
 
 
-def _control(runs: dict[str, Run]) -> list[Claim]:
+def _control(runs: dict[str, Flight]) -> list[Claim]:
     """What the loop is limited by."""
     full = max(runs[name].off.max() for name in ("full", "full, varying"))
     lost, kept = runs["still"].diverged, isnan(runs["still, true"].diverged)
@@ -126,7 +126,7 @@ def _starts() -> list[Claim]:
     return [found(f"random starts, Ts = {te:g} s: runs that diverge", "; ".join(text)) for te, text in texts.items()]
 
 
-def _noise(runs: dict[str, Run]) -> list[Claim]:
+def _noise(runs: dict[str, Flight]) -> list[Claim]:
     """The filter beside the observer, under noise and without."""
     names, stds = ["high-gain-robust", "ekf"], [5e-4, 2e-2]
     done = api.run("helicopter/constant", observers=names, seeds=SEEDS, axes={"noise_std": stds}, options=RANDOM)

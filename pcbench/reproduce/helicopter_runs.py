@@ -46,7 +46,7 @@ MISPRINTS = {  # how the text reads without its minus signs, or as printed: (alp
 }
 
 
-class Run:
+class Flight:
     """One run of 20 s: the truth x [N+1, 6], the estimate z [N+1, 6], the set point [N+1, 2]."""
 
     def __init__(self, out: trace.Recording) -> None:
@@ -75,10 +75,10 @@ class Run:
         return np.where(last >= len(outside), np.inf, last * 1e-3)
 
 
-def record() -> dict[str, Run]:
+def record() -> dict[str, Flight]:
     """Run every case once, all of one shape."""
     drafts = [_draft(*CASES[name]) for name in CASES]
-    return {name: Run(_recorded(p)) for name, p in zip(CASES, padding.fit(drafts), strict=True)}
+    return {name: Flight(_recorded(p)) for name, p in zip(CASES, padding.fit(drafts), strict=True)}
 
 
 def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str, Any]) -> Planned:
@@ -115,7 +115,7 @@ def _note(gains: Any, memory: Any, now: Now) -> Any:
     return jnp.concatenate([high_gain.note(gains, memory, now), memory.al])
 
 
-def misread() -> dict[str, Run]:
+def misread() -> dict[str, Flight]:
     """Run the printed observer as restored, and with one misprint at a time; all in one program."""
     (p,) = padding.fit([_draft(*CASES["constant"])])
     observer = high_gain.OBSERVER._replace(note=_note, jump=_jump)
@@ -124,5 +124,5 @@ def misread() -> dict[str, Run]:
     for what, read in {"": (0.0, 1.0, 1.0, 1.0), **MISPRINTS}.items():
         parts = Partial(_literal, p.problem.params, np.array(read))
         gains = {"high-gain": p.problem.gains["high-gain"]._replace(parts=parts)}
-        out[what] = Run(_recorded(p._replace(layout=layout, problem=p.problem._replace(gains=gains))))
+        out[what] = Flight(_recorded(p._replace(layout=layout, problem=p.problem._replace(gains=gains))))
     return out

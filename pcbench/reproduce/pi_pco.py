@@ -37,7 +37,7 @@ STEADY = SCENARIOS[
 GRID = [(F, k) for F in (-0.6, -0.3, 0.0, 0.3, 0.5) for k in (0.1, 0.4, 0.8, 1.4) if F + k < 0.9]
 
 
-class Compared(NamedTuple):
+class Variances(NamedTuple):
     """Variance of the position error over that of the noise, with and without the integral, on the same draws."""
 
     F: float
@@ -68,7 +68,7 @@ def stable(F: float, k: float) -> bool:
     return k > 0 and F + k < 1 and 2 + 2 * F + k > 0
 
 
-def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario = STEADY) -> Iterator[Compared]:
+def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario = STEADY) -> Iterator[Variances]:
     """Simulate PCO and PI-PCO with the gains of each (F, k) on the same draws; one program serves the whole grid."""
     drafts = []
     for number, (F, k) in enumerate(grid):
@@ -83,7 +83,7 @@ def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario 
         )
         rows = (pco, pi, pi - pco)
         means, errors = ([float(f(row)) for row in rows] for f in (np.mean, standard_error))
-        yield Compared(F, k, means[0], means[1], means[2], (errors[0], errors[1], errors[2]))
+        yield Variances(F, k, means[0], means[1], means[2], (errors[0], errors[1], errors[2]))
 
 
 def standard_error(x: NDArray[np.float64]) -> np.float64:

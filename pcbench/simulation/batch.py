@@ -48,7 +48,7 @@ class Program(NamedTuple):
     memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
 
 
-def places(count: int | None = None) -> list[Any]:
+def devices(count: int | None = None) -> list[Any]:
     """Return the device that each of the calls at a time runs on: one a core, or one an accelerator; `count` of them."""
     found = jax.devices()
     if found[0].platform == "cpu":
@@ -81,8 +81,8 @@ _COMPILING = Lock()
 
 @lru_cache(maxsize=64)
 def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -> Program:
-    place = jax.sharding.SingleDeviceSharding(device)
-    given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=place) for s, d in shapes])
+    sharding = jax.sharding.SingleDeviceSharding(device)
+    given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     start = perf_counter()
     lowered = jax.jit(lambda *a: loop.simulate(layout, *a)).lower(*given)
     call = lowered.compile(ONE_THREAD if device.platform == "cpu" else None)
@@ -125,7 +125,7 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
 
 def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, Outcome]]:
     """Simulate jobs of one shape, `count` at a time (default: all cores or accelerators); yield them in order."""
-    at_once = places(count)
+    at_once = devices(count)
     with ThreadPoolExecutor(len(at_once)) as pool:
         programs = [program(layout, jobs[0], device) for device in at_once]
         waiting = []

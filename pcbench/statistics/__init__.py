@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from pcbench.errors import unknown
 from pcbench.statistics.comparison import SAME, contest, holm
-from pcbench.statistics.description import Row, Seen, columns, described, see, spread
+from pcbench.statistics.description import Aggregate, Row, columns, described, see, spread
 from pcbench.statistics.estimates import Z95, positive, reached, root, student, wilson
 from pcbench.statistics.moments import Values, moments
-from pcbench.statistics.order_statistics import COLUMNS, QUANTILES, places, ranks, read
-from pcbench.statistics.pairing import ZERO, Met, Pair, meet, verdict, verdicts
+from pcbench.statistics.order_statistics import COLUMNS, QUANTILES, positions, ranks, read
+from pcbench.statistics.pairing import ZERO, Meeting, Pair, meet, verdict, verdicts
 from pcbench.statistics.stack import CHUNK, COMPARED, POOLED, RUN_METRICS, Chunks, Results, stack
 
 __all__ = [
@@ -45,7 +45,7 @@ def quantiles(values: Values) -> Row:
     """Return the quantiles over runs of values [n] with their 95 % intervals; NaN where there are none."""
     if not len(values):
         return dict.fromkeys(COLUMNS, np.nan)
-    where = places(len(values))
+    where = positions(len(values))
     found = read(where, np.sort(values)[None, ranks(where, len(values))])
     return dict(zip(COLUMNS, found[0].tolist(), strict=True))
 
@@ -80,7 +80,7 @@ def describe(chunks: Chunks, bounds: dict[str, Values | None]) -> dict[str, list
     Of tracking_* only the first signals have a row: those with a set point. `bounds` [signals] are what the efficiency is
     against, NaN where there is none. A second pass over the chunks only where an observer has more runs than are held.
     """
-    seen: dict[str, Seen] = {}
+    seen: dict[str, Aggregate] = {}
     for chunk in chunks():
         seen = {label: see(seen.get(label), stack(results)) for label, results in chunk.items()}
     return _described(seen, bounds, chunks)
@@ -91,7 +91,7 @@ def pairs(chunks: Chunks, signals: list[str], sizes: tuple[float, ...]) -> list[
 
     Only of signals that both estimate; `sizes` are the signals' typical sizes. One pass over the chunks.
     """
-    met: dict[Pair, Met] = {}
+    met: dict[Pair, Meeting] = {}
     for chunk in chunks():
         met = meet(met, {label: stack(results) for label, results in chunk.items()}, sizes)
     return verdicts(met, signals)
@@ -101,8 +101,8 @@ def summarise(
     chunks: Chunks, bounds: dict[str, Values | None], signals: list[str], sizes: tuple[float, ...]
 ) -> tuple[dict[str, list[Row]], list[Row]]:
     """Return what `describe` and `pairs` do, from the same passes."""
-    seen: dict[str, Seen] = {}
-    met: dict[Pair, Met] = {}
+    seen: dict[str, Aggregate] = {}
+    met: dict[Pair, Meeting] = {}
     for chunk in chunks():
         stacks = {label: stack(results) for label, results in chunk.items()}
         seen = {label: see(seen.get(label), s) for label, s in stacks.items()}
@@ -117,6 +117,6 @@ def compared(metric: str, where: str) -> str:
     return metric
 
 
-def _described(seen: dict[str, Seen], bounds: dict[str, Values | None], chunks: Chunks) -> dict[str, list[Row]]:
+def _described(seen: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks) -> dict[str, list[Row]]:
     spreads = spread(seen, chunks)
     return {label: described(s, spreads[label], bounds[label]) for label, s in seen.items()}

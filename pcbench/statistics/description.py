@@ -9,32 +9,32 @@ from numpy.typing import NDArray
 from pcbench.statistics import selection
 from pcbench.statistics.estimates import Estimate, positive, reached, root, student, wilson
 from pcbench.statistics.moments import Moments, Values, merge, moments
-from pcbench.statistics.order_statistics import COLUMNS, places, ranks, read
-from pcbench.statistics.stack import POOLED, RUN_METRICS, SIGNED, Chunks, Named, Stack, kept, stack
+from pcbench.statistics.order_statistics import COLUMNS, positions, ranks, read
+from pcbench.statistics.stack import POOLED, RUN_METRICS, SIGNED, Chunks, SignalMetric, Stack, kept, stack
 
 Row = dict[str, Any]
 DESCRIBED = (*RUN_METRICS, *POOLED, "divergence", "unsettled", "efficiency")
 BLANK = dict.fromkeys(COLUMNS, float("nan"))
 
 
-class Seen(NamedTuple):
+class Aggregate(NamedTuple):
     """What is kept of one observer's runs; of those that diverged only how many there are."""
 
-    rows: dict[Named, int]
+    rows: dict[SignalMetric, int]
     moments: Moments  # [K]
     order: selection.Order  # [K]
     diverged: int
     unsettled: NDArray[np.int64]  # [signals]
 
 
-def see(before: Seen | None, s: Stack) -> Seen:
+def see(before: Aggregate | None, s: Stack) -> Aggregate:
     """Return what is kept after one more chunk of an observer's runs."""
     good = ~s.diverged
     values = kept(s.values, good)
     diverged, unsettled, found = int(s.diverged.sum()), kept(s.unsettled, good).sum(-1), moments(values)
     if before is None:
-        return Seen(s.rows, found, selection.add(selection.EMPTY, values), diverged, unsettled)
-    return Seen(
+        return Aggregate(s.rows, found, selection.add(selection.EMPTY, values), diverged, unsettled)
+    return Aggregate(
         s.rows,
         merge(before.moments, found),
         selection.add(before.order, values),
@@ -43,9 +43,9 @@ def see(before: Seen | None, s: Stack) -> Seen:
     )
 
 
-def spread(seen: Mapping[str, Seen], chunks: Chunks) -> dict[str, Values]:
+def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
     """Return the quantiles and their intervals [K, COLUMNS] by observer; one more pass where not all values are held."""
-    at = {n: places(n) for n in {s.moments.n for s in seen.values()} if n}
+    at = {n: positions(n) for n in {s.moments.n for s in seen.values()} if n}
     where = {label: at[s.moments.n] for label, s in seen.items() if s.moments.n}
     asked = {label: ranks(each, seen[label].moments.n) for label, each in where.items()}
     sought = {label: selection.seek(seen[label].order, asked[label]) for label in where}
@@ -64,7 +64,7 @@ def spread(seen: Mapping[str, Seen], chunks: Chunks) -> dict[str, Values]:
     return out
 
 
-def described(s: Seen, quantiles: Values, bound: Values | None) -> list[Row]:
+def described(s: Aggregate, quantiles: Values, bound: Values | None) -> list[Row]:
     """Return the rows of one observer: by signal every metric, pooled rms, divergence, unsettled and efficiency.
 
     quantiles are [K, COLUMNS]; bound [signals], NaN where there is none.

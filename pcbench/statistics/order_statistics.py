@@ -35,29 +35,29 @@ QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 COLUMNS = tuple(name + end for name in QUANTILES for end in ("", "_low", "_high"))
 
 
-class Places(NamedTuple):
+class Positions(NamedTuple):
     """Where between the sorted values each of COLUMNS [W] lies: after x[rank], by `part` of the way to the next."""
 
     rank: NDArray[np.int64]  # from 0
     part: Values  # NaN: open
 
 
-def places(n: int) -> Places:
-    """Return the places of the quantiles and of the ends of their intervals among n > 0 sorted values."""
+def positions(n: int) -> Positions:
+    """Return the positions of the quantiles and of the ends of their intervals among n > 0 sorted values."""
     q = np.array(list(QUANTILES.values()))
     at = (n - 1) * q
     low, high = _end(n, q, 0.975), _end(n, q, 0.025)
     rank, part = np.stack([np.floor(at), low[0], high[0]], 1), np.stack([at - np.floor(at), low[1], high[1]], 1)
-    return Places(rank.ravel().astype(np.int64), part.ravel())
+    return Positions(rank.ravel().astype(np.int64), part.ravel())
 
 
-def ranks(where: Places, n: int) -> NDArray[np.int64]:
-    """Return the ranks [2 W] that `read` needs: those of the places and the next ones."""
+def ranks(where: Positions, n: int) -> NDArray[np.int64]:
+    """Return the ranks [2 W] that `read` needs: those of the positions and the next ones."""
     return np.concatenate([where.rank, np.minimum(where.rank + 1, n - 1)])
 
 
-def read(where: Places, found: Values) -> Values:
-    """Return the values [K, W] at the places from those at `ranks` [K, 2 W]; the bits are those of np.quantile."""
+def read(where: Positions, found: Values) -> Values:
+    """Return the values [K, W] at the positions from those at `ranks` [K, 2 W]; the bits are those of np.quantile."""
     a, b = np.split(found, 2, axis=-1)
     up = b - a
     return np.where(where.part < 0.5, a + up * where.part, b - up * (1 - where.part))

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.statistics.comparison import Contest, beside, contest, join, judged
-from pcbench.statistics.stack import COMPARED, POOLED, Named, Stack
+from pcbench.statistics.stack import COMPARED, POOLED, SignalMetric, Stack
 
 ZERO = 1e-11  # errors below this part of the prior are zero up to rounding
 BLOCK = 4 * 4096  # values at a time: what is computed on the way stays in the cache; measured 2 times faster
@@ -15,14 +15,14 @@ Row = dict[str, Any]
 Pair = tuple[str, str]  # labels of two observers
 
 
-class Met(NamedTuple):
+class Meeting(NamedTuple):
     """What is kept of two observers: their contest over the metrics [K] of the signals that both estimate."""
 
-    names: list[Named]
+    names: list[SignalMetric]
     contest: Contest
 
 
-def meet(before: dict[Pair, Met], stacks: dict[str, Stack], sizes: tuple[float, ...]) -> dict[Pair, Met]:
+def meet(before: dict[Pair, Meeting], stacks: dict[str, Stack], sizes: tuple[float, ...]) -> dict[Pair, Meeting]:
     """Return what is kept after one more chunk of a cell's runs; `sizes` are the signals' typical sizes."""
     out = {}
     for pair in itertools.combinations(stacks, 2):
@@ -35,11 +35,11 @@ def meet(before: dict[Pair, Met], stacks: dict[str, Stack], sizes: tuple[float, 
         found = beside(
             [contest(a.values[in_a[k]], b.values[in_b[k]], a.diverged, b.diverged, floor[k]) for k in blocks]
         )
-        out[pair] = Met(names, join(before[pair].contest, found) if pair in before else found)
+        out[pair] = Meeting(names, join(before[pair].contest, found) if pair in before else found)
     return out
 
 
-def verdicts(met: dict[Pair, Met], signals: list[str]) -> list[Row]:
+def verdicts(met: dict[Pair, Meeting], signals: list[str]) -> list[Row]:
     """Return a row for every pair of observers, signal and metric."""
     rows = []
     for (a, b), (names, kept) in met.items():

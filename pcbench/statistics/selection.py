@@ -39,12 +39,12 @@ class Order(NamedTuple):
 EMPTY = Order(0, (), None, np.zeros((0, 0), np.int64), np.zeros((0, 0), np.int64))
 
 
-class Sought(NamedTuple):
+class Search(NamedTuple):
     """Where the ranks asked for are, by row."""
 
     splitters: Values  # [K, S]
     gaps: list[NDArray[np.int64]]  # gap j lies between splitters j - 1 and j
-    place: NDArray[np.int64]  # [K, R] rank among all values in the row's gaps; -1: at a splitter
+    rank: NDArray[np.int64]  # [K, R] rank among all values in the row's gaps; -1: at a splitter
     value: Values  # [K, R] the splitter
 
 
@@ -69,11 +69,11 @@ def settled(order: Order) -> bool:
     return order.splitters is None
 
 
-def seek(order: Order, ranks: NDArray[np.int64]) -> Sought:
+def seek(order: Order, ranks: NDArray[np.int64]) -> Search:
     """Return where the values of ranks [R], 0 .. n - 1, have to be looked for."""
     if order.splitters is None:
-        return Sought(np.zeros((0, 0)), [], np.zeros((0, 0), np.int64), np.zeros((0, 0)))
-    gaps, places, values = [], [], []
+        return Search(np.zeros((0, 0)), [], np.zeros((0, 0), np.int64), np.zeros((0, 0)))
+    gaps, positions, values = [], [], []
     for splitters, below, upto in zip(order.splitters, order.below, order.upto, strict=True):
         j = np.searchsorted(upto, ranks, side="right")  # the first splitter with more than `rank` values up to it
         at = np.minimum(j, len(splitters) - 1)
@@ -83,12 +83,12 @@ def seek(order: Order, ranks: NDArray[np.int64]) -> Sought:
         sizes = np.append(below, order.n)[mine] - np.where(mine > 0, upto[mine - 1], 0)
         before = np.concatenate([[0], np.cumsum(sizes)])[np.searchsorted(mine, j)]  # values in gaps further down
         gaps.append(mine)
-        places.append(np.where(between, ranks - first + before, -1))
+        positions.append(np.where(between, ranks - first + before, -1))
         values.append(splitters[at])
-    return Sought(order.splitters, gaps, np.stack(places), np.stack(values))
+    return Search(order.splitters, gaps, np.stack(positions), np.stack(values))
 
 
-def collect(sought: Sought, values: Values) -> list[Values]:
+def collect(sought: Search, values: Values) -> list[Values]:
     """Return from each row of values [K, m] those in the gaps: the second pass."""
     found = []
     for splitters, gaps, row in zip(sought.splitters, sought.gaps, np.sort(values, axis=-1), strict=True):
@@ -99,16 +99,16 @@ def collect(sought: Sought, values: Values) -> list[Values]:
     return found
 
 
-def select(order: Order, sought: Sought, ranks: NDArray[np.int64], parts: list[list[Values]]) -> Values:
+def select(order: Order, sought: Search, ranks: NDArray[np.int64], parts: list[list[Values]]) -> Values:
     """Return the values [K, R] of the ranks, from what `collect` found in every part."""
     if order.splitters is None:
         whole = order.held[0] if len(order.held) == 1 else np.sort(np.concatenate(order.held, axis=-1), axis=-1)
         return whole[:, ranks]
     out = sought.value.copy()
-    for k, place in enumerate(sought.place):
-        inside = place >= 0
+    for k, rank in enumerate(sought.rank):
+        inside = rank >= 0
         if inside.any():
-            out[k, inside] = np.sort(np.concatenate([part[k] for part in parts]))[place[inside]]
+            out[k, inside] = np.sort(np.concatenate([part[k] for part in parts]))[rank[inside]]
     return out
 
 

@@ -23,13 +23,13 @@ Results = dict[str, NDArray[Any]]  # of one observer: metric -> [signals, n], `d
 Chunks = Callable[
     [], Iterable[dict[str, Results]]
 ]  # a pass over a cell's runs: by observer, the same seeds for all, in order
-Named = tuple[str, int]  # a metric of a signal (by its number)
+SignalMetric = tuple[str, int]  # a metric of a signal (by its number)
 
 
 class Stack(NamedTuple):
     """One observer's metrics over n runs. Of tracking_* only the first signals have a row: those with a set point."""
 
-    rows: dict[Named, int]
+    rows: dict[SignalMetric, int]
     values: Values  # [K, n]
     diverged: NDArray[np.bool_]  # [n]
     unsettled: NDArray[np.bool_]  # [signals, n]

@@ -13,16 +13,17 @@ from hypothesis import strategies as st
 import pcbench
 from pcbench.dataset import block_files, parquet, store
 from pcbench.dataset.block_files import Block
+from pcbench.dataset.seeds import Seeds, counted, gaps
 from pcbench.errors import UserError
 
 
 def block(first, last, observer="o"):
-    return Block("s/t", observer, 3, first, last)
+    return Block("s/t", observer, 3, Seeds(first, last))
 
 
 @given(st.text(min_size=1), st.text(min_size=1), st.integers(0, 10**6), st.integers(0, 10**9), st.integers(1, 10**6))
 def test_a_name_says_its_block(scenario, observer, cell, first, many):
-    made = Block(scenario, observer, cell, first, first + many)
+    made = Block(scenario, observer, cell, counted(first, many))
     assert block_files.block_of(made.name) == made
     assert made.name.count("/") == 3
 
@@ -36,17 +37,17 @@ def test_gaps_and_blocks_hold_every_seed_once(ranges, first, many, size):
     """Whatever stands, what is settled and the gaps between hold each wanted seed exactly once, in pieces of the grid."""
     kept, doubled = block_files.settle(block(a, a + n) for a, n in ranges)
     assert sorted(kept + doubled) == sorted(block(a, a + n) for a, n in ranges)
-    gaps = block_files.gaps(kept, first, first + many, size)
+    missing = gaps([k.seeds for k in kept], counted(first, many), size)
     count = np.zeros(600, int)
-    for a, b in [*((k.first, k.last) for k in kept), *gaps]:
+    for a, b in [*(k.seeds for k in kept), *missing]:
         count[a:b] += 1
     assert count.max(initial=0) <= 1
     assert (count[first : first + many] == 1).all()
-    for a, b in gaps:
+    for a, b in missing:
         assert first <= a < b <= first + many
         assert a // size == (b - 1) // size, "no piece crosses the grid"
-    ends = sorted(kept, key=lambda b: b.first)
-    assert all(x.last <= y.first for x, y in itertools.pairwise(ends))
+    ends = sorted(kept, key=lambda b: b.seeds.first)
+    assert all(x.seeds.stop <= y.seeds.first for x, y in itertools.pairwise(ends))
 
 
 @given(RANGES)

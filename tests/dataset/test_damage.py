@@ -51,10 +51,10 @@ def test_a_flipped_bit_anywhere_in_a_closing_file_is_seen(copy, name):
         assert verify.status(copy).damaged == [name], at
         with pytest.raises(UserError):
             pcbench.opened(copy)
-    (wrong,) = verify.verify(copy, 0, 0, lambda *a: None).wrong
+    (wrong,) = verify.verify(copy, 0, 0).wrong
     assert name in wrong
     pcbench.run(STUDY, out=copy)
-    assert verify.verify(copy, 0, 0, lambda *a: None).wrong == []
+    assert verify.verify(copy, 0, 0).wrong == []
 
 
 def _alike(spoilt, content):
@@ -73,7 +73,7 @@ def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     values[3] += 1.0
     changed = table.set_column(table.schema.get_field_index("value"), "value", [values])
     store.put_table(store.target(copy), f"examples/{path.name}", changed)  # the pages' checksums are right
-    (wrong,) = verify.verify(copy, 0, 0, lambda *a: None).wrong
+    (wrong,) = verify.verify(copy, 0, 0).wrong
     assert wrong.startswith("examples/")
     assert one_run.of(study, "cart/slow", copy).equals(made)
     assert path.read_bytes() == content
@@ -128,7 +128,7 @@ def test_a_lost_study_text_is_written_anew_by_the_study_itself(whole, copy, dama
     with pytest.raises(UserError, match=r"study.toml"):
         verify.status(copy)
     done = pcbench.run(STUDY, out=copy)
-    assert done.effort.runs == 0
+    assert done.cost.runs == 0
     assert path.read_text() == text
     assert tables(copy) == before
 
@@ -141,7 +141,7 @@ def test_a_lost_study_text_keeps_the_numbers_of_its_cells(tmp_path):
     pcbench.run(grown, out=out, seeds=4)
     text, before = (out / "study.toml").read_text(), tables(out)
     (out / "study.toml").unlink()
-    assert pcbench.run(grown, out=out, seeds=4).effort.runs == 0
+    assert pcbench.run(grown, out=out, seeds=4).cost.runs == 0
     assert (out / "study.toml").read_text() == text
     assert tables(out) == before
 
@@ -149,7 +149,7 @@ def test_a_lost_study_text_keeps_the_numbers_of_its_cells(tmp_path):
 def test_verify_says_where_the_study_is_not_the_one_that_was_run(copy):
     path = copy / "study.toml"
     path.write_text(path.read_text().replace("seeds = 40", "seeds = 41"))
-    assert any("is not of the study that was run" in w for w in verify.verify(copy, 0, 0, lambda *a: None).wrong)
+    assert any("is not of the study that was run" in w for w in verify.verify(copy, 0, 0).wrong)
 
 
 def test_a_pipe_is_no_study(tmp_path):

@@ -65,7 +65,7 @@ def test_a_study_in_a_bucket_is_that_in_a_folder(s3, tmp_path):
     pd.testing.assert_frame_equal(here.runs, there.runs)
     pd.testing.assert_frame_equal(here.stats, there.stats)
     assert verify.status(s3("far")).closed
-    assert not verify.verify(s3("far"), None, 0, lambda *a: None).differing
+    assert not verify.verify(s3("far"), None, 0).differing
     assert merge.merge([s3("far"), tmp_path / "out"], s3("both")).doubled == 6
 
 

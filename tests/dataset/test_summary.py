@@ -7,17 +7,18 @@ import pytest
 from small_study import rows
 
 from pcbench import statistics
-from pcbench.dataset import block_files, ownership, store, summary
+from pcbench.dataset import block_files, cell_rows, ownership, store
+from pcbench.dataset.seeds import Seeds
 
 
-def parts(out, cell=0, last=None):
+def parts(out, cell=0, within=None):
     """The chunks of one cell, each observer's mean absolute errors of position with it."""
     place = store.target(out)
     claimed, blocks = ownership.opened(place), {}
     for b in block_files.present(place):
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    found = summary.observed(place, claimed, claimed.cells[cell], blocks)
-    return list(summary.chunks(place, found, last))
+    found = cell_rows.observed(place, claimed, claimed.cells[cell], blocks)
+    return list(cell_rows.chunks(place, found, within))
 
 
 @pytest.mark.parametrize("size", [12, 16, 40, 7, 1000])
@@ -27,7 +28,7 @@ def test_chunks_end_where_the_seed_is_a_multiple_of_their_size(whole, size, last
     monkeypatch.setattr(statistics, "CHUNK", size)
     end, table = last or 40, rows(whole)
     edges = [*range(0, end, size), end]
-    found = parts(whole, 1, last and (0, last))
+    found = parts(whole, 1, last and Seeds(0, last))
     assert [len(chunk["kfbo"]["diverged"]) for chunk in found] == np.diff(edges).tolist()
     for (a, b), chunk in zip(pairwise(edges), found, strict=True):
         for observer in ("pccebo", "kfbo"):

@@ -25,7 +25,7 @@ def test_status_says_how_far_a_study_is(copy):
 
 
 def test_verify_finds_a_number_that_was_changed_and_nothing_else(copy):
-    found = verify.verify(copy, None, 0, lambda *a: None)
+    found = verify.verify(copy, None, 0)
     assert (found.files, len(found.recomputed), found.wrong, found.differing) == (12, 12, [], [])
     place = store.target(copy)
     b = block_files.present(place)[5]
@@ -35,7 +35,7 @@ def test_verify_finds_a_number_that_was_changed_and_nothing_else(copy):
     values[7] = np.nextafter(values[7], 1e9)
     changed = table.set_column(i, table.schema.field(i), [values])
     store.put_table(place, b.name, block_files.sealed(changed, block_files.about(table)))
-    found = verify.verify(copy, None, 0, lambda *a: None)
+    found = verify.verify(copy, None, 0)
     assert len(found.differing) == 1
     assert b.name in found.differing[0]
     assert "rounding" in found.differing[0]

@@ -5,14 +5,14 @@ import pytest
 
 import pcbench
 from pcbench import planning
-from pcbench.gains import ways
-from pcbench.gains.objective import goal
+from pcbench.gains import evaluation
+from pcbench.gains.objective import objective_of
 from pcbench.machine import process
 from pcbench.observers import entry_of
 from pcbench.study import options_of, read
 
 pytestmark = pytest.mark.slow
-HALF = {"training": (3_000_000_000, 256), "judges": (3_500_000_000, 256)}
+HALF = {"training": (3_000_000_000, 3_000_000_256), "judges": (3_500_000_000, 3_500_000_256)}
 
 
 def brute_force(grid):
@@ -25,8 +25,10 @@ def brute_force(grid):
             return entry_of("pccebo").design(known, options.model_copy(update={"L": [[float(x)] for x in L]})).gains
 
         (p,) = planning.plan(study)
-        seeds = np.arange(HALF["training"][0], sum(HALF["training"]))
-        value = ways.evaluated("search", p, goal("tail_rmse", cell.scenario, None, "test"), 0, seeds, gains)
+        seeds = np.arange(*HALF["training"])
+        value = evaluation.evaluator(
+            "search", p, objective_of("tail_rmse", cell.scenario, None, "test"), 0, seeds, gains
+        )
         return min((value(np.array(L))[0], L) for L in grid)
 
 

@@ -11,14 +11,15 @@ from hypothesis import strategies as st
 from interruptions import stop_tuning_at
 
 import pcbench
+from pcbench.dataset.seeds import counted
 from pcbench.errors import UserError
 from pcbench.gains import gradient, minimise, parameters, tune
 from pcbench.gains.held_out import against
-from pcbench.gains.history import Judged
-from pcbench.gains.objective import Goal
+from pcbench.gains.history import Judgement
+from pcbench.gains.objective import Objective
 from pcbench.observers import OBSERVERS, entry_of
 
-SMALL = {"budget": 6, "training": (0, 16), "judges": (100, 40), "objective": "tail_rmse"}
+SMALL = {"budget": 6, "training": (0, 16), "judges": (100, 140), "objective": "tail_rmse"}
 START = {"pccebo": {"L": [[0.9], [0.0]]}, "pco": {"Kp": -3.0}, "pi-pco": {"Kp": -3.0, "Ki": 0.5}}
 
 
@@ -44,7 +45,7 @@ def test_every_vector_of_numbers_is_an_option(observer, data):
 
 @pytest.mark.parametrize("metric", ["rmse", "pooled_rmse", "tail_pooled_rmse"])
 def test_a_goals_slope_is_its_derivative_and_a_lost_run_has_no_number(metric):
-    goal, runs, lost = Goal(metric, 0, "x", "m"), np.array([4.0, 9.0, 1.0]), np.zeros(3, bool)
+    goal, runs, lost = Objective(metric, 0, "x", "m"), np.array([4.0, 9.0, 1.0]), np.zeros(3, bool)
     assert goal.slope(2.0) == pytest.approx((goal.of(2.0 + 1e-6) - goal.of(2.0 - 1e-6)) / 2e-6, rel=1e-8)
     assert goal.over(runs, lost) == goal.of(14 / 3)
     assert goal.over(runs, np.array([False, True, False])) == np.inf
@@ -61,7 +62,7 @@ def test_a_slope_beside_what_is_refused_is_taken_from_the_middle():
         np.testing.assert_allclose(gradient.chain(slopes, design, at), [3.0, 11.0], rtol=1e-9)
 
 
-JUDGED = Judged("judging", 100, 64, 2.0, 0.1, 1.0, 0.1, -1.0, 0.1, (0, 0))
+JUDGED = Judgement("judging", counted(100, 64), 2.0, 0.1, 1.0, 0.1, -1.0, 0.1, (0, 0))
 
 
 @pytest.mark.parametrize(
@@ -171,7 +172,7 @@ def test_a_start_that_cannot_be_bettered_is_kept_and_said(monkeypatch, tmp_path)
 
 @pytest.mark.slow
 def test_an_observer_without_slopes_is_searched():
-    given = SMALL | {"training": (0, 4), "judges": (10, 4), "budget": 5}
+    given = SMALL | {"training": (0, 4), "judges": (10, 14), "budget": 5}
     found = pcbench.tune("cart/slow", "pccebo", **given | {"objective": "settling_time"})
     assert found.method == "search"
     assert len(found.points) == 5

@@ -136,7 +136,7 @@ def test_a_fair_study_goes_on_where_it_was_stopped_and_is_a_dataset_like_any_oth
     counted = count[0]
     once_more = pcbench.run(FAIR, out=tmp_path / "out")
     assert count[0] == counted, "a finished tuning is read, not done again"
-    assert once_more.effort.runs == 0
+    assert once_more.cost.runs == 0
     pd.testing.assert_frame_equal(once_more.fair, whole.fair)
     done = call("verify", str(tmp_path / "out"), "--all")
     assert done.returncode == 0, done.stdout

@@ -10,7 +10,7 @@ from harness import ODD, Case, problem, recorder
 
 from pcbench import planning
 from pcbench.gains import gradient, parameters
-from pcbench.gains.objective import goal
+from pcbench.gains.objective import objective_of
 from pcbench.machine import process
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.planning import padding
@@ -102,7 +102,7 @@ def test_gradients_are_those_of_finite_differences(observer):
     study = read.study_of(scenario, {"observers": [observer], "options": {observer: given}}, [])
     known, options = planning.setting(p.cell), options_of(study, p.cell.scenario, observer)
     every, at = parameters.start(observer, options, {}, list(set(given) & set(parameters.tunable(observer))), "test")
-    aim = goal(metric, p.cell.scenario, None, "test")
+    aim = objective_of(metric, p.cell.scenario, None, "test")
 
     def design(at):
         return entry_of(observer).design(known, parameters.put(options, every, at)).gains

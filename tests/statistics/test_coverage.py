@@ -79,7 +79,7 @@ def test_it_fails_for_few_runs_of_heavy_tails_and_students_own_more(name, n, cov
 @pytest.mark.parametrize("n", [24, 64, 256, 1024])
 def test_quantiles_are_covered_and_miss_on_either_side_in_2_5_percent(name, n):
     """An open side misses never, and the other in 2.5 % still. 0.5 % is three standard errors and what step 3 leaves."""
-    at, truth, below, above = order_statistics.places(n), DRAW[name][1].ppf(LEVELS), [], []
+    at, truth, below, above = order_statistics.positions(n), DRAW[name][1].ppf(LEVELS), [], []
     for x in experiments(name, n):
         x.sort()
         ends = order_statistics.read(at, x[:, order_statistics.ranks(at, n)])
@@ -96,7 +96,7 @@ def test_quantiles_are_covered_and_miss_on_either_side_in_2_5_percent(name, n):
 def test_quantiles_are_covered_where_runs_tie():
     """A settling time at the horizon for the slowest third, whole ticks for the others: covered at least as often."""
     n, rng, found = 256, np.random.default_rng(8), []
-    at, truth = order_statistics.places(n), np.minimum(np.ceil(10 * stats.gamma(4.0).ppf(LEVELS)), 50.0)
+    at, truth = order_statistics.positions(n), np.minimum(np.ceil(10 * stats.gamma(4.0).ppf(LEVELS)), 50.0)
     for _ in range(5):
         x = np.sort(np.minimum(np.ceil(10 * rng.standard_gamma(4.0, (BLOCK, n))), 50.0))
         q = order_statistics.read(at, x[:, order_statistics.ranks(at, n)])

@@ -16,7 +16,7 @@ from reference import statistics as reference
 from scipy import stats
 
 from pcbench import statistics
-from pcbench.dataset import columns, summary_parts
+from pcbench.dataset import columns, summary
 from pcbench.statistics import order_statistics, selection, winning
 
 RNG = np.random.default_rng(5)
@@ -53,7 +53,7 @@ def test_an_interval_is_open_below_as_many_runs_as_the_docstring_says(column, fi
 
 def test_the_interval_of_a_quantile_lies_around_it():
     for n in [*range(1, 300), 1000, 4097, 10**5, 10**7]:
-        at = order_statistics.places(n)
+        at = order_statistics.positions(n)
         middle, low, high = (at.rank + at.part)[0::3], (at.rank + at.part)[1::3], (at.rank + at.part)[2::3]
         assert not ((low > middle) | (middle > high)).any()  # NaN where open
         assert ((at.rank >= 0) & (at.rank < max(n - 1, 1))).all()
@@ -176,17 +176,17 @@ def test_holm_leaves_missing_tests_out():
 @pytest.mark.parametrize("at_once", [1, 5, 100])
 def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells(at_once, monkeypatch):
     """However many rows of the table are written at a time."""
-    monkeypatch.setattr(summary_parts, "ROWS", at_once)
+    monkeypatch.setattr(summary, "ROWS", at_once)
     names = [(s, g, m) for s in "ab" for g in "xy" for m in ("mae", "rmse")]
     rows = [
         {"scenario": s, "signal": g, "metric": m, "cell": cell, "p_value": 0.001 * (1 + i + 8 * cell)}
         for cell in range(2)
         for i, (s, g, m) in enumerate(names)
     ]
-    table = summary_parts.Gathered({})
+    table = summary.GrowingTable({})
     for row in rows:
         table.add(columns.rows_table([row | {"p_holm": np.nan}], [*row, "p_holm"]))
-    done = pq.read_table(pa.BufferReader(summary_parts.adjusted(table.content(), {})))
+    done = pq.read_table(pa.BufferReader(summary.adjusted(table.content(), {})))
     for i, row in enumerate(done.to_pylist()):
         small, large = 0.001 * (1 + i % 8), 0.001 * (9 + i % 8)
         assert row["p_holm"] == pytest.approx(2 * small if row["cell"] == 0 else max(2 * small, large))
@@ -313,7 +313,7 @@ def test_quantiles_of_many_runs_keep_few_of_them_and_equal_numpy():
     order = selection.EMPTY
     for part in np.split(x, 50, axis=1):
         order = selection.add(order, part)
-    at = order_statistics.places(order.n)
+    at = order_statistics.positions(order.n)
     ranks = order_statistics.ranks(at, order.n)
     sought = selection.seek(order, ranks)
     found = [selection.collect(sought, part) for part in np.split(x, 50, axis=1)]

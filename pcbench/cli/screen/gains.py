@@ -54,11 +54,11 @@ def arrow(table: pd.DataFrame) -> pa.Table:
 
 def tuned(found: Any, observer: str, folder: str | None, console: Console) -> None:
     """Print what a tuning found: start against tuned on training and judging seeds, and the options."""
-    aim = found.goal
+    aim = found.objective
     what = "mean square" if aim.metric != aim.base else aim.metric
     judged = found.judged
     columns = [
-        Column("seeds", [f"{j.first}:{j.first + j.seeds}" for j in judged], left=True),
+        Column("seeds", [str(j.seeds) for j in judged], left=True),
         Column("", [j.what for j in judged], left=True),
         Column("start", [_mean(j.start, j.start_se) for j in judged]),
         Column("tuned", [_mean(j.tuned, j.tuned_se) for j in judged]),

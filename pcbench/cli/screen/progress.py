@@ -1,78 +1,57 @@
-"""Bars for long work, on standard error, where that is a terminal."""
+"""A bar for long work, on standard error, where that is a terminal."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
-from typing import Any
+from contextlib import contextmanager
 
+from rich import progress as rich
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
+from pcbench.machine.progress import SILENT, Progress
 
-class Rate(ProgressColumn):
+
+class Rate(rich.ProgressColumn):
     """Runs a second."""
 
-    def render(self, task: Any) -> Text:
-        """Show the task's speed in runs a second."""
-        return Text(f"{task.speed:,.0f} runs/s" if task.speed else "", style="progress.data.speed")
+    def render(self, task: rich.Task) -> Text:
+        """Show how many runs a second there are; nothing where something else is counted."""
+        shown = task.speed and task.fields.get("what") == "runs"
+        return Text(f"{task.speed:,.0f} runs/s" if shown else "", style="progress.data.speed")
 
 
 @contextmanager
-def shown(quiet: bool, *beside: ProgressColumn) -> Iterator[Progress]:
-    """Yield a bar, with columns `beside` it, that is drawn where standard error is a terminal and nobody wants it quiet."""
-    columns = [TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), *beside, TimeRemainingColumn()]
+def bar(quiet: bool, first: str = "") -> Iterator[Progress]:
+    """Yield what draws progress where standard error is a terminal and nobody wants it quiet: a line for each work begun.
+
+    Work of unknown length, such as the `first`, leaves its line to the next; more of the same work lengthens its line.
+    """
     console = Console(stderr=True)
-    bar = Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal)
-    with nullcontext() if bar.disable else bar:  # one that begins and ends writes a line, even if it is disabled
-        yield bar
+    if quiet or not console.is_terminal:
+        yield SILENT
+        return
+    columns = [rich.TextColumn("{task.description}"), rich.BarColumn(), rich.MofNCompleteColumn(), Rate()]
+    with rich.Progress(*columns, rich.TimeRemainingColumn(), console=console, transient=True) as lines:
+        yield drawn(lines, first)
 
 
-@contextmanager
-def progress(quiet: bool) -> Iterator[Any]:
-    """Yield a `tell` for `pcbench.run` that draws a bar with rate and time left on standard error."""
-    with shown(quiet, Rate()) as bar:
-        task = bar.add_task("designing gains", total=None)
+def drawn(lines: rich.Progress, first: str = "") -> Progress:
+    """Return what draws progress as lines."""
 
-        def tell(event: str, value: float) -> None:
-            if event == "planned":
-                bar.update(task, total=(bar.tasks[0].total or 0) + value, description="compiling")
-            elif event == "runs":
-                bar.update(task, advance=value, description="simulating")
-            elif event == "closing":
-                bar.update(task, description="statistics")
-            elif event.startswith(("tuning", "comparing")):
-                bar.update(task, description=event)
+    def begin(what: str, many: int | None) -> None:
+        last = lines.tasks[-1] if lines.tasks else None
+        if last and last.total is None:
+            lines.update(last.id, description=what, total=many, what=what)
+        elif last and last.fields["what"] == what:
+            lines.update(last.id, description=what, total=(last.total or 0) + (many or 0))
+        else:
+            lines.add_task(what, total=many, what=what)
 
-        yield tell
+    def step(many: int) -> None:
+        lines.advance(lines.tasks[-1].id, many)
 
+    def note(text: str) -> None:
+        lines.update(lines.tasks[-1].id, description=text)
 
-@contextmanager
-def counting(quiet: bool) -> Iterator[Any]:
-    """Yield a `tell` that draws a bar for files and blocks: an event with its number begins one, `...ed` goes on."""
-    with shown(quiet) as bar:
-        current: list[Any] = []
-
-        def tell(event: str, value: float) -> None:
-            if event in ("checked", "compared", "merged", "reproduced"):
-                bar.advance(current[-1], value)
-            else:
-                current.append(bar.add_task(event, total=value or None))
-
-        yield tell
-
-
-@contextmanager
-def tuning(quiet: bool) -> Iterator[Any]:
-    """Yield a `tell` for a tuning: a bar over its budget with the least objective so far, on standard error."""
-    with shown(quiet) as bar:
-        task = bar.add_task("designing gains", total=None)
-
-        def tell(event: str, value: float) -> None:
-            if event == "begin":
-                bar.update(task, total=value, description="compiling")
-            elif event == "point":
-                bar.update(task, advance=1, description=f"least so far {value:.5g}")
-            elif event == "judging":
-                bar.update(task, description="judging on other seeds")
-
-        yield tell
+    if first:
+        begin(first, None)
+    return Progress(begin, step, note)

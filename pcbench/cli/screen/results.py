@@ -26,7 +26,7 @@ PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Hol
 HALF = "± is half a 95 % interval; one that leans to one side is written by its ends."
 
 
-class Shown(NamedTuple):
+class View(NamedTuple):
     """What a closing table shows of a scenario: one signal of it."""
 
     scenario: Scenario
@@ -60,7 +60,7 @@ def closing(result: Any, console: Console, metric: str, signals: list[str] | Non
         for signal in [s for s in chosen if s in there]:
             part = whole[whole.signal == signal]
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
-            shown = Shown(known[name], part, met, metric)
+            shown = View(known[name], part, met, metric)
             if metric not in set(part.metric):
                 console.print(f"{name}: has no {metric} of {signal}.", highlight=False)
             elif part.cell.nunique() * part.observer.nunique() > LONGEST:
@@ -87,7 +87,7 @@ def _varying(part: pd.DataFrame) -> list[str]:
     return [a for a in axes if part[a].astype(str).nunique() > 1]
 
 
-def _tables(shown: Shown, console: Console) -> list[str]:
+def _tables(shown: View, console: Console) -> list[str]:
     """Print the cells in one table, or where that is too wide each in its own; return what a reader has to know of them."""
     axes = _varying(shown.stats)
     cells = [cell for _, cell in shown.stats.groupby("cell", sort=True)]
@@ -106,7 +106,7 @@ def _tables(shown: Shown, console: Console) -> list[str]:
     return [HALF, *paired, *([f"Left out for want of room: {', '.join(left_out)}."] if left_out else [])]
 
 
-def _columns(shown: Shown, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:
+def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:
     """The columns of some cells, best observers first: what ranks them, by how much, and what else there is."""
     metric, there = shown.metric, set(shown.stats.metric)
     beside = [m for m in BESIDE if m in there and m != metric]
@@ -140,7 +140,7 @@ def ranked(rows: pd.DataFrame) -> pd.DataFrame:
     return rows.sort_values(["diverged", "mean"], kind="stable", na_position="last")
 
 
-def _head(shown: Shown, metric: str) -> str:
+def _head(shown: View, metric: str) -> str:
     """A metric's name, with its unit where that is not the signal's, and what it is of its runs where that is no mean."""
     own = unit_of(metric, shown.unit)
     unit = f" [{own}]" if own not in (shown.unit, "1") else ""
@@ -164,7 +164,7 @@ def _axis(value: Any) -> str:
     return ", ".join(f"{v:g}" for v in value) if isinstance(value, np.ndarray) else str(value)
 
 
-def _counted(shown: Shown, console: Console) -> list[str]:
+def _counted(shown: View, console: Console) -> list[str]:
     """Print how many cells each observer wins; return what a reader has to know."""
     part, metric = shown.stats[shown.stats.metric == shown.metric], shown.metric
     won = pd.Series(
@@ -191,10 +191,10 @@ def _counted(shown: Shown, console: Console) -> list[str]:
     ]
 
 
-def effort(result: Any, folder: str) -> str:
+def took(result: Any, folder: str) -> str:
     """Return what a run took, in a sentence."""
     p = result.provenance
-    if not result.effort.runs:
+    if not result.cost.runs:
         return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
-    took = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
-    return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {took}."
+    spent = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
+    return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {spent}."

@@ -1,0 +1,121 @@
+"""The rows of stats and pairs of one cell, from its blocks, which are read chunk by chunk."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from pcbench import statistics
+from pcbench.dataset import block_files, columns, store
+from pcbench.dataset.block_files import Block
+from pcbench.dataset.ownership import Owned
+from pcbench.dataset.seeds import Seeds, common
+from pcbench.errors import UserError
+from pcbench.plants import signals_of
+from pcbench.study import observers_of
+from pcbench.study.cells import Cell
+
+
+class ObserverRuns(NamedTuple):
+    """The runs of one observer in one cell."""
+
+    blocks: list[Block]
+    about: dict[str, Any]  # what its first block says of itself
+
+
+def observed(
+    target: store.Target, owned: Owned, cell: Cell, blocks: dict[tuple[str, int, str], list[Block]]
+) -> dict[str, ObserverRuns]:
+    """Return what there is of a cell, by observer."""
+    out = {}
+    for name in observers_of(owned.study, cell.scenario.name):
+        if mine := blocks.get((*cell.key, name)):
+            out[name] = ObserverRuns(mine, block_files.about_block(target, mine[0]))
+    return out
+
+
+def rows_of(
+    target: store.Target, study: str, cell: Cell, found: dict[str, ObserverRuns], within: Seeds | None = None
+) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Return the rows of stats and of pairs of one cell, over the seeds `within` a range where it is given."""
+    s, signals = cell.scenario, signals_of(cell.scenario)
+    names, units = [name for name, _ in signals], dict(signals)
+    head = columns.keys(study, cell) | {"plant": s.plant}
+    carries = {name: each.about["carries_input"] for name, each in found.items()}
+    bounds = {name: _seen(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
+    described, compared = statistics.summarise(
+        lambda: chunks(target, found, within), bounds, names, s.belief.prior_std + s.belief.unknown_std
+    )
+    stats, pairs = [], []
+    for name, rows in described.items():
+        for row in rows:
+            signal, unit = signals[row["signal"]]
+            about = {"observer": name, "carries_input": carries[name], "unit": columns.unit_of(row["metric"], unit)}
+            stats.append(head | row | about | {"signal": signal})
+    for row in compared:
+        about = {"unit": columns.unit_of(row["metric"], units[row["signal"]]), "p_holm": np.nan}
+        about |= {f"carries_input_{side}": carries[row[f"observer_{side}"]] for side in "ab"}
+        pairs.append(head | about | row)
+    return stats, pairs
+
+
+def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> Any:
+    """The bound where it is one: below a part of the prior it is zero for every purpose."""
+    if bound is None:
+        return None
+    return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])
+
+
+def chunks(
+    target: store.Target, found: dict[str, ObserverRuns], within: Seeds | None = None
+) -> Iterator[dict[str, statistics.Results]]:
+    """Yield the runs of a cell by observer, the seeds of one chunk after the other."""
+    readers = {name: _by_chunk(target, each.blocks, within) for name, each in found.items()}
+    while True:
+        each = {name: next(reader, None) for name, reader in readers.items()}
+        if all(results is None for results in each.values()):
+            return
+        many = {name: 0 if results is None else len(results["diverged"]) for name, results in each.items()}
+        if len(set(many.values())) > 1:
+            raise UserError(
+                f"{target.name}: observers of a cell have different seeds ({many}), expected the same; run the study again."
+            )
+        yield {name: results for name, results in each.items() if results is not None}
+
+
+def _by_chunk(target: store.Target, blocks: list[Block], within: Seeds | None) -> Iterator[statistics.Results]:
+    """Yield one observer's runs, cut at multiples of a chunk."""
+    held: list[statistics.Results] = []
+    at = None
+    for block in blocks:
+        start, stop = block.seeds if within is None else common(block.seeds, within)
+        if start >= stop:
+            continue
+        results = results_of(block_files.read(target, block))
+        while start < stop:
+            chunk = start // statistics.CHUNK
+            if held and chunk != at:
+                yield _joined(held)
+                held = []
+            at, end = chunk, min(stop, (chunk + 1) * statistics.CHUNK)
+            held.append({m: v[..., start - block.seeds.first : end - block.seeds.first] for m, v in results.items()})
+            start = end
+    if held:
+        yield _joined(held)
+
+
+def _joined(parts: list[statistics.Results]) -> statistics.Results:
+    return {m: np.concatenate([p[m] for p in parts], -1) for m in parts[0]} if len(parts) > 1 else parts[0]
+
+
+def results_of(table: pa.Table) -> statistics.Results:
+    """Return the metrics that a block holds, [what the observer estimates, seeds]; `diverged` [seeds]."""
+    said = block_files.about(table)
+    runs = said["last"] - said["first"]
+
+    def square(name: str) -> Any:
+        return table[name].to_numpy().reshape(runs, -1).T
+
+    out = {m: square(m)[:many] for m, many in said["metrics"].items()}
+    return out | {"diverged": square("diverged")[0].astype(bool), "unsettled": square("status") == "unsettled"}

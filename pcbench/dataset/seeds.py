@@ -1,0 +1,51 @@
+"""Ranges of seeds. No jax."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+
+class Seeds(NamedTuple):
+    """The seeds first .. stop - 1."""
+
+    first: int
+    stop: int
+
+    @property
+    def many(self) -> int:
+        """Return how many they are."""
+        return max(self.stop - self.first, 0)
+
+    def __str__(self) -> str:
+        return f"{self.first}:{self.stop}"
+
+
+def counted(first: int, many: int) -> Seeds:
+    """Return so many seeds from the first on."""
+    return Seeds(first, first + many)
+
+
+def common(a: Seeds, b: Seeds) -> Seeds:
+    """Return the seeds that two ranges share, perhaps none."""
+    return Seeds(max(a.first, b.first), min(a.stop, b.stop))
+
+
+def joined(ranges: Iterable[Seeds]) -> list[Seeds]:
+    """Return ranges in order, those that follow right upon another made one."""
+    out: list[Seeds] = []
+    for seeds in ranges:
+        if out and out[-1].stop == seeds.first:
+            out[-1] = Seeds(out[-1].first, seeds.stop)
+        else:
+            out.append(seeds)
+    return out
+
+
+def gaps(held: Iterable[Seeds], wanted: Seeds, size: int) -> list[Seeds]:
+    """Return the ranges of the wanted seeds that none of the held has, cut at multiples of `size`."""
+    out, at = [], wanted.first
+    for seeds in [*sorted(held), Seeds(wanted.stop, wanted.stop)]:
+        while at < min(seeds.first, wanted.stop):
+            out.append(Seeds(at, min(seeds.first, wanted.stop, (at // size + 1) * size)))
+            at = out[-1].stop
+        at = max(at, seeds.stop)
+    return out
