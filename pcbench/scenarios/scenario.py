@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
+INTERVAL = "interval"  # a delay: a sample arrives when the next is taken; in ticks it is None
 
 
 class Truth(NamedTuple):
@@ -34,7 +35,7 @@ class Sampling(NamedTuple):
     """How the plant is measured: when samples are taken, when they arrive, how noisy they are."""
 
     sampling_period: tuple[float, ...]  # [q] s
-    delay: tuple[float | None, ...]  # [q] s; None: one interval, a sample arrives when the next is taken
+    delay: tuple[float | str, ...]  # [q] s, or INTERVAL
     noise_std: tuple[float, ...]  # [q] of one sample
     profile: str | tuple[float, ...] = "periodic"  # of the intervals: a name in `PROFILES`, or s in turn
     jitter: float = 0.0  # s, a sample is taken up to this much early or late

@@ -8,7 +8,7 @@ from typing import Any
 
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import parameters_of, positive_of
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
@@ -16,7 +16,6 @@ LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
 TIMES = ("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error")  # whole ticks
 AXES = (*CHANNELS, "drift", "profile", "jitter", "delay_jitter", "loss", "assumed_delay_error", "actuator_delay")
-INTERVAL = "interval"  # a delay of one interval, in a study
 
 
 def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Any]:
@@ -57,7 +56,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Any:
     if name == "delay" and isinstance(value, str):
         if value != INTERVAL:
             raise UserError(f"{where}: got {shown(value)}, expected seconds or '{INTERVAL}' (one sampling interval).")
-        return (None,) * channels
+        return (INTERVAL,) * channels
     numbers = [number(v, where, least=0.0) for v in each]
     if name in TIMES:
         for v in numbers:
@@ -119,5 +118,6 @@ def plain(name: str, value: Any, apart: bool = False) -> Any:
     if name == "profile":
         return value if isinstance(value, str) else ", ".join(f"{v:g}" for v in value)
     if isinstance(value, tuple):
+        value = tuple(None if v == INTERVAL else v for v in value)
         return list(value) if apart or len(set(value)) > 1 else value[0]
     return value

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.errors import UserError
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
 from pcbench.study.axes import AXES
-from pcbench.study.times import Times, times_of, whole
+from pcbench.study.times import Timing, times_of, whole
 
 
 class Cell(NamedTuple):
@@ -24,7 +24,7 @@ class Cell(NamedTuple):
     values: dict[str, Any]  # by axis, seconds and SI units: what the tables say
     parameters: dict[str, Any]  # the plant's, where the scenario or an axis changes them
     choices: Choices
-    times: Times
+    times: Timing
     options: dict[str, BaseModel]  # by label of its observers, checked and complete
     told: dict[str, str]  # by label, the digest of those
     digest: str  # of all that decides its numbers but its observers; empty: it is of no study
@@ -90,9 +90,9 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         _of_the_loop(changed, choices, where)
         fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
         values = {name: axis.plain(name, changed.value(name), name in apart) for name in AXES}
-        own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
+        parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
-        cell = cell_of(changed, index, values, dict(base.truth.parameters) | own, choices)
+        cell = cell_of(changed, index, values, dict(base.truth.parameters) | parameters, choices)
         out.append(cell._replace(options=options, told=digests, digest=identity(cell, study.root_seed)))
     return out
 
@@ -124,8 +124,9 @@ def channels_apart(study: Study) -> set[str]:
 
 def identity(cell: Cell, root_seed: int) -> str:
     """Return the digest of all that decides the numbers of a cell but its observers; equal for equal numbers."""
+    delay = [None if d == INTERVAL else d for d in cell.scenario.sampling.delay]  # as the first releases wrote it
     said = {
-        "scenario": cell.scenario.flat(),
+        "scenario": cell.scenario.flat() | {"delay": delay},
         "parameters": cell.parameters,
         "choices": cell.choices.model_dump(),
         "root_seed": root_seed,

@@ -7,7 +7,7 @@ import numpy as np
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.plants import nonlinear
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule import sampling
 from pcbench.study import limits
 from pcbench.study.axes import plain
@@ -73,16 +73,16 @@ def _loop(s: Scenario, where: str) -> None:
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
             "offered with times of each run's own; leave jitter, delay_jitter, loss and the profile 'uniform' out."
         )
-    if None in measured.delay:
+    if INTERVAL in measured.delay:
         raise UserError(
             f"{where}: got a delay of one interval in {s.name}, expected seconds: measuring began before t = 0; write a number."
         )
     if len(set(measured.delay)) > 1:
-        each = ", ".join(f"{d:g}" for d in measured.delay if d is not None)
+        each = ", ".join(f"{d:g}" for d in measured.delay if not isinstance(d, str))
         raise UserError(
             f"{where}: got delays of {each} s in {s.name}, expected one for all channels; write one number."
         )
-    _long_enough(s, "delay", measured.delay[0] or 0.0, 0.0 if actuator_delay is not None else s.dt / 2, where)
+    _long_enough(s, "delay", float(measured.delay[0]), 0.0 if actuator_delay is not None else s.dt / 2, where)
     if actuator_delay is not None:
         _long_enough(s, "actuator_delay", actuator_delay, s.dt / 2, where)
 
@@ -116,7 +116,7 @@ def works_on(label: str, s: Scenario, where: str) -> None:
             f"out, take one of {able}, or a scenario that samples."
         )
     takes, found, measured = entry_of(label).takes, clocks(s), s.sampling
-    follows = None in measured.delay and (measured.profile != "periodic" or measured.jitter > 0)
+    follows = INTERVAL in measured.delay and (measured.profile != "periodic" or measured.jitter > 0)
     if takes == "one constant delay" and (measured.delay_jitter or follows):
         spread = measured.delay_jitter
         varies = f"a delay jitter of {spread:g} s" if spread else "a delay of one varying interval"

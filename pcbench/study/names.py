@@ -4,12 +4,12 @@ from pcbench.observers import OBSERVERS, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study.schema import Study
 
-OWN = "lti"  # the scenario of a study's own plant
+LTI = "lti"  # the scenario of a linear plant that a study brings
 
 
 def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
     """Return every scenario a study may name: the published ones, and `lti` where it brings a plant of its own."""
-    return SCENARIOS if study.lti is None else SCENARIOS | {OWN: study.lti.scenario(OWN, f"{where or study.name}: lti")}
+    return SCENARIOS if study.lti is None else SCENARIOS | {LTI: study.lti.scenario(LTI, f"{where or study.name}: lti")}
 
 
 def labels_of(study: Study) -> list[str]:

@@ -47,7 +47,7 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
     try:
         options = model.model_validate(dashes(given))
     except ValidationError as error:
-        raise sentence(where, error, model) from None
+        raise sentence(where, error, {"": model.model_fields}) from None
     if isinstance(options, Choices):
         for key, signal, valid in (("input", options.input, SIGNALS), ("unknown_input", options.unknown_input, SINGLE)):
             if signal is not None and signal not in valid:

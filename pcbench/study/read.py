@@ -11,7 +11,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
-from pcbench.study import OWN, Study, checked_options, fits, labels_of, scenarios_of, sentence
+from pcbench.study import KEYS, LTI, Study, checked_options, fits, labels_of, scenarios_of, sentence
 from pcbench.study.cells import Cell, Grid, cells
 from pcbench.study.raw import Described, named, raw_of, where_of
 
@@ -28,11 +28,11 @@ def described(raw: dict[str, Any], where: str) -> Study:
     """
     raw = named(raw, where)
     if raw.get("lti") is not None and not raw.get("scenarios"):
-        raw = raw | {"scenarios": [OWN]}
+        raw = raw | {"scenarios": [LTI]}
     try:
         study = Study.model_validate(raw)
     except ValidationError as error:
-        raise sentence(where, error, Study) from None
+        raise sentence(where, error, KEYS) from None
     known = scenarios_of(study, where)
     for name in study.scenarios:
         if name not in known:
