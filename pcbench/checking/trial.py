@@ -5,14 +5,14 @@ same time; where it takes them, intervals that vary and samples that overtake. A
 schedule in a sentence of its own; it must take one.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from pcbench import planning
-from pcbench.checking.loading import Found
+from pcbench.checking.loading import Candidate
 from pcbench.errors import UserError, raised
 from pcbench.plants import PLANTS
 from pcbench.protocols import Observer, Plant
@@ -38,12 +38,29 @@ class Case(NamedTuple):
 class Trial(NamedTuple):
     """An observer with its gains on every schedule that it takes."""
 
-    label: str
-    observer: Observer
+    candidate: Candidate
     plant: Plant
-    knows_schedule: bool
     cases: tuple[Case, ...]
     refused: tuple[str, ...]  # its own sentences
+
+    @property
+    def label(self) -> str:
+        """Return the name that the observer goes by."""
+        return self.candidate.label
+
+    @property
+    def observer(self) -> Observer:
+        """Return its functions."""
+        return self.candidate.entry.observer
+
+    @property
+    def knows_schedule(self) -> bool:
+        """Return whether it claims a perfect start."""
+        return self.candidate.entry.knows_schedule
+
+    def called(self, name: str) -> Case | None:
+        """Return the case of a name, or None where the observer refused it."""
+        return next((case for case in self.cases if case.name == name), None)
 
 
 def cases(scenario: Scenario, takes: str) -> list[Case]:
@@ -102,11 +119,11 @@ def plant_of(scenario: Scenario) -> Plant:
     return PLANTS[scenario.plant].plant
 
 
-def designed(found: Found, case: Case) -> Design:
+def designed(candidate: Candidate, case: Case) -> Design:
     """Return what the observer's design makes of one schedule; raise UserError where it makes no Design."""
     where = f"design on {case.name}"
     try:
-        made = found.entry.design(case.setting, found.options)
+        made = candidate.entry.design(case.setting, candidate.options)
     except UserError:
         raise
     except BaseException as error:
@@ -131,31 +148,23 @@ class Broken(UserError):
     """A design that raises or returns something else: no answer of its own."""
 
 
-def trial(found: Found, scenario: Scenario) -> Trial:
+def trial(candidate: Candidate, scenario: Scenario) -> Trial:
     """Design the observer on every schedule; raise UserError where it takes none or its design is broken."""
     kept: list[Case] = []
     refused: dict[str, str] = {}
-    for case in cases(scenario, found.entry.takes):
+    for case in cases(scenario, candidate.entry.takes):
         try:
-            made = designed(found, case)
+            made = designed(candidate, case)
         except Broken:
             raise
         except UserError as error:
             refused[case.name] = str(error)
             continue
-        kept.append(case._replace(problem=case.problem._replace(gains={found.label: made.gains})))
+        kept.append(case._replace(problem=case.problem._replace(gains={candidate.label: made.gains})))
     if not kept:
         name, why = next(iter(refused.items()))
         raise UserError(
             f"design: got a refusal of all {len(refused)} schedules, on {name} '{why.rstrip('.')}', expected one that is "
             "taken; name a --scenario that the observer is made for."
         )
-    entry = found.entry
-    return Trial(
-        found.label, entry.observer, plant_of(scenario), entry.knows_schedule, tuple(kept), tuple(refused.values())
-    )
-
-
-def called(name: str, t: Trial) -> Any:
-    """Return the case of a name, or None where the observer refused it."""
-    return next((case for case in t.cases if case.name == name), None)
+    return Trial(candidate, plant_of(scenario), tuple(kept), tuple(refused.values()))

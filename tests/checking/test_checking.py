@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 import own_observer as own
 import pytest
-from harness import CART, ODD, Case, problem, recorder
 
 from pcbench import checking
 from pcbench.checking import CHECKS, findings
-from pcbench.checking.loading import Found
+from pcbench.checking.loading import Candidate
 from pcbench.checking.replay import none, replay
+from pcbench.checking.trial import trial
 from pcbench.observers import OBSERVERS, Entry
 from pcbench.scenarios import SCENARIOS
 from pcbench.synthesis.certificate import Design
@@ -25,7 +25,7 @@ SEEN, SHARE, TIMES, COUNT = [], [0.1], [np.array([1])], itertools.count()
 
 
 def verdicts(entry, scenario="cart/white"):
-    return {f.check: f for f in findings(Found("mine", entry, entry.options()), SCENARIOS[scenario])}
+    return {f.check: f for f in findings(Candidate("mine", entry, entry.options()), SCENARIOS[scenario])}
 
 
 def failing(found):
@@ -213,15 +213,15 @@ def test_a_design_may_refuse_a_schedule_but_not_all():
     assert "refusal of all 6 schedules" in failing(verdicts(ENTRY._replace(design=picky)))["design"]
 
 
-@pytest.mark.parametrize("observer", ["dkf", *(pytest.param(o, marks=pytest.mark.slow) for o in ("pccebo", "kfbo"))])
-@pytest.mark.parametrize("model", [CART, ODD], ids=["cart", "odd"])
-def test_the_replay_is_the_run(observer, model):
-    """The order of events is the rollout's: the same estimates as a recording, to rounding."""
-    case = Case(model, 20, 50, ticks=200, h=1e-3)
-    layout, p = problem(case, {observer: {}})
-    recorded = recorder()(layout, p, np.asarray(0), np.asarray(0))
-    gains = jax.tree.map(jnp.asarray, p.gains[observer])
-    got = replay(layout.plant, OBSERVERS[observer].observer, p._replace(gains={}), gains, none(p))
-    size = np.abs(recorded.x).max()
-    np.testing.assert_allclose(got.xhat / size, recorded.estimates[observer] / size, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(got.x / size, recorded.x / size, rtol=0, atol=1e-12)
+def test_a_shifted_packet_is_another_measurement():
+    """What is added to a packet, to its values or its notes, shows from the tick on at which it arrives, and not before."""
+    entry = OBSERVERS["pccebo"]
+    t = trial(Candidate("pccebo", entry, entry.options()), SCENARIOS["cart/white"])
+    p, number, step = t.called("one period late").problem, 2, 0.25
+    nothing = none(p)
+    plain = replay(t, p, nothing).estimates["pccebo"]
+    arrives = int(np.flatnonzero((p.schedule.arrive == number).any(1))[0])
+    for field in ("values", "notes"):
+        shift = nothing._replace(**{field: getattr(nothing, field).at[number].set(step)})
+        moved = np.abs(replay(t, p, shift).estimates["pccebo"] - plain).max(1)
+        assert np.flatnonzero(moved)[0] == arrives, field

@@ -34,7 +34,11 @@ def params_of(**changes):
     return options, pd.prepare(options, delay, DT, ROWS, TICKS, model, inverse)
 
 
-def command(options, params, k, estimate, coming=None):
+def unasked(i):
+    raise AssertionError("the law asks for an input that is to come")
+
+
+def command(options, params, k, estimate, coming=unasked):
     now = Now(jnp.asarray(k * DT), jnp.asarray(k), jnp.asarray(DT), jnp.zeros(2), lambda age: age)
     with process.float64():
         return np.asarray(pd.controller(options).command(params, now, jnp.asarray(estimate), coming))
@@ -59,7 +63,7 @@ def test_it_pulls_towards_the_path_of_now_and_damps_the_rate_within_its_limits(k
         x = np.concatenate([target, rate]) + size * (STATE - 1)
         want = -np.array(GIVEN["Kp"]) * (x[:2] - target) - np.array(GIVEN["Kd"]) * (x[2:] - rate)
         np.testing.assert_allclose(command(options, params, k, [*x, *VISCOUS]), clipped(want), rtol=1e-12)
-    np.testing.assert_array_equal(pd.controller(options).target(params, k), target)
+    np.testing.assert_array_equal(pd.controller(options).target(params, jnp.asarray(k)), target)
 
 
 def test_a_command_acts_when_its_delay_is_over():

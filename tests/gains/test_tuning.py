@@ -54,7 +54,7 @@ def test_a_slope_beside_what_is_refused_is_taken_from_the_middle():
     def design(at):
         if at[0] > most:
             raise UserError("mine: got too much, expected less; take less.")
-        return {"L": np.array([3 * at[0] + at[1], at[1]]), "places": np.arange(2)}
+        return {"L": np.array([3 * at[0] + at[1], at[1]]), "room": np.arange(2)}
 
     slopes, at, most = [np.array([1.0, 10.0])], np.array([1.0, 0.0]), 2.0
     for most in (2.0, 1.0):

@@ -13,7 +13,7 @@ from pcbench.observers import OBSERVERS, base_of
 from pcbench.plants import PLANTS, signals_of, states_of
 from pcbench.protocols import Arrival
 from pcbench.scenarios import INTERVAL, SCENARIOS
-from pcbench.simulation import steps
+from pcbench.simulation.problem import present
 
 SIGNATURES = {
     "init": ["gains", "xhat0"],
@@ -45,7 +45,7 @@ def test_memory_keeps_its_shape_and_gains_are_arrays(name, model):
     assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(gains))
     p, gains = jax.tree.map(jnp.asarray, (p, gains))
     memory = observer.init(gains, jnp.zeros(n))
-    now = steps.present(p, jnp.asarray(30), True)
+    now = present(p, jnp.asarray(30), True)
     note = observer.note(gains, memory, now)
     assert note.ndim == 1
     arrival = Arrival(jnp.ones(q), jnp.ones(q, bool), jnp.full(q, 20), jnp.ones(q, int), note, jnp.asarray(10))
@@ -64,7 +64,7 @@ def test_a_channel_that_is_not_fresh_changes_nothing(name):
     """Whatever value stands in a channel that did not arrive, the estimate is the same."""
     p = jax.tree.map(jnp.asarray, problem(Case(suitable(name)[-1], 10, 20, ticks=50), {name: {}})[1])
     observer, gains = OBSERVERS[name].observer, p.gains[name]
-    memory, now = observer.init(gains, jnp.arange(float(len(p.x0)))), steps.present(p, jnp.asarray(30), False)
+    memory, now = observer.init(gains, jnp.arange(float(len(p.x0)))), present(p, jnp.asarray(30), False)
     note = observer.note(gains, memory, now)
 
     def jumped(other):
@@ -100,7 +100,7 @@ def test_the_carts_field_is_its_step_in_the_limit(drift):
     entry = PLANTS["cart"]
     params = jax.tree.map(jnp.asarray, entry.prepare(entry.numbers._replace(drift=drift), 1e-3, 20))
     p = jax.tree.map(jnp.asarray, problem(Case(CART, 10, 10, ticks=20), {"open-loop": {}})[1])
-    now, x = steps.present(p, jnp.asarray(7), True), jnp.array([1.0, 20.0])
+    now, x = present(p, jnp.asarray(7), True), jnp.array([1.0, 20.0])
     stepped = entry.plant.step(params, now, x)
     flowed = rk4(lambda t, x: entry.plant.field(params, now._replace(t=t), x), now.t, x, now.dt)
     np.testing.assert_allclose(stepped, flowed, rtol=1e-6)
@@ -119,7 +119,7 @@ def test_a_plant_is_pushed_by_its_gain_times_the_input_and_its_bias(name, off, g
     model = entry.numbers._replace(**off)
     wrong = model._replace(input_bias=bias, **({"input_gain": gain} if gain != 1 else {}))
     p = jax.tree.map(jnp.asarray, problem(Case(CART, 10, 10, ticks=20), {"open-loop": {}})[1])
-    now, x = steps.present(p, jnp.asarray(7), True), jnp.array([1.0, 20.0])
+    now, x = present(p, jnp.asarray(7), True), jnp.array([1.0, 20.0])
     theirs, own = (jax.tree.map(jnp.asarray, entry.prepare(numbers, 1e-3, 20)) for numbers in (wrong, model))
     pushed = now._replace(u=gain * now.u + bias)
     assert jnp.abs(now.u).min() > 0.1

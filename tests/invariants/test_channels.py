@@ -8,6 +8,7 @@ from harness import LINEAR, ODD, Case, noise, problem
 
 from pcbench.protocols import Observer
 from pcbench.simulation import events_shared, lanes, steps
+from pcbench.simulation.problem import Layout
 from pcbench.simulation.schedule import shared
 
 SHAPE = (2,)
@@ -58,11 +59,11 @@ def test_each_channel_gets_its_own_samples(period, delay):
     _, p = problem(case, {"open-loop": {}})
     plan = shared.periodic(list(period), list(delay), ticks)
     p = jax.tree.map(jnp.asarray, p._replace(schedule=plan, gains={"spy": ()}))
-    layout = steps.Layout(LINEAR, (("spy", SPY),), 1, shared.in_flight(plan), False)
-    events, state = events_shared.prepare(layout, p, jnp.asarray(0), jnp.asarray([0]))
+    layout = Layout(LINEAR, (("spy", SPY),), 1, shared.in_flight(plan), False)
+    happen, state = events_shared.prepare(layout, p, jnp.asarray(0), jnp.asarray([0]))
     v = np.stack(noise(case), -1)
-    step = jax.jit(lambda s, k: events.happen(k, s)[0])
-    flow = jax.jit(lambda s, k: steps.advance(layout, p, k, s, jnp.zeros(0)))
+    step = jax.jit(lambda s, k: happen(k, s))
+    flow = jax.jit(lambda s, k: steps.flow(layout, p, k, s, jnp.zeros(0)))
     x, counts = [], np.zeros(2)
     arrivals = [int(a) for a in np.flatnonzero((plan.arrive >= 0).any(1))]
     for k in range(ticks + 1):

@@ -78,11 +78,11 @@ def test_lanes_differ_only_where_they_must():
     import jax
     import jax.numpy as jnp
 
-    from pcbench.simulation import lanes, steps
+    from pcbench.simulation import lanes, start
 
     _, (cell,) = planned()
     layout = cell.layout._replace(width=4)
-    state = jax.eval_shape(lambda p: steps.begin(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem)
+    state = jax.eval_shape(lambda p: start.begin(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem)
     assert not lanes.is_lanes(state.x)
     assert not lanes.is_lanes(state.memories["pccebo"].g)
     assert not lanes.is_lanes(state.memories["open-loop"])

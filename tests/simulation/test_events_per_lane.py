@@ -15,7 +15,8 @@ from reference import linear as by_hand
 
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer, Plant
-from pcbench.simulation import batch, draws, events_per_lane, loop, steps
+from pcbench.simulation import batch, draws, events_per_lane, loop
+from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import per_lane
 from pcbench.simulation.schedule.sampling import Clock
 from pcbench.simulation.schedule.shared import NEVER
@@ -124,7 +125,7 @@ def expected(clocks, ticks, error, seed):
 
 @cache
 def spying(width):
-    layout = steps.Layout(CLOCKWORK, (("spy", SPY),), width, 128, False, False)
+    layout = Layout(CLOCKWORK, (("spy", SPY),), width, 128, False, False)
     run = lambda p, seeds: loop.simulate(layout, p, jnp.asarray(0), seeds).final["spy"]  # noqa: E731
     return jax.jit(run, compiler_options=QUICK)
 
@@ -138,7 +139,7 @@ def test_every_run_is_delivered_exactly_its_own_samples(width, name, error):
         clocks = [clock._replace(delay=(clock.delay or 0) + 1) for clock in clocks]
     assert per_lane.room(clocks, ticks, error) <= 128
     zero = np.zeros(STATES)
-    p = steps.Problem(
+    p = Problem(
         (), {"spy": ()}, times_of(clocks, ticks, 3, error), np.zeros((ticks + 1, 1)), np.asarray(1.0),
         zero, zero, np.eye(STATES), NOISE, zero, np.asarray(np.inf),
         np.array([[0, 30], [30, ticks - 1], [ticks - 1, ticks]]),
@@ -185,7 +186,7 @@ def outcomes(jobs, devices, observers=None):
     """What each job leaves: by observer, streams and last error with arrays [..., L]."""
     names = observers or PROGRAMS[devices]
     each = tuple((o, OBSERVERS[o].observer) for o in names)
-    layout = steps.Layout(LINEAR, each, WIDE, 32, False, False)
+    layout = Layout(LINEAR, each, WIDE, 32, False, False)
     jobs = [j._replace(problem=j.problem._replace(gains={o: j.problem.gains[o] for o in names})) for j in jobs]
     done = batch.run(layout, jobs, devices)
     return [{o: (out.streams[o], out.final[o]) for o in names} for _, out in done]

@@ -13,7 +13,8 @@ import pytest
 
 from pcbench.machine import process
 from pcbench.protocols import Controller, Observer, Plant
-from pcbench.simulation import actuator, draws, loop, metrics, steps
+from pcbench.simulation import actuator, draws, loop, metrics
+from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import shared
 
 DT, N, TAIL, EVERY, LATE, BACK = 0.1, 60, 25, 4, 3, 16
@@ -64,12 +65,12 @@ def late(t):
 def outcome():
     """What the three runs leave, arrays [..., 3]."""
     law = Law(K, path(np.arange(-BACK, N + 1)))
-    p = steps.Problem(
+    p = Problem(
         (), {"o": L}, shared.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([NOISE]), BAND, BOUND, np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]), control=law,
         line=actuator.line(late, DT, BACK, N + 4),
     )  # fmt: skip
-    layout = steps.Layout(PLANT, (("o", OBSERVER),), 3, 4, True, controller=CONTROLLER, commands=BACK)
+    layout = Layout(PLANT, (("o", OBSERVER),), 3, 4, True, controller=CONTROLLER, commands=BACK)
     with process.float64():
         run = jax.jit(lambda p, seeds: loop.simulate(layout, p, jnp.asarray(0), seeds))
         return jax.tree.map(np.asarray, run(p, SEEDS))

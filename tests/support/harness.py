@@ -12,7 +12,8 @@ import numpy as np
 from pcbench.dynamics import linear
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Plant
-from pcbench.simulation import draws, steps
+from pcbench.simulation import draws
+from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import shared
 from pcbench.simulation.trace import Recording, compiled
 from pcbench.synthesis.certificate import Setting
@@ -96,7 +97,7 @@ def setting(case: Case) -> Setting:
     )  # fmt: skip
 
 
-def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[steps.Layout, steps.Problem]:
+def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[Layout, Problem]:
     """Observers are name -> options."""
     q, n = case.model.C.shape
     known = setting(case)
@@ -111,11 +112,11 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[steps.Lay
     plan = shared.pad_slots(shared.periodic([case.te] * q, [case.d] * q, case.ticks), SLOTS)
     gains = {o: OBSERVERS[o].design(known, OBSERVERS[o].options(**given)).gains for o, given in observers.items()}
     n_ticks = case.ticks
-    p = steps.Problem(
+    p = Problem(
         params, gains, plan, inputs(case), np.asarray(case.h), x0, xhat0, np.eye(n), np.full(q, case.noise_std),
         np.ones(n), np.full(n, 1e9), np.array([[0, n_ticks // 2], [n_ticks // 2, n_ticks - 1], [n_ticks - 1, n_ticks]]),
     )  # fmt: skip
-    layout = steps.Layout(LINEAR, tuple((o, OBSERVERS[o].observer) for o in observers), 8, RING, False)
+    layout = Layout(LINEAR, tuple((o, OBSERVERS[o].observer) for o in observers), 8, RING, False)
     return layout, jax.tree.map(np.asarray, p)
 
 
