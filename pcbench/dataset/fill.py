@@ -21,7 +21,7 @@ from pcbench.dataset.pickled import lay_aside, take_up, unpack
 from pcbench.errors import UserError
 from pcbench.machine import provenance
 from pcbench.planning import padding
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.study import observers_of
 from pcbench.study.cells import Cell
 
@@ -188,7 +188,7 @@ def _block(claimed: Claim, wanted: Wanted, options: Options, cell: Cell) -> int:
 class Laid(NamedTuple):
     """A planned cell laid aside until its tasks are drawn."""
 
-    aside: Path | Planned
+    aside: Path | Plan
     width: int
     cell: tuple[str, int]
     labels: tuple[str, ...]
@@ -196,8 +196,8 @@ class Laid(NamedTuple):
 
 def _planned(claimed: Claim, todo: Missing, shelf: Path) -> list[Laid]:
     """Plan what is to do and lay it aside, cells of one program together."""
-    room = padding.Room()
-    drafts: list[Path | Planned] = []
+    room = padding.Capacity()
+    drafts: list[Path | Plan] = []
     for p in padding.checked(planning.drafts(claimed.cells, todo)):
         room = padding.larger(room, padding.room_of(p))
         if p.labels:

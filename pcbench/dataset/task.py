@@ -16,7 +16,7 @@ from pcbench.dataset.pickled import unpack
 from pcbench.errors import UserError
 from pcbench.machine import process, provenance
 from pcbench.planning import in_memory
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.simulation import batch
 from pcbench.statistics import RUN_METRICS
@@ -38,7 +38,7 @@ class Work(NamedTuple):
 class Task(NamedTuple):
     """Some seeds of one cell, for the observers of one program."""
 
-    parcel: bytes | Planned  # the planned cell
+    parcel: bytes | Plan  # the planned cell
     pieces: tuple[tuple[int, int, tuple[str, ...]], ...]  # (first, last, observers): the blocks to write
 
     @property
@@ -69,7 +69,7 @@ def compute(work: Work, task: Task, place: Callable[[], Any] = nullcontext) -> R
     )
 
 
-def files(work: Work, task: Task, p: Planned, results: in_memory.Results) -> Iterator[tuple[str, Any]]:
+def files(work: Work, task: Task, p: Plan, results: in_memory.Results) -> Iterator[tuple[str, Any]]:
     """Yield the blocks of a task, (name, rows) each."""
     at = 0
     for first, last, labels in task.pieces:
@@ -79,7 +79,7 @@ def files(work: Work, task: Task, p: Planned, results: in_memory.Results) -> Ite
         at += last - first
 
 
-def simulated(work: Work, task: Task, device: Any = None) -> tuple[Planned, in_memory.Results, batch.Program]:
+def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memory.Results, batch.Program]:
     """Return what the runs of a task leave; raise UserError where a call takes more memory than there is for it."""
     with process.float64():
         p = unpack(task.parcel)
@@ -90,7 +90,7 @@ def simulated(work: Work, task: Task, device: Any = None) -> tuple[Planned, in_m
         return p, in_memory.results(p, batch.serial(made, jobs)), made
 
 
-def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: int, last: int) -> tuple[str, Any]:
+def block(work: Work, p: Plan, label: str, results: dict[str, Any], first: int, last: int) -> tuple[str, Any]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
     c, signals = p.certificates[label], signals_of(p.cell.scenario)
     many = len(results["mae"])
@@ -120,7 +120,7 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], first: in
     return name, block_files.sealed(table, about)
 
 
-def tasks(parcel: bytes | Planned, width: int, missing: dict[str, list[block_files.Range]]) -> Iterator[Task]:
+def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[block_files.Range]]) -> Iterator[Task]:
     """Yield the tasks that fill the `missing` ranges of a cell, by observer: blocks as cut, as many as fill a call."""
     wanted: dict[block_files.Range, list[str]] = {}
     for label, ranges in missing.items():
@@ -141,7 +141,7 @@ def bytes_of_a_block(cell: Cell, study: Study, seeds: int) -> int:
     return seeds * len(signals_of(cell.scenario)) * len(observers_of(study, cell.scenario.name)) * ROW_BYTES
 
 
-def _fits(p: Planned, needed: int, given: float) -> None:
+def _fits(p: Plan, needed: int, given: float) -> None:
     if needed > given:
         raise UserError(
             f"--memory: one call of {p.cell.scenario.name} with {', '.join(p.labels)} takes {needed / 1e6:.0f} MB, got "
