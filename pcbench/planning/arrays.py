@@ -21,7 +21,7 @@ from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
-AnySchedule = shared.Schedule | per_lane.Times  # one for all runs, or what every run draws its own by
+AnySchedule = shared.Schedule | per_lane.Times  # one for all runs, or numbers by which each run draws its own
 
 
 def plan(study: Study) -> list[Plan]:
@@ -56,7 +56,7 @@ def width(cell: Cell) -> int:
 
 
 def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None) -> Plan:
-    """Lay out one cell for the observers that `options` names; its layout does not yet fit others."""
+    """Lay out one cell for the observers that `options` names; its shape is its own until `padding.fit`."""
     s, known = cell.scenario, known or setting(cell)
     true, belief, choices = s.truth, s.belief, cell.choices
     plant, n = PLANTS[s.plant], cell.times.ticks
@@ -110,7 +110,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
 
 
 def _strides(schedule: AnySchedule, options: dict[str, BaseModel], heavy: bool) -> bool:
-    """Whether flow goes by two ticks: not where nearly every tick has an event, nor where bodies are long to compile."""
+    """Whether flow goes by two ticks: not where nearly every tick has an event, nor where a body takes long to compile."""
     dense = isinstance(schedule, shared.Schedule) and schedule.event.mean() >= 0.5
     return not (dense or heavy or any(entry_of(o).heavy for o in options))
 

@@ -1,4 +1,4 @@
-"""Running planned cells: their seeds in calls of one width, and what each run leaves."""
+"""Running planned cells in this process: seeds in calls of one width, and the metrics of each run."""
 
 from collections.abc import Callable, Hashable, Iterable, Iterator
 from typing import Any, NamedTuple

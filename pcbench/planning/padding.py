@@ -1,7 +1,7 @@
 """One shape for many cells: room for the largest of them, so that they share a compiled program.
 
 Room is what no number depends on: slots, rings, rows. A cell's own numbers and everything else in its layout stay as
-drafted, so that it has the same bits alone as among others.
+drafted, so that alone it has the same bits as among others.
 """
 
 from collections.abc import Hashable, Iterable, Iterator
@@ -35,7 +35,7 @@ class Plan(NamedTuple):
 
 
 class Capacity(NamedTuple):
-    """What the largest of some cells needs."""
+    """The room that the largest of some cells needs."""
 
     slots: int = 1  # arrivals at one tick
     due: int = 0  # samples of a run on a schedule of its own

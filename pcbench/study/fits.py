@@ -59,7 +59,7 @@ def _at_every_stage(s: Scenario, where: str) -> None:
 
 
 def _loop(s: Scenario, where: str) -> None:
-    """Raise UserError where the delays of a closed loop cannot be, or what stands open is asked for its actuator."""
+    """Raise UserError for delays that a closed loop cannot have, and for an actuator delay where the loop is open."""
     measured, actuator_delay = s.sampling, s.loop.actuator_delay
     if not s.loop.controller:
         if actuator_delay is not None:
@@ -88,7 +88,7 @@ def _loop(s: Scenario, where: str) -> None:
 
 
 def _long_enough(s: Scenario, name: str, mean: float, least: float, where: str) -> None:
-    """Raise UserError where a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 may."""
+    """Raise UserError where a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 is allowed."""
     (swing, pace), t = s.sampling.delay_swing, (np.arange(whole(s.horizon, s) + 1) + 0.5) * s.dt
     lowest = mean + float(np.min(swing * np.sin(pace * t)))
     if lowest < least - 1e-9 and (swing or mean):
