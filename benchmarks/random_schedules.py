@@ -51,7 +51,7 @@ class Made(NamedTuple):
     errors: np.ndarray
 
 
-def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bool) -> padding.Planned:
+def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bool) -> padding.Plan:
     """Return a cell of one way to sample, laid out."""
     raw = {"name": "cost", "scenarios": [scenario], "observers": observers, "axes": {k: [v] for k, v in axes.items()}}
     study = read.parse(raw, "cost")
@@ -70,7 +70,7 @@ def rows_of(scenario: str, observers: list[str], small: bool) -> list[Made]:
     return [_made(f"{scenario} ({', '.join(observers)}): {what}", p) for what, p in zip(kinds, each, strict=True)]
 
 
-def _made(what: str, p: padding.Planned) -> Made:
+def _made(what: str, p: padding.Plan) -> Made:
     devices, width = batch.cores(), p.layout.width
     jobs = [batch.Job(p.problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
     made = batch.program(p.layout, jobs[0])

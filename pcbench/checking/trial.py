@@ -68,7 +68,7 @@ def cases(scenario: Scenario, takes: str) -> list[Case]:
     measured, x0 = scenario.sampling, scenario.truth.x0
     every, at_once = round(measured.sampling_period[0] / scenario.dt), len(measured.delay)
     seconds = [every * scenario.dt * late for late in (0, 1, 2.5)]
-    usual = all(d is not None and round(d / scenario.dt) <= 3 * every for d in measured.delay)
+    usual = all(not isinstance(d, str) and round(d / scenario.dt) <= 3 * every for d in measured.delay)
     plain = scenario._replace(
         truth=Truth(x0, unknown_input="zero" if scenario.truth.unknown_input else ""),
         loop=Loop(input="zero"),

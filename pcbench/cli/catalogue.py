@@ -11,7 +11,7 @@ from pcbench.observers import OBSERVERS
 from pcbench.observers.parts.options import TUNABLE, extra
 from pcbench.plants import PLANTS, parameters_of
 from pcbench.plants import signals_of as signals_in
-from pcbench.scenarios import SCENARIOS
+from pcbench.scenarios import INTERVAL, SCENARIOS
 from pcbench.statistics import POOLED, RUN_METRICS
 from pcbench.study import STUDIES, Choices
 from pcbench.study.axes import AXES
@@ -94,7 +94,7 @@ def scenario(name: str) -> Description:
         "loop": f"closed by {s.loop.controller}" if s.loop.controller else "open",
         "observers": list(s.observers),
         "sampling_period": list(s.sampling.sampling_period),
-        "delay": ["one interval" if d is None else d for d in s.sampling.delay],
+        "delay": ["one interval" if d == INTERVAL else d for d in s.sampling.delay],
         "noise_std": list(s.sampling.noise_std),
         "tick": s.dt,
         "horizon": s.horizon,

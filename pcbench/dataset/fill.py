@@ -23,7 +23,7 @@ from pcbench.errors import UserError
 from pcbench.machine import provenance
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.study import observers_of
 from pcbench.study.cells import Cell
 
@@ -196,7 +196,7 @@ def _block(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
 class WaitingCell(NamedTuple):
     """A planned cell laid aside until its tasks are drawn."""
 
-    aside: Path | Planned
+    aside: Path | Plan
     width: int
     cell: tuple[str, int]
     labels: tuple[str, ...]
@@ -204,8 +204,8 @@ class WaitingCell(NamedTuple):
 
 def _planned(owned: Owned, todo: Gaps, shelf: Path) -> list[WaitingCell]:
     """Plan what is to do and lay it aside, cells of one program together."""
-    room = padding.Room()
-    drafts: list[Path | Planned] = []
+    room = padding.Capacity()
+    drafts: list[Path | Plan] = []
     for p in padding.checked(planning.drafts(owned.cells, todo)):
         room = padding.larger(room, padding.room_of(p))
         if p.labels:

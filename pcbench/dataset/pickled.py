@@ -10,11 +10,11 @@ from types import MappingProxyType
 
 from pcbench.observers import base_of, entry_of
 from pcbench.planning import controller
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.plants import PLANTS
 
 
-def pack(p: Planned) -> bytes | Planned:
+def pack(p: Plan) -> bytes | Plan:
     """Return a planned cell as bytes; as it is where its observers' numbers are of a kind that no other process can find."""
     plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
     proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
@@ -26,11 +26,11 @@ def pack(p: Planned) -> bytes | Planned:
         return p
 
 
-def unpack(parcel: bytes | Planned) -> Planned:
+def unpack(parcel: bytes | Plan) -> Plan:
     """Return the planned cell that `pack` was given, with the functions of this process."""
-    if isinstance(parcel, Planned):
+    if isinstance(parcel, Plan):
         return parcel
-    p: Planned = pickle.loads(parcel)
+    p: Plan = pickle.loads(parcel)
     s = p.cell.scenario
     names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
     each = tuple((name, entry_of(o).observer) for name, o in zip(names, p.labels, strict=True))
@@ -38,15 +38,15 @@ def unpack(parcel: bytes | Planned) -> Planned:
     return p._replace(layout=p.layout._replace(plant=plant, observers=each, controller=law))
 
 
-def lay_aside(p: Planned, path: Path) -> Path | Planned:
+def lay_aside(p: Plan, path: Path) -> Path | Plan:
     """Return where a planned cell is laid aside: a file, or where it cannot be one, itself."""
     parcel = pack(p)
-    if isinstance(parcel, Planned):
+    if isinstance(parcel, Plan):
         return parcel
     path.write_bytes(parcel)
     return path
 
 
-def take_up(laid: Path | Planned) -> bytes | Planned:
+def take_up(laid: Path | Plan) -> bytes | Plan:
     """Return the parcel that was laid aside."""
     return laid.read_bytes() if isinstance(laid, Path) else laid

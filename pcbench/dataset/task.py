@@ -17,7 +17,7 @@ from pcbench.dataset.seeds import Seeds
 from pcbench.errors import UserError
 from pcbench.machine import process, provenance
 from pcbench.planning import in_memory
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.simulation import batch
 from pcbench.statistics import RUN_METRICS
@@ -39,7 +39,7 @@ class Work(NamedTuple):
 class Task(NamedTuple):
     """Some seeds of one cell, for the observers of one program."""
 
-    parcel: bytes | Planned  # the planned cell
+    parcel: bytes | Plan  # the planned cell
     pieces: tuple[tuple[Seeds, tuple[str, ...]], ...]  # seeds and observers: the blocks to write
 
     @property
@@ -70,7 +70,7 @@ def compute(work: Work, task: Task, hold: Callable[[], Any] = nullcontext) -> Re
     )
 
 
-def files(work: Work, task: Task, p: Planned, results: in_memory.Results) -> Iterator[tuple[str, Any]]:
+def files(work: Work, task: Task, p: Plan, results: in_memory.Results) -> Iterator[tuple[str, Any]]:
     """Yield the blocks of a task, (name, rows) each."""
     at = 0
     for seeds, labels in task.pieces:
@@ -80,7 +80,7 @@ def files(work: Work, task: Task, p: Planned, results: in_memory.Results) -> Ite
         at += seeds.many
 
 
-def simulated(work: Work, task: Task, device: Any = None) -> tuple[Planned, in_memory.Results, batch.Program]:
+def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memory.Results, batch.Program]:
     """Return what the runs of a task leave; raise UserError where a call takes more memory than there is for it."""
     with process.float64():
         p = unpack(task.parcel)
@@ -91,7 +91,7 @@ def simulated(work: Work, task: Task, device: Any = None) -> tuple[Planned, in_m
         return p, in_memory.results(p, batch.serial(made, jobs)), made
 
 
-def block(work: Work, p: Planned, label: str, results: dict[str, Any], seeds: Seeds) -> tuple[str, Any]:
+def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds) -> tuple[str, Any]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
     c, signals = p.certificates[label], signals_of(p.cell.scenario)
     many = len(results["mae"])
@@ -121,7 +121,7 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], seeds: Se
     return name, block_files.sealed(table, about)
 
 
-def tasks(parcel: bytes | Planned, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:
+def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:
     """Yield the tasks that fill the `missing` ranges of a cell, by observer: blocks as cut, as many as fill a call."""
     wanted: dict[Seeds, list[str]] = {}
     for label, ranges in missing.items():
@@ -142,7 +142,7 @@ def bytes_of_a_block(cell: Cell, study: Study, seeds: int) -> int:
     return seeds * len(signals_of(cell.scenario)) * len(observers_of(study, cell.scenario.name)) * ROW_BYTES
 
 
-def _fits(p: Planned, needed: int, given: float) -> None:
+def _fits(p: Plan, needed: int, given: float) -> None:
     if needed > given:
         raise UserError(
             f"--memory: one call of {p.cell.scenario.name} with {', '.join(p.labels)} takes {needed / 1e6:.0f} MB, got "

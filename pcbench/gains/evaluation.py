@@ -13,7 +13,7 @@ from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.observers import entry_of
 from pcbench.planning import in_memory
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.simulation import batch
 from pcbench.simulation.schedule.shared import Schedule
 
@@ -21,7 +21,7 @@ METHODS = ("descent", "search")
 Evaluate = Callable[[Vector], tuple[float, Vector]]
 
 
-def check_estimates(p: Planned, aim: Objective, where: str) -> None:
+def check_estimates(p: Plan, aim: Objective, where: str) -> None:
     """Raise UserError where the observer does not estimate the goal's signal."""
     ((label, observer),) = p.layout.observers
     found = jax.eval_shape(
@@ -34,7 +34,7 @@ def check_estimates(p: Planned, aim: Objective, where: str) -> None:
         )
 
 
-def method_for(asked: str | None, aim: Objective, p: Planned, where: str) -> str:
+def method_for(asked: str | None, aim: Objective, p: Plan, where: str) -> str:
     """Return descent where there is a gradient, or else search; raise UserError where descent is asked for in vain."""
     if asked not in (None, *METHODS):
         raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
@@ -51,7 +51,7 @@ def method_for(asked: str | None, aim: Objective, p: Planned, where: str) -> str
 
 
 def evaluator(
-    how: str, p: Planned, aim: Objective, root_seed: int, seeds: Any, design: Callable[[Vector], Any]
+    how: str, p: Plan, aim: Objective, root_seed: int, seeds: Any, design: Callable[[Vector], Any]
 ) -> Evaluate:
     """Return what evaluates a point: infinite where its gains are refused or a run diverges."""
     (label, _), *_ = p.layout.observers

@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from pcbench.errors import UserError
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.simulation import batch, differentiable
 
 LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
@@ -32,7 +32,7 @@ def numbers(gains: Any) -> list[Any]:
     return [a for a in jax.tree.leaves(gains) if np.issubdtype(np.result_type(a), np.floating)]
 
 
-def backwards(p: Planned, goal: Objective, root_seed: int, seeds: Any) -> Callable[[Any], Slope]:
+def backwards(p: Plan, goal: Objective, root_seed: int, seeds: Any) -> Callable[[Any], Slope]:
     """Return what gives, for gains of a planned cell's one observer, the mean over runs and its derivatives."""
     (label, _), *_ = p.layout.observers
     layout = p.layout._replace(width=min(LANES, len(seeds)))

@@ -1,7 +1,6 @@
 """From a study to what is simulated: gains, inputs, schedules and bounds as arrays, one draft a cell."""
 
 from collections.abc import Container, Iterator
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +11,7 @@ from pcbench.observers import base_of, entry_of
 from pcbench.planning import controller, padding
 from pcbench.planning.design_setting import setting
 from pcbench.planning.least_error import bound
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.plants import PLANTS, numbers_of
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch
@@ -22,16 +21,18 @@ from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
+AnySchedule = shared.Schedule | per_lane.Times  # one for all runs, or numbers by which each run draws its own
 
-def plan(study: Study) -> list[Planned]:
+
+def plan(study: Study) -> list[Plan]:
     """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
     return padding.fit(list(drafts(cells_of(study))))
 
 
-def drafts(every: list[Cell], wanted: Container[tuple[str, int]] | None = None) -> Iterator[Planned]:
-    """Draft cells one after another: of each one draft, or in a closed loop one for every observer, each with its own plant.
+def drafts(every: list[Cell], wanted: Container[tuple[str, int]] | None = None) -> Iterator[Plan]:
+    """Yield a draft of every cell; in a closed loop one for each observer, whose plant is its own.
 
-    Cells whose key is not `wanted` (None: all are) have no gains: they say what room a program needs.
+    Cells whose key is not in `wanted` (None: all are) are drafted without gains: they say what room a program needs.
     """
     most: dict[str, tuple[int, int]] = {}
     for cell in every:
@@ -54,8 +55,8 @@ def width(cell: Cell) -> int:
     return batch.HEAVY if PLANTS[cell.scenario.plant].heavy else batch.WIDTH
 
 
-def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None) -> Planned:
-    """Lay out one cell for the observers that `options` names; its layout does not yet fit others."""
+def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None) -> Plan:
+    """Lay out one cell for the observers that `options` names; its shape is its own until `padding.fit`."""
     s, known = cell.scenario, known or setting(cell)
     true, belief, choices = s.truth, s.belief, cell.choices
     plant, n = PLANTS[s.plant], cell.times.ticks
@@ -66,11 +67,11 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     drawn, around = choices.random_start and not belief.start_box, choices.random_start and bool(belief.start_box)
     spread = belief.prior_std if drawn else choices.start_spread * np.abs(true.x0)
     signals = len(true.x0) + len(belief.unknown_std)
-    plan, room = schedule_of(cell)
+    schedule, room = schedule_of(cell)
     problem = Problem(
         params=plant.prepare(numbers_of(s)._replace(**numbers), s.dt, n),
         gains={names[o]: d.gains for o, d in designs.items()},
-        schedule=plan,
+        schedule=schedule,
         inputs=_inputs(cell, known),
         dt=np.asarray(s.dt),
         x0=np.array(belief.xhat0 if drawn else true.x0),
@@ -84,39 +85,33 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         jumps=np.array([tick for tick in jumps(true.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
         scatter=np.array(belief.start_box) * around,
     )
-    observers = tuple((names[o], entry_of(o).observer) for o in options)
-    random = drawn or choices.start_spread > 0
-    drifting = bool(true.drift and plant.plant.of_run)
     layout = Layout(
-        plant.plant,
-        observers,
-        width(cell),
-        room,
-        random,
-        strides=_strides(plan, options, plant.heavy),
+        plant=plant.plant,
+        observers=tuple((names[o], entry_of(o).observer) for o in options),
+        width=width(cell),
+        ring=room,
+        random_start=drawn or choices.start_spread > 0,
+        strides=_strides(schedule, options, plant.heavy),
         continuous=s.sampling.continuous,
-        drifting=drifting,
+        drifting=bool(true.drift and plant.plant.of_run),
         controller=controller.controller(cell),
         scattered=bool(belief.start_box),
     )
-    proofs, carries = {o: d.certificate for o, d in designs.items()}, {o: d.carries_input for o, d in designs.items()}
-    reach = controller.reach(cell, known.overtaking, n) if s.loop.controller else None
-    least = bound(cell, known) if options else None
-    return Planned(
+    return Plan(
         cell=cell,
         layout=layout,
         problem=problem,
-        certificates=proofs,
-        bound=least,
-        carries_input=carries,
+        certificates={o: d.certificate for o, d in designs.items()},
+        bound=bound(cell, known) if options else None,
+        carries_input={o: d.carries_input for o, d in designs.items()},
         labels=tuple(options),
-        reach=reach,
+        reach=controller.reach(cell, known.overtaking, n) if s.loop.controller else None,
     )
 
 
-def _strides(plan: Any, options: dict[str, BaseModel], heavy: bool) -> bool:
-    """Whether flow goes by two ticks: not where nearly every tick has an event, nor where bodies are long to compile."""
-    dense = isinstance(plan, shared.Schedule) and plan.event.mean() >= 0.5
+def _strides(schedule: AnySchedule, options: dict[str, BaseModel], heavy: bool) -> bool:
+    """Whether flow goes by two ticks: not where nearly every tick has an event, nor where a body takes long to compile."""
+    dense = isinstance(schedule, shared.Schedule) and schedule.event.mean() >= 0.5
     return not (dense or heavy or any(entry_of(o).heavy for o in options))
 
 
@@ -134,7 +129,7 @@ def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
     return u
 
 
-def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, int]:
+def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySchedule, int]:
     """Return a cell's schedule and the packets it needs room for; of one run (root seed, seed), where it is random."""
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     error, channels = cell.times.error, len(s.sampling.delay)
@@ -143,8 +138,8 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[Any, in
     if cell.times.random and run is None:
         return per_lane.times(clocks, n, channels, error), per_lane.room(clocks, n, error)
     found = per_lane.realised(clocks, n, channels, *run) if run and cell.times.random else shared.samples(clocks, n)
-    plan = shared.schedule(found, n, channels, error)
-    return plan, shared.in_flight(plan)
+    schedule = shared.schedule(found, n, channels, error)
+    return schedule, shared.in_flight(schedule)
 
 
 def _design(observer: str, known: Setting, options: BaseModel) -> Design:
@@ -156,9 +151,9 @@ def _design(observer: str, known: Setting, options: BaseModel) -> Design:
     return found
 
 
-def alone(p: Planned, root_seed: int, seed: int) -> Planned:
+def alone(p: Plan, root_seed: int, seed: int) -> Plan:
     """Return a cell laid out for one run: where sampling is random, on the schedule of that run."""
-    plan, room = schedule_of(p.cell, (root_seed, seed))
+    schedule, room = schedule_of(p.cell, (root_seed, seed))
     return p._replace(
-        problem=p.problem._replace(schedule=plan), layout=p.layout._replace(ring=max(room, p.layout.ring))
+        problem=p.problem._replace(schedule=schedule), layout=p.layout._replace(ring=max(room, p.layout.ring))
     )

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jax.tree_util import Partial
+from pydantic import BaseModel
 
 from pcbench.controllers import CONTROLLERS
 from pcbench.plants import PLANTS, numbers_of
@@ -21,7 +22,7 @@ class Reach(NamedTuple):
     ahead: int
 
 
-def options(cell: Cell) -> Any:
+def options(cell: Cell) -> BaseModel:
     """Return the options of a closed loop's controller: the scenario's, with the study's choices over them."""
     s, chosen = cell.scenario, {k: v for k, v in cell.choices.loop().items() if v is not None}
     return CONTROLLERS[s.loop.controller].options.model_validate(dict(s.loop.control) | chosen)

@@ -1,36 +1,35 @@
-"""Running planned cells: their seeds in calls of one width, and what each run leaves."""
+"""Running planned cells in this process: seeds in calls of one width, and the metrics of each run."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.planning.padding import Planned, key_of
+from pcbench.planning.padding import Plan, key_of
 from pcbench.simulation import batch, metrics
 from pcbench.simulation.problem import Outcome
 from pcbench.study import Study
 
-Results = dict[
-    str, dict[str, NDArray[Any]]
-]  # by observer, metric -> [what it estimates, seeds] ([seeds] for divergence)
+# by observer and metric: [what it estimates, seeds], of divergence [seeds]
+Results = dict[str, dict[str, NDArray[Any]]]
 
 
-class Done(NamedTuple):
-    """A cell with what its runs left."""
+class CellResults(NamedTuple):
+    """What the runs of one cell left."""
 
-    planned: Planned
+    planned: Plan
     seeds: NDArray[np.int64]
     results: Results
 
 
-def jobs(planned: Planned, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[batch.Job]:
+def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[batch.Job]:
     """Cut a cell's seeds into jobs of one width."""
     for first in range(0, len(seeds), planned.layout.width):
         yield batch.Job(planned.problem, root_seed, seeds[first : first + planned.layout.width])
 
 
-def results(planned: Planned, outcomes: Iterable[tuple[batch.Job, Outcome]]) -> Results:
+def results(planned: Plan, outcomes: Iterable[tuple[batch.Job, Outcome]]) -> Results:
     """Return the metrics that the outcomes of one cell's jobs hold, joined."""
     parts: dict[str, list[dict[str, NDArray[Any]]]] = {label: [] for label in planned.labels}
     n, tail, dt = planned.cell.times.ticks, planned.cell.times.tail, planned.cell.scenario.dt
@@ -44,20 +43,20 @@ def results(planned: Planned, outcomes: Iterable[tuple[batch.Job, Outcome]]) -> 
 
 def execute(
     study: Study,
-    planned: list[Planned],
+    planned: list[Plan],
     seeds: NDArray[np.int64] | None = None,
     devices: int | None = None,
-) -> Iterator[Done]:
-    """Run every planned cell in this process and yield it, in memory, when its last run is in.
+) -> Iterator[CellResults]:
+    """Run every planned cell in this process; yield its results, kept in memory, when its last run is in.
 
     `seeds` are seed indices, by default 0 .. study.seeds - 1. Cells of one shape come together, in their order.
     """
     chosen = np.arange(study.seeds) if seeds is None else np.asarray(seeds)
-    groups: dict[Any, list[Planned]] = {}
+    groups: dict[Hashable, list[Plan]] = {}
     for p in planned:
         groups.setdefault(key_of(p), []).append(p)
     for group in groups.values():
         each = [list(jobs(p, study.root_seed, chosen)) for p in group]
         outcomes = batch.run(group[0].layout, [job for mine in each for job in mine], devices)
         for p, mine in zip(group, each, strict=True):
-            yield Done(p, chosen, results(p, (next(outcomes) for _ in mine)))
+            yield CellResults(p, chosen, results(p, (next(outcomes) for _ in mine)))

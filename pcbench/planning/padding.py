@@ -1,18 +1,19 @@
 """One shape for many cells: room for the largest of them, so that they share a compiled program.
 
 Room is what no number depends on: slots, rings, rows. A cell's own numbers and everything else in its layout stay as
-drafted, so that it has the same bits alone as among others.
+drafted, so that alone it has the same bits as among others.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from functools import reduce
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.planning import controller
+from pcbench.protocols import Plant
 from pcbench.simulation import conformance
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import per_lane, shared
@@ -20,7 +21,7 @@ from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import Certificate
 
 
-class Planned(NamedTuple):
+class Plan(NamedTuple):
     """A cell ready to run."""
 
     cell: Cell
@@ -33,8 +34,8 @@ class Planned(NamedTuple):
     reach: controller.Reach | None  # of a closed loop
 
 
-class Room(NamedTuple):
-    """What the largest of some cells needs."""
+class Capacity(NamedTuple):
+    """The room that the largest of some cells needs."""
 
     slots: int = 1  # arrivals at one tick
     due: int = 0  # samples of a run on a schedule of its own
@@ -46,16 +47,16 @@ class Room(NamedTuple):
     rows: tuple[tuple[tuple[str, int], int], ...] = ()  # by plant and leaf of its numbers
 
 
-def room_of(p: Planned) -> Room:
+def room_of(p: Plan) -> Capacity:
     """Return the room that one draft needs."""
-    plan, common = p.problem.schedule, isinstance(p.problem.schedule, shared.Schedule)
+    schedule, common = p.problem.schedule, isinstance(p.problem.schedule, shared.Schedule)
     rows = {(p.cell.scenario.plant, i): len(a) for i, a in enumerate(jax.tree.leaves(p.problem.params)) if np.ndim(a)}
     back, ahead = p.reach or (0, 0)
-    return Room(
-        slots=plan.arrive.shape[1] if common else 1,
-        due=0 if common else plan.due.shape[1],
+    return Capacity(
+        slots=schedule.arrive.shape[1] if common else 1,
+        due=0 if common else schedule.due.shape[1],
         ring=_rounded(p.layout.ring),
-        early=_rounded(len(plan.early)) if common else 0,
+        early=_rounded(len(schedule.early)) if common else 0,
         back=_rounded(back),
         ahead=_rounded(ahead),
         falls=len(p.problem.jumps),
@@ -63,28 +64,28 @@ def room_of(p: Planned) -> Room:
     )
 
 
-def larger(a: Room, b: Room) -> Room:
+def larger(a: Capacity, b: Capacity) -> Capacity:
     """Return room for both."""
     rows = dict(a.rows)
     for key, many in b.rows:
         rows[key] = max(rows.get(key, 0), many)
-    return Room._make([*map(max, a[:-1], b[:-1]), tuple(rows.items())])
+    return Capacity._make([*map(max, a[:-1], b[:-1]), tuple(rows.items())])
 
 
-def fitted(p: Planned, room: Room) -> Planned:
+def fitted(p: Plan, room: Capacity) -> Plan:
     """Give a draft the shape that `room` asks for."""
-    plan, rows = p.problem.schedule, dict(room.rows)
-    if isinstance(plan, shared.Schedule):
-        plan = shared.pad_early(shared.pad_slots(plan, room.slots), room.early)
+    schedule, rows = p.problem.schedule, dict(room.rows)
+    if isinstance(schedule, shared.Schedule):
+        schedule = shared.pad_early(shared.pad_slots(schedule, room.slots), room.early)
     else:
-        plan = per_lane.padded(plan, room.due)
+        schedule = per_lane.padded(schedule, room.due)
     leaves, tree = jax.tree.flatten(p.problem.params)
     wide = [
         np.broadcast_to(a, (rows[p.cell.scenario.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
         for i, a in enumerate(leaves)
     ]
     falling = np.pad(p.problem.jumps, (0, room.falls - len(p.problem.jumps)), constant_values=shared.NEVER)
-    problem = p.problem._replace(schedule=plan, params=jax.tree.unflatten(tree, wide), jumps=falling)
+    problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, wide), jumps=falling)
     layout = p.layout._replace(ring=room.ring)
     if p.reach:
         law, line = controller.close(p.cell, controller.Reach(room.back, room.ahead), p.cell.times.ticks)
@@ -92,20 +93,20 @@ def fitted(p: Planned, room: Room) -> Planned:
     return p._replace(problem=problem, layout=layout)
 
 
-def fit(drafts: list[Planned]) -> list[Planned]:
+def fit(drafts: list[Plan]) -> list[Plan]:
     """Give drafts one shape, and check that their observers keep to the protocol."""
     room = needed(drafts)
     return [fitted(p, room) for p in checked(drafts)]
 
 
-def needed(drafts: Iterable[Planned]) -> Room:
+def needed(drafts: Iterable[Plan]) -> Capacity:
     """Return the room for the largest of some drafts."""
-    return reduce(larger, map(room_of, drafts), Room())
+    return reduce(larger, map(room_of, drafts), Capacity())
 
 
-def checked(drafts: Iterable[Planned]) -> Iterator[Planned]:
+def checked(drafts: Iterable[Plan]) -> Iterator[Plan]:
     """Yield drafts as they come; raise UserError where an observer does not keep to the protocol, on some kind of plant."""
-    seen: set[Any] = set()
+    seen: set[tuple[str, Plant, bool]] = set()
     for p in drafts:
         for label, observer in p.layout.observers:
             if (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
@@ -114,7 +115,7 @@ def checked(drafts: Iterable[Planned]) -> Iterator[Planned]:
         yield p
 
 
-def key_of(p: Planned) -> Any:
+def key_of(p: Plan) -> Hashable:
     """Return what decides the compiled program of a fitted cell."""
     leaves, tree = jax.tree.flatten(p.problem)
     return p.layout, tree, tuple(np.shape(a) for a in leaves)

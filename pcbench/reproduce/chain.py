@@ -41,7 +41,7 @@ def _remark_2() -> list[Claim]:
 
 def _remark_3() -> list[Claim]:
     """Remark 3: what the poles and the delays do; and chain 3, said to be chain 1."""
-    tau = [round((d or 0.0) / SCENARIOS["csth/10s"].dt) for d in SCENARIOS["csth/10s"].sampling.delay]
+    tau = [round(float(d) / SCENARIOS["csth/10s"].dt) for d in SCENARIOS["csth/10s"].sampling.delay]
     steps = np.diff([0, *sorted(tau)])
     alike = (
         f"delays {tau} leave steps of {', '.join(map(str, steps))} samples: (8) is the same for the first and the last"

@@ -13,7 +13,7 @@ from jax.tree_util import Partial
 from pcbench import planning
 from pcbench.observers import high_gain
 from pcbench.planning import padding
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.plants import helicopter
 from pcbench.protocols import Arrival, Now
 from pcbench.scenarios import SCENARIOS
@@ -81,14 +81,14 @@ def record() -> dict[str, Flight]:
     return {name: Flight(_recorded(p)) for name, p in zip(CASES, padding.fit(drafts), strict=True)}
 
 
-def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str, Any]) -> Planned:
+def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str, Any]) -> Plan:
     parameters = {k: v for k, v in changes.items() if k == "m"}
     s = SCENARIOS["helicopter/" + name].having(**{k: v for k, v in changes.items() if k not in parameters})
     options = options_of(Study(name="reproduce", scenarios=[s.name]), s, observer)
     return planning.draft(cell_of(s, parameters=parameters, choices=Choices(**choices)), {observer: options})
 
 
-def _recorded(p: Planned) -> trace.Recording:
+def _recorded(p: Plan) -> trace.Recording:
     out = trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(0))
     return jax.tree.map(np.asarray, out)
 

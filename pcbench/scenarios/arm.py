@@ -3,8 +3,8 @@
 `sine` and `sawtooth` are measured continuously: plant and observer are one field. Not printed and found by fitting the paper's
 Table 2: x(0), xhat(0) = 0, u = 0, a step of 1e-4 s and the window 6 <= t <= 10 s with both ends, so the horizon ends one tick
 after 10 s. `sampled` is ours: the same arm under a sampler. A drift of size a multiplies k/J, M g l/J and F/J by
-1 + a sin(w t + phi), with w and phi of each run's own. The settling band is 5 % of the initial error, 0.1 rad/s^2 of the input;
-a run has diverged beyond 1000.
+1 + a sin(w t + phi), with w and phi drawn for each run. The settling band is 5 % of the initial error, and 0.1 rad/s^2 for the
+input; a run has diverged beyond 1000.
 
 Source: Peng, Appl. Sci. 2017, 7(1), 67, section 5 and Table 2.
 """

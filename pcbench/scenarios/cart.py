@@ -11,7 +11,7 @@ The settling band is 5 % of the initial error.
 
 from math import sqrt
 
-from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
+from pcbench.scenarios.scenario import INTERVAL, Belief, Loop, Sampling, Scenario, Scoring, Truth
 
 PAPER = "Mohammed, Wang, Tian 2017, section "
 VARIABLE = "Li, Wang, Tian, PI-PCO, section 4"
@@ -36,7 +36,7 @@ CAMERA = NOMINAL.having(
     summary="intervals vary about 0.2 s, each sample one interval late; noise of variance 0.001",
     source=VARIABLE,
     observers=("pco", "pi-pco", "pccebo", "dkf", "dkf-bias", "open-loop"),
-    delay=(None,),
+    delay=(INTERVAL,),
     profile="sine",
     noise_std=(sqrt(0.001),),
     input="sine",

@@ -4,7 +4,7 @@ Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5. Decided where the t
 only): square waves about 0 of 40 and 60 samples, x(0) = (0.5 L, 2e4 J, 5 degC) with xhat(0) = 0, 200 samples, tail from the
 100th. `literal` is the paper's recursion of continuous-time numbers; `1s` and `10s` are the physical plant, sampled exactly.
 A run has diverged when an error exceeds a million times the initial one. The settling band is 5 % of the initial error. Where
-there is no noise, designers take that of `10s-noise`.
+there is no noise, designers assume that of `10s-noise`.
 """
 
 from math import sqrt

@@ -9,14 +9,15 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
+INTERVAL = "interval"  # a delay: a sample arrives when the next is taken; in ticks it is None
 
 
 class Truth(NamedTuple):
-    """What is true of the plant, and no observer is told."""
+    """What is true of the plant and told to no observer."""
 
     x0: tuple[float, ...]  # [n]
     drift: float = 0.0  # scale of the plant's parameter drift
-    parameters: Mapping[str, Any] = NOTHING  # of the plant, where not its own
+    parameters: Mapping[str, Any] = NOTHING  # of the plant, where they differ from its own
     process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick; empty: none
     unknown_input: str = ""  # name in `signals`, or one for each with commas; empty: the plant has none
 
@@ -34,7 +35,7 @@ class Sampling(NamedTuple):
     """How the plant is measured: when samples are taken, when they arrive, how noisy they are."""
 
     sampling_period: tuple[float, ...]  # [q] s
-    delay: tuple[float | None, ...]  # [q] s; None: one interval, a sample arrives when the next is taken
+    delay: tuple[float | str, ...]  # [q] s, or INTERVAL
     noise_std: tuple[float, ...]  # [q] of one sample
     profile: str | tuple[float, ...] = "periodic"  # of the intervals: a name in `PROFILES`, or s in turn
     jitter: float = 0.0  # s, a sample is taken up to this much early or late
@@ -50,14 +51,14 @@ class Belief(NamedTuple):
 
     xhat0: tuple[float, ...]  # [n]
     prior_std: tuple[float, ...]  # [n] of x(0) about xhat(0): P0 is diagonal
-    model: Mapping[str, Any] = NOTHING  # the plant's parameters, where not its own
-    drift_intensity: float = 0.0  # process noise through the input where the plant drifts, 1/s
-    unknown0: tuple[float, ...] = ()  # [s] the unknowns at the start; empty: zeros
+    model: Mapping[str, Any] = NOTHING  # the plant's parameters, where they differ from its own
+    drift_intensity: float = 0.0  # 1/s, process noise through the input where the plant drifts
+    unknown0: tuple[float, ...] = ()  # [s] at the start; empty: zeros
     unknown_std: tuple[float, ...] = ()  # [s] their typical size
-    assumed_noise_std: tuple[float, ...] = ()  # [q] of channels without noise; empty: none
-    assumed_process_std: tuple[float, ...] = ()  # [n] where no process noise is added; empty: none
+    assumed_noise_std: tuple[float, ...] = ()  # [q] for channels without noise; empty: none
+    assumed_process_std: tuple[float, ...] = ()  # [n] for plants without process noise; empty: none
     assumed_delay_error: float = 0.0  # s, samples are believed to be so much older than they are
-    start_box: tuple[float, ...] = ()  # [n] of a random start: xhat(0) uniform about x(0); empty: x(0) from P0
+    start_box: tuple[float, ...] = ()  # [n] a random start draws xhat(0) this close to x(0); empty: x(0), from P0
 
 
 class Scoring(NamedTuple):
@@ -66,7 +67,7 @@ class Scoring(NamedTuple):
     settle_band: tuple[float, ...]  # [n + s] a run has settled when |e| stays within
     bound: float | tuple[float, ...]  # a run has diverged when an |e| leaves it; one for all, or [n + s]
     tail: float = 3.0  # s, where the tail starts
-    signals: tuple[tuple[str, str], ...] = ()  # (state, unit), where not the plant's own
+    signals: tuple[tuple[str, str], ...] = ()  # (state, unit), where they differ from the plant's own
     unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit), likewise
     headline: tuple[str, ...] = ()  # signals that a closing table shows; empty: the first
 

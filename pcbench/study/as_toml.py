@@ -7,7 +7,6 @@ from typing import Any
 import tomli_w
 
 from pcbench.study import Study, choices_of, scenarios_of
-from pcbench.study import axes as axis
 from pcbench.study.cells import Cell, numbering
 
 
@@ -30,11 +29,10 @@ def as_dict(study: Study) -> dict[str, Any]:
 
 
 def _without_null(scenario: dict[str, Any]) -> dict[str, Any]:
-    """A scenario without what TOML has no word for: a delay of one interval is written so, nothing left out."""
-    delay = [axis.INTERVAL if d is None else d for d in scenario["delay"]]
+    """A scenario without what TOML has no word for: nothing."""
     model = {k: v for k, v in scenario["model"].items() if v is not None}
     said = {k: v for k, v in scenario.items() if v is not None}
-    return said | {"delay": delay, "model": model}
+    return said | {"model": model}
 
 
 def to_toml(study: Study, every: list[Cell]) -> str:

@@ -8,18 +8,18 @@ from typing import Any
 
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import parameters_of, positive_of
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
 TIMES = ("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error")  # whole ticks
+Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
 AXES = (*CHANNELS, "drift", "profile", "jitter", "delay_jitter", "loss", "assumed_delay_error", "actuator_delay")
-INTERVAL = "interval"  # a delay of one interval, in a study
 
 
-def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Any]:
+def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
     parameters = [f"plant.{p}" for p in parameters_of(base.plant)]
     if name not in AXES and name not in parameters:
@@ -32,7 +32,7 @@ def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Any]:
     return out
 
 
-def point(name: str, value: Any, base: Scenario, where: str) -> Any:
+def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
     if name == "profile":
         return _profile(value, base, where)
@@ -57,7 +57,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Any:
     if name == "delay" and isinstance(value, str):
         if value != INTERVAL:
             raise UserError(f"{where}: got {shown(value)}, expected seconds or '{INTERVAL}' (one sampling interval).")
-        return (None,) * channels
+        return (INTERVAL,) * channels
     numbers = [number(v, where, least=0.0) for v in each]
     if name in TIMES:
         for v in numbers:
@@ -114,10 +114,11 @@ def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
         raise UserError(f"{where}: got {value:g} s, expected at most the horizon of {base.name}, {base.horizon:g} s.")
 
 
-def plain(name: str, value: Any, apart: bool = False) -> Any:
+def plain(name: str, value: Value, apart: bool = False) -> Any:
     """Return a value as the tables hold it: equal channels as one unless they are to stay apart, an interval as null."""
+    if not isinstance(value, tuple):
+        return value
     if name == "profile":
-        return value if isinstance(value, str) else ", ".join(f"{v:g}" for v in value)
-    if isinstance(value, tuple):
-        return list(value) if apart or len(set(value)) > 1 else value[0]
-    return value
+        return ", ".join(f"{v:g}" for v in value)
+    each = [None if v == INTERVAL else v for v in value]
+    return each if apart or len(set(each)) > 1 else each[0]

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.errors import UserError
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
 from pcbench.study.axes import AXES
-from pcbench.study.times import Times, times_of, whole
+from pcbench.study.times import Timing, times_of, whole
 
 
 class Cell(NamedTuple):
@@ -24,10 +24,10 @@ class Cell(NamedTuple):
     values: dict[str, Any]  # by axis, seconds and SI units: what the tables say
     parameters: dict[str, Any]  # the plant's, where the scenario or an axis changes them
     choices: Choices
-    times: Times
+    times: Timing
     options: dict[str, BaseModel]  # by label of its observers, checked and complete
     told: dict[str, str]  # by label, the digest of those
-    digest: str  # of all that decides its numbers but its observers; empty: it is of no study
+    digest: str  # of all that decides its numbers except its observers; empty: it belongs to no study
 
     @property
     def key(self) -> tuple[str, int]:
@@ -35,7 +35,7 @@ class Cell(NamedTuple):
         return self.scenario.name, self.number
 
     def having(self, **changes: Any) -> "Cell":
-        """Return the cell with fields of its scenario changed, its times with them; it is of no study then."""
+        """Return the cell with fields of its scenario changed, and its times with them; it belongs to no study then."""
         scenario = self.scenario.having(**changes)
         return self._replace(scenario=scenario, times=times_of(scenario), digest="")
 
@@ -54,7 +54,7 @@ def cell_of(
     parameters: dict[str, Any] | None = None,
     choices: Choices | None = None,
 ) -> Cell:
-    """Return a scenario as a cell of no study, with its times in ticks."""
+    """Return a scenario as a cell that belongs to no study, with its times in ticks."""
     return Cell(
         scenario=scenario,
         number=number,
@@ -69,7 +69,7 @@ def cell_of(
 
 
 def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
-    """Return every combination of the axes in one scenario, in the order of the axes as written."""
+    """Return a cell for every combination of the axes in one scenario, in the order in which the axes are written."""
     base, where = scenarios_of(study)[scenario], where or study.name
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
     limits.require_few_cells(math.prod(len(values) for values in axes.values()), whole(base.horizon, base), where)
@@ -90,15 +90,15 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         _of_the_loop(changed, choices, where)
         fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
         values = {name: axis.plain(name, changed.value(name), name in apart) for name in AXES}
-        own = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
+        parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
-        cell = cell_of(changed, index, values, dict(base.truth.parameters) | own, choices)
+        cell = cell_of(changed, index, values, dict(base.truth.parameters) | parameters, choices)
         out.append(cell._replace(options=options, told=digests, digest=identity(cell, study.root_seed)))
     return out
 
 
 def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
-    """Raise UserError where a choice is of the other kind of loop."""
+    """Raise UserError where a choice is for a closed loop and this one is open, or the other way round."""
     given = [name for name, value in choices.loop().items() if value is not None]
     if given and not s.loop.controller:
         raise UserError(
@@ -113,7 +113,7 @@ def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
 
 
 def channels_apart(study: Study) -> set[str]:
-    """Return the axes in which channels differ in some cell of a study: its tables hold a list for every cell there."""
+    """Return the axes whose channels differ in some cell of a study: in its tables every cell has a list there."""
     known, out = scenarios_of(study), set()
     for name in axis.CHANNELS:
         given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
@@ -123,9 +123,10 @@ def channels_apart(study: Study) -> set[str]:
 
 
 def identity(cell: Cell, root_seed: int) -> str:
-    """Return the digest of all that decides the numbers of a cell but its observers; equal for equal numbers."""
+    """Return the digest of all that decides a cell's numbers except its observers: equal for equal numbers."""
+    delay = [None if d == INTERVAL else d for d in cell.scenario.sampling.delay]  # as the first releases wrote it
     said = {
-        "scenario": cell.scenario.flat(),
+        "scenario": cell.scenario.flat() | {"delay": delay},
         "parameters": cell.parameters,
         "choices": cell.choices.model_dump(),
         "root_seed": root_seed,
@@ -134,7 +135,7 @@ def identity(cell: Cell, root_seed: int) -> str:
 
 
 def told(options: BaseModel) -> str:
-    """Return the digest of an observer's options: what decides its numbers in a cell besides the cell."""
+    """Return the digest of an observer's options, which together with the cell decide its numbers."""
     return _hashed(options.model_dump())[:16]
 
 
@@ -152,12 +153,12 @@ def cells_of(study: Study) -> list[Cell]:
 
 
 def rooted(every: list[Cell], root_seed: int) -> list[Cell]:
-    """Return the cells as they would be with another root seed: other draws."""
+    """Return the cells as they are with another root seed, hence other draws."""
     return [cell._replace(digest=identity(cell, root_seed)) for cell in every]
 
 
 def numbered(every: list[Cell], known: dict[str, list[str]]) -> list[Cell]:
-    """Return the cells with new numbers: those whose digests are `known`, by scenario in order of number, keep theirs."""
+    """Return the cells numbered anew; those whose digests are `known` (by scenario, in order of number) keep their numbers."""
     numbers = {name: {digest: i for i, digest in enumerate(digests)} for name, digests in known.items()}
     out = []
     for cell in every:

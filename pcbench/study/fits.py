@@ -7,7 +7,7 @@ import numpy as np
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.plants import nonlinear
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule import sampling
 from pcbench.study import limits
 from pcbench.study.axes import plain
@@ -59,7 +59,7 @@ def _at_every_stage(s: Scenario, where: str) -> None:
 
 
 def _loop(s: Scenario, where: str) -> None:
-    """Raise UserError where the delays of a closed loop cannot be, or what stands open is asked for its actuator."""
+    """Raise UserError for delays that a closed loop cannot have, and for an actuator delay where the loop is open."""
     measured, actuator_delay = s.sampling, s.loop.actuator_delay
     if not s.loop.controller:
         if actuator_delay is not None:
@@ -73,22 +73,22 @@ def _loop(s: Scenario, where: str) -> None:
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
             "offered with times of each run's own; leave jitter, delay_jitter, loss and the profile 'uniform' out."
         )
-    if None in measured.delay:
+    if INTERVAL in measured.delay:
         raise UserError(
             f"{where}: got a delay of one interval in {s.name}, expected seconds: measuring began before t = 0; write a number."
         )
     if len(set(measured.delay)) > 1:
-        each = ", ".join(f"{d:g}" for d in measured.delay if d is not None)
+        each = ", ".join(f"{d:g}" for d in measured.delay if not isinstance(d, str))
         raise UserError(
             f"{where}: got delays of {each} s in {s.name}, expected one for all channels; write one number."
         )
-    _long_enough(s, "delay", measured.delay[0] or 0.0, 0.0 if actuator_delay is not None else s.dt / 2, where)
+    _long_enough(s, "delay", float(measured.delay[0]), 0.0 if actuator_delay is not None else s.dt / 2, where)
     if actuator_delay is not None:
         _long_enough(s, "actuator_delay", actuator_delay, s.dt / 2, where)
 
 
 def _long_enough(s: Scenario, name: str, mean: float, least: float, where: str) -> None:
-    """Raise UserError where a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 may."""
+    """Raise UserError where a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 is allowed."""
     (swing, pace), t = s.sampling.delay_swing, (np.arange(whole(s.horizon, s) + 1) + 0.5) * s.dt
     lowest = mean + float(np.min(swing * np.sin(pace * t)))
     if lowest < least - 1e-9 and (swing or mean):
@@ -116,7 +116,7 @@ def works_on(label: str, s: Scenario, where: str) -> None:
             f"out, take one of {able}, or a scenario that samples."
         )
     takes, found, measured = entry_of(label).takes, clocks(s), s.sampling
-    follows = None in measured.delay and (measured.profile != "periodic" or measured.jitter > 0)
+    follows = INTERVAL in measured.delay and (measured.profile != "periodic" or measured.jitter > 0)
     if takes == "one constant delay" and (measured.delay_jitter or follows):
         spread = measured.delay_jitter
         varies = f"a delay jitter of {spread:g} s" if spread else "a delay of one varying interval"

@@ -43,7 +43,7 @@ def to_scipy(study: Study) -> Any:
     """Return a study's own plant as scipy.signal's StateSpace (continuous) or dlti (discrete)."""
     from scipy import signal
 
-    matrices, dt = _matrices(_own(study))
+    matrices, dt = _matrices(_plant(study))
     return signal.StateSpace(*matrices, **({} if dt is None else {"dt": dt}))
 
 
@@ -53,9 +53,9 @@ def to_control(study: Study) -> Any:
         import control
     except ImportError:
         raise UserError('to_control: python-control is not installed; run pip install "pcbench[control]".') from None
-    own = _own(study)
-    matrices, dt = _matrices(own)
-    labels = [text.split("[")[0].strip() for text in own.states or []]
+    plant = _plant(study)
+    matrices, dt = _matrices(plant)
+    labels = [text.split("[")[0].strip() for text in plant.states or []]
     return control.StateSpace(*matrices, 0 if dt is None else dt, **({"states": labels} if labels else {}))
 
 
@@ -77,7 +77,7 @@ def _state_space(system: Any) -> dict[str, Any]:
     return matrices | ({"dt": float(dt)} if dt else {})
 
 
-def _own(study: Study) -> Lti:
+def _plant(study: Study) -> Lti:
     """Return a study's own plant; raise UserError where it has none."""
     if study.lti is None:
         raise UserError(
@@ -86,10 +86,10 @@ def _own(study: Study) -> Lti:
     return study.lti
 
 
-def _matrices(own: Lti) -> tuple[list[NDArray[np.float64]], float | None]:
+def _matrices(plant: Lti) -> tuple[list[NDArray[np.float64]], float | None]:
     """Return A, B, C, D and the time base [s], None of a continuous plant."""
-    A, B, C = (np.array(rows, float) for rows in (own.A, own.B, own.C))
-    return [A, B, C, np.zeros((len(C), B.shape[1])) if own.D is None else np.array(own.D, float)], own.dt
+    A, B, C = (np.array(rows, float) for rows in (plant.A, plant.B, plant.C))
+    return [A, B, C, np.zeros((len(C), B.shape[1])) if plant.D is None else np.array(plant.D, float)], plant.dt
 
 
 def _plain(value: Any) -> Any:

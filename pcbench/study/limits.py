@@ -1,4 +1,4 @@
-"""What one study may ask of a machine: limits that are said at once, in place of hours or of memory that is not there.
+"""What one study may ask of a machine: more is refused at once, not after hours or when memory runs out.
 
 A run has at most TICKS ticks and SAMPLES samples of a channel, of which at most IN_FLIGHT are on their way at a time and at
 most OVERTAKING newer ones arrive before one. A study has at most CELLS cells in a scenario, of CELL_TICKS ticks in all.
@@ -13,7 +13,7 @@ SAMPLES = 100_000
 IN_FLIGHT = 10_000
 OVERTAKING = 1_000
 CELLS = 10_000
-CELL_TICKS = 100_000_000  # each takes 50 bytes or more before anything runs
+CELL_TICKS = 100_000_000  # each takes at least 50 bytes before anything runs
 
 
 def ticks_of(horizon: float, tick: float, where: str) -> int:

@@ -12,8 +12,8 @@ from pcbench.scenarios import Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import SIGNALS, SINGLE
 from pcbench.study import axes, limits
 
-LEAST = 1e-100  # a number is 0 or no smaller: its square can be told from 0
-# powers of ten by which a plant may grow over its horizon: powers of its map, up to the eighth, stay finite
+LEAST = 1e-100  # a number is 0 or at least this, so that its square is not 0
+# powers of ten by which a plant may grow over its horizon, so that powers of its map, up to the eighth, stay finite
 GROWTH = 30
 MOST = 50  # states, inputs, outputs or unknown inputs
 
@@ -31,7 +31,7 @@ Size = Annotated[Number, Field(ge=0)]
 
 
 def _rows(given: Any, info: ValidationInfo) -> Any:
-    """Say how a list of numbers stands as a matrix: a column for each input, a row for each output."""
+    """Refuse a flat list of numbers, saying how it is written as a matrix: a column for each input, a row for each output."""
     if isinstance(given, list) and given and not any(isinstance(each, list) for each in given):
         rows = [[each] for each in given] if info.field_name in ("B", "E") else [given]
         raise ValueError(f"a list of rows; write {rows}")

@@ -4,16 +4,16 @@ from pcbench.observers import OBSERVERS, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study.schema import Study
 
-OWN = "lti"  # the scenario of a study's own plant
+LTI = "lti"  # the scenario of a linear plant that a study brings
 
 
 def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
-    """Return every scenario a study may name: the published ones, and `lti` where it brings a plant of its own."""
-    return SCENARIOS if study.lti is None else SCENARIOS | {OWN: study.lti.scenario(OWN, f"{where or study.name}: lti")}
+    """Return every scenario that a study may name: the published ones, and `lti` where it brings a plant of its own."""
+    return SCENARIOS if study.lti is None else SCENARIOS | {LTI: study.lti.scenario(LTI, f"{where or study.name}: lti")}
 
 
 def labels_of(study: Study) -> list[str]:
-    """Return what names an observer: its own name, or name-anything with options (study's or scenario's) under it."""
+    """Return every label of an observer: its name, or name-anything where the study or a scenario has options for that."""
     given = [key for s in scenarios_of(study).values() if s.name in study.scenarios for key in s.options]
     return list(dict.fromkeys([*OBSERVERS, *(key for key in [*given, *study.options] if base_of(key) is not None)]))
 

@@ -12,7 +12,7 @@ from pcbench.study import axes
 from pcbench.study.schema import Choices, Study
 from pcbench.study.sentences import sentence
 
-LEAST = 1e-30  # a number of an option is 0 or no smaller: the square of the least noise is larger
+LEAST = 1e-30  # a number of an option is 0 or at least this: the square of the least noise is larger
 
 
 def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
@@ -21,7 +21,7 @@ def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
 
 
 def given(study: Study, scenario: Scenario, observer: str) -> dict[str, Any]:
-    """Return the options that are given: the scenario's, with the study's put over them, the label's own over its name's."""
+    """Return the options as given: the study's over the scenario's, and those of a label over those of its observer."""
     out: dict[str, Any] = {}
     for label in dict.fromkeys([base_of(observer) or observer, observer]):
         out |= dashes(dict(scenario.options.get(label, {}))) | dashes(study.options.get(label, {}))
@@ -34,7 +34,7 @@ def choices_of(study: Study) -> Choices:
 
 
 def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
-    """Return the options that a table holds for an observer's label, or for 'scenario'."""
+    """Return the options in the table of an observer's label, or of 'scenario', checked and complete."""
     if name != "scenario" and base_of(name) is None:
         raise unknown(where, "observer with options (or 'scenario')", name, [*OBSERVERS, "scenario"])
     model = Choices if name == "scenario" else entry_of(name).options
@@ -47,7 +47,7 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
     try:
         options = model.model_validate(dashes(given))
     except ValidationError as error:
-        raise sentence(where, error, model) from None
+        raise sentence(where, error, {"": model.model_fields}) from None
     if isinstance(options, Choices):
         for key, signal, valid in (("input", options.input, SIGNALS), ("unknown_input", options.unknown_input, SINGLE)):
             if signal is not None and signal not in valid:
@@ -60,12 +60,12 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
 
 
 def dashes(given: dict[str, Any]) -> dict[str, Any]:
-    """Return a table with keys as Python names them."""
+    """Return a table with _ for - in its keys."""
     return {key.replace("-", "_"): value for key, value in given.items()}
 
 
 def underscored(given: dict[str, Any], where: str, but: str = "\n") -> dict[str, Any]:
-    """Return a table with keys as Python names them, but for those that begin so; raise UserError for one given twice."""
+    """Return a table with _ for - in its keys, except in those that begin with `but`; raise UserError for a key given twice."""
     out = {key if key.startswith(but) else key.replace("-", "_"): value for key, value in given.items()}
     if len(out) < len(given):
         twice = next(key for key in given if "-" in key and key.replace("-", "_") in given)

@@ -1,4 +1,4 @@
-"""A study as it is written: a dict from a name, a TOML file or Python, with changes put in; its values are not yet checked."""
+"""A study as it is written: a dict from a name, a TOML file or Python, with changes put in. Its values are not checked yet."""
 
 import tomllib
 from copy import deepcopy
@@ -13,11 +13,11 @@ from pcbench.study import STUDIES, Choices, Study, underscored
 from pcbench.study import axes as axis
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
-NOT_TOML = (ValueError, RecursionError)  # what tomllib raises: also of numbers too long, and of lists too deep
+NOT_TOML = (ValueError, RecursionError)  # what tomllib raises, also for numbers too long and lists too deep
 
 
 def raw_of(what: Described, overrides: list[str]) -> dict[str, Any]:
-    """Return a study as a dict, with `key=value` overrides put in, keys as Python names them; nothing else is checked."""
+    """Return a study as a dict, with `key=value` overrides put in and _ for - in its keys; its values are not checked."""
     if isinstance(what, Study):
         raw = deepcopy(what.model_dump(exclude_none=True))
     elif not isinstance(what, str | Path):
@@ -41,7 +41,7 @@ def where_of(what: Described, raw: dict[str, Any]) -> str:
 
 
 def named(raw: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return a raw study with keys as Python names them, `plant` under axes as axes, a single value of an axis as a list."""
+    """Return a raw study with _ for - in its keys, the table axes.plant as axes, and a single value of an axis as a list."""
     axes = raw.get("axes")
     if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # `plant.lam = [...]` is a table to TOML
         nested = {f"plant.{name}": values for name, values in axes["plant"].items()}
@@ -85,7 +85,7 @@ def override(raw: dict[str, Any], change: str) -> None:
 
 
 def _meant(key: str, change: str) -> None:
-    """Raise UserError for the name of an axis, or of an option, that stands without its table."""
+    """Raise UserError for the name of an axis, or of an option, given without its table."""
     if "." in key or key.replace("-", "_") in Study.model_fields:
         return
     name, found = key.replace("-", "_"), []
@@ -106,10 +106,10 @@ def _meant(key: str, change: str) -> None:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        if path.exists() and not path.is_file():  # a folder; or a pipe, for which one would wait
+        if path.exists() and not path.is_file():  # a folder, or a pipe, which would be waited for
             raise OSError(0, "it is no file")
-        text = path.read_text(encoding="utf-8-sig")  # with a mark of the byte order or without
-    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a name that cannot be one
+        text = path.read_text(encoding="utf-8-sig")  # with or without a byte-order mark
+    except (OSError, ValueError) as error:  # ValueError: not UTF-8, or no possible name
         reason = getattr(error, "strerror", None) or error
         raise UserError(
             f"{short(str(path))}: cannot be read ({reason}); expected a TOML file that describes a study."

@@ -11,7 +11,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
-from pcbench.study import OWN, Study, checked_options, fits, labels_of, scenarios_of, sentence
+from pcbench.study import KEYS, LTI, Study, checked_options, fits, labels_of, scenarios_of, sentence
 from pcbench.study.cells import Cell, Grid, cells
 from pcbench.study.raw import Described, named, raw_of, where_of
 
@@ -22,17 +22,17 @@ def load(what: str, overrides: list[str] | None = None) -> Study:
 
 
 def described(raw: dict[str, Any], where: str) -> Study:
-    """Return the study that `raw` describes, every name and option in it checked, but not its cells.
+    """Return the study that `raw` describes; its names and options are checked, its cells are not made.
 
     Raises UserError naming the place in it that is wrong.
     """
     raw = named(raw, where)
     if raw.get("lti") is not None and not raw.get("scenarios"):
-        raw = raw | {"scenarios": [OWN]}
+        raw = raw | {"scenarios": [LTI]}
     try:
         study = Study.model_validate(raw)
     except ValidationError as error:
-        raise sentence(where, error, Study) from None
+        raise sentence(where, error, KEYS) from None
     known = scenarios_of(study, where)
     for name in study.scenarios:
         if name not in known:
@@ -78,7 +78,7 @@ def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) ->
 
 
 def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
-    """Return a study of some observers in one scenario with its one cell; raise UserError where there are more."""
+    """Return a study of these observers with its one cell; raise UserError where it has more."""
     study, every = grid_of(what, {"observers": observers}, overrides)
     if len(every) > 1:
         raise UserError(
@@ -88,7 +88,7 @@ def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tup
 
 
 def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
-    """Return the one scenario that a name or a TOML file stands for; raise UserError where there are more."""
+    """Return the one scenario of a name or a TOML file; raise UserError where there are more."""
     study = described(raw_of(what, overrides or []), what)
     if len(study.scenarios) > 1:
         raise UserError(f"{what}: got {len(study.scenarios)} scenarios, expected one here; name a scenario.")
@@ -96,7 +96,7 @@ def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
 
 
 def _observers(study: Study, names: list[str], where: str) -> None:
-    """Raise UserError where a list of observers is empty, or holds a name that is none or stands there twice."""
+    """Raise UserError where a list of observers is empty, or holds an unknown name or one twice."""
     if not names:
         raise UserError(f"{where}: got an empty list, expected at least one of {', '.join(OBSERVERS)}.")
     for name in names:

@@ -82,3 +82,6 @@ class Study(BaseModel):
     def tunings(self) -> list[str]:
         """Return whose gains are asked for, as a list."""
         return [self.tuning] if isinstance(self.tuning, str) else list(self.tuning)
+
+
+KEYS = {"": [*Study.model_fields], "lti": [*Lti.model_fields], "tune": [*Tune.model_fields]}  # by table of a study file

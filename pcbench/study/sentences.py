@@ -1,23 +1,27 @@
 """What pydantic found wrong, as pcbench says it: where, what was found, what was expected, what to write instead."""
 
-from pydantic import BaseModel, ValidationError
+import re
+from collections.abc import Iterable, Mapping
+
+from pydantic import ValidationError
 
 from pcbench.errors import UserError, short, shown, unknown
-from pcbench.study.lti import Lti
 
 KINDS = ("float", "str")  # how pydantic's names end for a value that may be of several kinds
 
 
-def sentence(where: str, error: ValidationError, model: type[BaseModel]) -> UserError:
-    """The first of pydantic's findings as a sentence; of a value that may be of several kinds, the one that comes nearest."""
+def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str]]) -> UserError:
+    """Return the first of pydantic's findings as a sentence; where a value may be of several kinds, the nearest.
+
+    `keys` are those that each table may have, by its name; "" is the whole.
+    """
     # a name that is none explains others: it goes first
     findings = sorted(error.errors(), key=lambda each: each["type"] != "extra_forbidden")
     loc, kind = findings[0]["loc"], findings[0]["type"]
     place = _place(loc)
     if kind == "extra_forbidden":
         inside = ".".join(str(part) for part in loc[:-1])
-        names = (Lti if inside == "lti" else model).model_fields
-        return unknown(f"{where}: {inside}" if inside else where, "key here", str(loc[-1]), names)
+        return unknown(f"{where}: {inside}" if inside else where, "key here", str(loc[-1]), keys.get(inside, keys[""]))
     if kind == "missing":
         return UserError(f"{where}: {place} is missing; write {loc[-1]} = ...")
     same = [each for each in findings if each["loc"][:1] == loc[:1] and _place(each["loc"]).startswith(place)]
@@ -41,6 +45,6 @@ def _is_kind(part: str) -> bool:
 def _expected(message: str) -> str:
     """Pydantic's message as what was expected."""
     text = message.removeprefix("Value error, ").removeprefix("Input should be ")
-    text = text.replace("dictionary", "table").replace("table or instance of Lti", "table")
+    text = re.sub(r"dictionary( or instance of \w+)?", "table", text)
     text = text.replace("String should", "a string that should").replace("List should", "a list that should")
     return (text[0].lower() + text[1:]).rstrip(".")

@@ -1,15 +1,15 @@
 """Seconds to ticks: the one place where a scenario's times become whole numbers."""
 
-from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from pcbench.protocols import Delay
 from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule.sampling import Clock, any_random
 
 
-class Times(NamedTuple):
+class Timing(NamedTuple):
     """The times of a cell in ticks."""
 
     ticks: int  # N, of the horizon
@@ -23,9 +23,14 @@ class Times(NamedTuple):
         return any_random(self.clocks)
 
 
-def times_of(s: Scenario) -> Times:
+def times_of(s: Scenario) -> Timing:
     """Return a scenario's times in ticks."""
-    return Times(whole(s.horizon, s), whole(s.scoring.tail, s), whole(s.belief.assumed_delay_error, s), clocks(s))
+    return Timing(
+        ticks=whole(s.horizon, s),
+        tail=whole(s.scoring.tail, s),
+        error=whole(s.belief.assumed_delay_error, s),
+        clocks=clocks(s),
+    )
 
 
 def whole(seconds: float, s: Scenario) -> int:
@@ -35,14 +40,14 @@ def whole(seconds: float, s: Scenario) -> int:
 
 def clocks(s: Scenario) -> list[Clock]:
     """Return the sensors of a scenario in ticks: channels of equal period and delay are one."""
-    measured, groups = s.sampling, dict[Any, list[int]]()
+    measured, groups = s.sampling, dict[tuple[float, float | str], list[int]]()
     for j, times in enumerate(zip(measured.sampling_period, measured.delay, strict=True)):
         groups.setdefault(times, []).append(j)
     return [
         Clock(
             channels=tuple(channels),
             period=whole(period, s),
-            delay=None if delay is None else whole(delay, s),
+            delay=None if isinstance(delay, str) else whole(delay, s),
             profile=measured.profile
             if isinstance(measured.profile, str)
             else tuple(whole(v, s) for v in measured.profile),
@@ -56,8 +61,8 @@ def clocks(s: Scenario) -> list[Clock]:
     ]
 
 
-def actuator_delay(s: Scenario) -> Callable[[Any], Any]:
+def actuator_delay(s: Scenario) -> Delay:
     """Return the delay from command to plant [s] as a function of time [s]."""
-    mean = s.sampling.delay[0] if s.loop.actuator_delay is None else s.loop.actuator_delay
+    mean = float(s.sampling.delay[0] if s.loop.actuator_delay is None else s.loop.actuator_delay)
     swing, pace = s.sampling.delay_swing
-    return lambda t: (mean or 0.0) + swing * np.sin(pace * t)
+    return lambda t: mean + swing * np.sin(pace * t)

@@ -12,7 +12,7 @@ from pcbench.dynamics.integrate import rk4
 from pcbench.observers import OBSERVERS, base_of
 from pcbench.plants import PLANTS, signals_of, states_of
 from pcbench.protocols import Arrival
-from pcbench.scenarios import SCENARIOS
+from pcbench.scenarios import INTERVAL, SCENARIOS
 from pcbench.simulation.problem import present
 
 SIGNATURES = {
@@ -85,7 +85,12 @@ def test_scenarios_name_what_exists(name):
     assert len(s.scoring.settle_band) == len(signals_of(s)) == len(s.truth.x0) + len(s.belief.unknown_std)
     assert set(s.scoring.headline) <= {name for name, _ in signals_of(s)}
     assert 0 <= s.scoring.tail < s.horizon
-    for seconds in (*s.sampling.sampling_period, *(d or 0.0 for d in s.sampling.delay), s.horizon, s.scoring.tail):
+    for seconds in (
+        *s.sampling.sampling_period,
+        *(0.0 if d == INTERVAL else d for d in s.sampling.delay),
+        s.horizon,
+        s.scoring.tail,
+    ):
         assert abs(seconds / s.dt - round(seconds / s.dt)) < 1e-9
 
 

@@ -8,7 +8,7 @@ import pcbench
 from pcbench import planning
 from pcbench.errors import UserError
 from pcbench.observers import entry_of
-from pcbench.scenarios import SCENARIOS
+from pcbench.scenarios import INTERVAL, SCENARIOS
 from pcbench.study.cells import cell_of
 
 
@@ -27,7 +27,9 @@ def test_designers_believe_the_mean_age_of_samples_that_are_jittered():
     known = planning.setting(cell("cart/white", delay_jitter=0.06))
     assert known.delay == (200 + np.arange(61).mean(),)
     assert planning.setting(cell("cart/white", assumed_delay_error=0.05)).delay == (250,)
-    mixed = planning.setting(cell("csth/10s", delay_jitter=40.0, assumed_delay_error=10.0, delay=(20.0, None, 70.0)))
+    mixed = planning.setting(
+        cell("csth/10s", delay_jitter=40.0, assumed_delay_error=10.0, delay=(20.0, INTERVAL, 70.0))
+    )
     assert mixed.delay == (2 + 2 + 1, 1 + 2 + 1, 7 + 2 + 1)
 
 

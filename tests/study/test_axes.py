@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pcbench.errors import UserError
-from pcbench.scenarios import SCENARIOS
+from pcbench.scenarios import INTERVAL, SCENARIOS
 from pcbench.simulation.schedule.sampling import Clock
 from pcbench.study import axes, fits, times
 
@@ -38,7 +38,7 @@ def test_a_value_is_taken_up_to_its_edge_and_refused_beyond(name, taken, refused
 
 def test_a_value_for_each_channel_is_as_many_as_there_are_channels():
     assert axes.axis("delay", [20.0, [20.0, 50.0, 70.0], "interval"], TANK, "test") == [
-        (20.0,) * 3, (20.0, 50.0, 70.0), (None,) * 3,
+        (20.0,) * 3, (20.0, 50.0, 70.0), (INTERVAL,) * 3,
     ]  # fmt: skip
     with pytest.raises(UserError, match="got 2 values, expected one or 3"):
         axes.axis("delay", [[20.0, 50.0]], TANK, "test")
@@ -78,8 +78,8 @@ def test_commands_are_never_less_than_half_a_tick_late_as_their_delay_swings():
     ("observer", "takes", "refuses"),
     [
         ("kfbo", {"loss": 0.1, "jitter": 0.01}, {"delay_jitter": 0.01}),
-        ("kfbo", {"delay": (None,)}, {"delay": (None,), "profile": "sine"}),
-        ("kfbo", {"profile": "sine"}, {"delay": (None,), "jitter": 0.01}),
+        ("kfbo", {"delay": (INTERVAL,)}, {"delay": (INTERVAL,), "profile": "sine"}),
+        ("kfbo", {"profile": "sine"}, {"delay": (INTERVAL,), "jitter": 0.01}),
         ("chain", {"loss": 0.1}, {"delay_jitter": 0.2}),
         ("chain", {}, {"jitter": 0.01}),
         ("chain", {}, {"profile": (0.2, 0.4)}),

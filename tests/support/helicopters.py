@@ -10,7 +10,7 @@ from reference import helicopter_ekf, high_gain
 from pcbench import planning
 from pcbench.observers import entry_of
 from pcbench.planning import controller, padding
-from pcbench.planning.padding import Planned
+from pcbench.planning.padding import Plan
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import draws, trace
 from pcbench.simulation.schedule import shared
@@ -27,9 +27,7 @@ OBSERVERS = {
 }
 
 
-def planned(
-    observer: str, seconds: float, *, name="constant", choices=None, parameters=None, **changes: Any
-) -> Planned:
+def planned(observer: str, seconds: float, *, name="constant", choices=None, parameters=None, **changes: Any) -> Plan:
     """Return a scenario with its fields changed, cut to so many seconds."""
     s = SCENARIOS["helicopter/" + name].having(horizon=seconds, tail=seconds / 2)
     s = s.having(**{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()})
@@ -42,7 +40,7 @@ def planned(
     return p._replace(problem=p.problem._replace(control=law, line=line, schedule=plan), layout=layout)
 
 
-def record(p: Planned, seed: int = 0) -> trace.Recording:
+def record(p: Plan, seed: int = 0) -> trace.Recording:
     """Run one seed; arrays [N+1, ...]."""
     return jax.tree.map(np.asarray, trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(seed)))
 
@@ -52,7 +50,7 @@ def estimate(got: trace.Recording) -> np.ndarray:
     return next(iter(got.estimates.values()))
 
 
-def expected(p: Planned, observer: Any = None, seed: int = 0) -> reference.Trace:
+def expected(p: Plan, observer: Any = None, seed: int = 0) -> reference.Trace:
     """Return the reference's run of the same case, [N+1, 4], [N+1, 6], [N+1, 2]."""
     s, choices, N = p.cell.scenario, p.cell.choices, p.cell.times.ticks
     delay, (swing, pace), a = s.sampling.delay[0], s.sampling.delay_swing, s.truth.drift
@@ -80,7 +78,7 @@ def of(label: str, s: Any) -> Any:
     return OBSERVERS[label]
 
 
-def gap(p: Planned, observer: Any = None) -> float:
+def gap(p: Plan, observer: Any = None) -> float:
     """Return the largest difference between a run and the reference: states, estimates, and inputs."""
     got, want = record(p), expected(p, observer)
     pairs = ((got.x[:, :4], want.x), (estimate(got), want.z), (got.u, want.u))
