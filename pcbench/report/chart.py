@@ -107,10 +107,8 @@ def rounded(data: pd.DataFrame) -> pd.DataFrame:
 
 
 def scale(values: pd.Series, **more: Any) -> Any:
-    """Return a scale: logarithmic where positive values go over more than a decade and a half."""
-    found = values[np.isfinite(values)]
-    wide = len(found) and found.min() > 0 and found.max() > 30 * found.min()
-    return alt.Scale(type="log", **more) if wide else alt.Scale(zero=False, nice=True, **more)
+    """Return a scale: logarithmic where values are `frames.wide`."""
+    return alt.Scale(type="log", **more) if frames.wide(values) else alt.Scale(zero=False, nice=True, **more)
 
 
 def spec(chart: Any, params: list[Any] | None = None) -> dict[str, Any]:
