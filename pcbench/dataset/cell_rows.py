@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from pcbench import statistics
 from pcbench.dataset import block_files, columns, store
@@ -60,7 +61,7 @@ def rows_of(
     return stats, pairs
 
 
-def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> Any:
+def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
     """The bound where it is one: below a part of the prior it is zero for every purpose."""
     if bound is None:
         return None
@@ -114,7 +115,7 @@ def results_of(table: pa.Table) -> statistics.Results:
     said = block_files.about(table)
     runs = said["last"] - said["first"]
 
-    def square(name: str) -> Any:
+    def square(name: str) -> NDArray[Any]:
         return table[name].to_numpy().reshape(runs, -1).T
 
     out = {m: square(m)[:many] for m, many in said["metrics"].items()}

@@ -11,6 +11,7 @@ some seeds are common and others are not, rows are made anew over the common one
 A number without spread (no noise) has changed where it differs by more than rounding; one that exists on one side only, too.
 """
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from pcbench.dataset.seeds import Seeds, common, joined
 from pcbench.dataset.verify import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
+from pcbench.statistics.moments import Values
 from pcbench.study.cells import identity, to_toml
 
 LEVEL = 0.05
@@ -62,7 +64,7 @@ class Comparison(NamedTuple):
         return float(np.max(self.rows.relative[self.rows.same_draws].to_numpy(), initial=0.0))
 
 
-def compare(a: Any, b: Any) -> Comparison:
+def compare(a: str | Path, b: str | Path) -> Comparison:
     """Compare two folders; raise UserError where they are of different studies, damaged, or one has no closing tables.
 
     Blocks are looked at by their footers: `verify` reads them whole.
@@ -198,7 +200,7 @@ def judged(both: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def welch(ma: Any, sa: Any, na: Any, mb: Any, sb: Any, nb: Any) -> Any:
+def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values) -> Values:
     """Return Welch's two-sided p-values; NaN where a side has fewer than two runs, or neither varies."""
     va, vb = sa**2, sb**2
     known = (na > 1) & (nb > 1) & (va + vb > 0)

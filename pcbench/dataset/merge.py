@@ -1,7 +1,8 @@
 """Several datasets of one study made one: other seeds, other machines. What two of them hold must be equal, row by row."""
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import pyarrow as pa
 
@@ -31,7 +32,7 @@ class MergeReport(NamedTuple):
     missing: int  # runs that no dataset held
 
 
-def merge(given: list[Any], out: Any, progress: Progress = SILENT) -> MergeReport:
+def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SILENT) -> MergeReport:
     """Copy the blocks of several datasets of one study into a new one and close it; raise UserError where they disagree.
 
     Nothing is written before every overlap has been found equal.
@@ -89,7 +90,7 @@ def _parts(targets: list[store.Target], holdings: list[Owned]) -> dict[tuple[str
     }
 
 
-def _pieces(parts: list[Part]) -> Iterator[tuple[str, Any, int]]:
+def _pieces(parts: list[Part]) -> Iterator[tuple[str, pa.Buffer | None, int]]:
     """Yield for each part of one observer and cell: a name, its bytes or None, and how many runs it held again."""
     kept: list[Part] = []
     for part in parts:

@@ -5,6 +5,7 @@ Cells keep their numbers; new ones follow. Where the study's text is lost or dam
 """
 
 import tomllib
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pcbench.dataset import block_files, repair, store
@@ -131,7 +132,7 @@ def _only_what_stands(there: dict[str, Any], blocks: list[block_files.Block]) ->
         there.update(first_seed=left.first, seeds=left.many)
 
 
-def _reshaped(target: store.Target, there: dict[str, Any], study: Study) -> Any:
+def _reshaped(target: store.Target, there: dict[str, Any], study: Study) -> Iterator[str]:
     """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
     for name in sorted(channels_apart(_study(target, there | {"seeds": 1})) ^ channels_apart(study)):
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
@@ -174,7 +175,7 @@ def _parts(said: bytes) -> dict[str, Any]:
     return there
 
 
-def changes(there: dict[str, Any], here: dict[str, Any]) -> Any:
+def changes(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
     """Yield what differs between a study on disk and one that is to go on there, a phrase each."""
     for key in sorted((there.keys() | here.keys()) - set(GROWS)):
         if there.get(key) != here.get(key):
@@ -196,7 +197,7 @@ def changes(there: dict[str, Any], here: dict[str, Any]) -> Any:
     yield from _lost(there, here)
 
 
-def _lost(there: dict[str, Any], here: dict[str, Any]) -> Any:
+def _lost(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
     """Yield the axes that have lost a value or come anew where cells were lost."""
     old, new = there["resolved"].get("cells", {}), here["resolved"].get("cells", {})
     if any(set(old[s]) - set(new.get(s, [])) or len(set(new.get(s, []))) < len(old[s]) for s in old):
@@ -208,7 +209,7 @@ def _lost(there: dict[str, Any], here: dict[str, Any]) -> Any:
         yield from found or ["cells: some that stand there are not of this study"]
 
 
-def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Any:
+def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Iterator[str]:
     for key in sorted(names if names is not None else old.keys() | new.keys()):
         a, b = old.get(key), new.get(key)
         if isinstance(a, dict) and isinstance(b, dict):

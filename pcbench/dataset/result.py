@@ -2,6 +2,7 @@
 
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pandas as pd
@@ -40,7 +41,14 @@ class Result:
     Without a folder of its own it stands in a temporary one, which goes when the result does.
     """
 
-    def __init__(self, study: Study, target: store.Target, out: Path | str | None, cost: fill.Cost, keep: Any = None):
+    def __init__(
+        self,
+        study: Study,
+        target: store.Target,
+        out: Path | str | None,
+        cost: fill.Cost,
+        keep: TemporaryDirectory[str] | None = None,
+    ):
         self.study, self.out, self.cost, self._target, self._keep = study, out, cost, target, keep
         self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `gains.versions`
         self.provenance: dict[str, Any] = summary.record(target) or {}

@@ -82,7 +82,7 @@ def _reached(out: str) -> Target:
         ) from None
 
 
-def put(target: Target, name: str, content: Any) -> None:
+def put(target: Target, name: str, content: bytes | pa.Buffer) -> None:
     """Put bytes under a name below the target, whole or not at all; the target itself must be there."""
     path = f"{target.root}/{name}"
     with said(f"{target.name}/{name}"):
@@ -152,7 +152,7 @@ def sizes(target: Target, under: str = "") -> dict[str, int]:
         return {name: size for name, size in each.items() if not any(part[0] in "._" for part in name.split("/"))}
 
 
-def footer(target: Target, name: str) -> Any:
+def footer(target: Target, name: str) -> pq.FileMetaData | None:
     """Return a Parquet file's metadata, without its rows; None where they cannot be read."""
     try:
         with target.fs.open_input_file(f"{target.root}/{name}") as file:

@@ -53,7 +53,7 @@ def _digest(said: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def digest_of(content: Any) -> str:
+def digest_of(content: pa.Buffer) -> str:
     """Return the digest of a file's bytes."""
     return hashlib.sha256(content).hexdigest()[:32]
 
@@ -130,7 +130,7 @@ class GrowingTable:
     def __init__(self, about: dict[bytes, bytes]) -> None:
         self.about, self.sink = about, pa.BufferOutputStream()
         self.waiting: list[pa.Table] = []
-        self.writer: Any = None
+        self.writer: Any = None  # a pq.ParquetWriter, once there is a schema
 
     def add(self, table: pa.Table) -> None:
         """Add some rows."""

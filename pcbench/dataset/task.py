@@ -4,12 +4,13 @@ A pure function of its description: wherever and however often a task is done, i
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from math import isfinite
 from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 
 from pcbench.dataset import block_files, columns, store
 from pcbench.dataset.pickled import unpack
@@ -25,6 +26,7 @@ from pcbench.study import Study, observers_of
 from pcbench.study.cells import Cell
 
 ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
+Hold = Callable[[], AbstractContextManager[Any]]  # a device, held while it computes
 
 
 class Work(NamedTuple):
@@ -58,7 +60,7 @@ class Report(NamedTuple):
     versions: dict[str, str]  # of what computed it
 
 
-def compute(work: Work, task: Task, hold: Callable[[], Any] = nullcontext) -> Report:
+def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     """Do a task: simulate its seeds while holding a device, then put its blocks; raise UserError where that cannot be."""
     with hold() as device:
         p, results, made = simulated(work, task, device)
@@ -70,7 +72,7 @@ def compute(work: Work, task: Task, hold: Callable[[], Any] = nullcontext) -> Re
     )
 
 
-def files(work: Work, task: Task, p: Planned, results: in_memory.Results) -> Iterator[tuple[str, Any]]:
+def files(work: Work, task: Task, p: Planned, results: in_memory.Results) -> Iterator[tuple[str, pa.Table]]:
     """Yield the blocks of a task, (name, rows) each."""
     at = 0
     for seeds, labels in task.pieces:
@@ -91,7 +93,7 @@ def simulated(work: Work, task: Task, device: Any = None) -> tuple[Planned, in_m
         return p, in_memory.results(p, batch.serial(made, jobs)), made
 
 
-def block(work: Work, p: Planned, label: str, results: dict[str, Any], seeds: Seeds) -> tuple[str, Any]:
+def block(work: Work, p: Planned, label: str, results: dict[str, Any], seeds: Seeds) -> tuple[str, pa.Table]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
     c, signals = p.certificates[label], signals_of(p.cell.scenario)
     many = len(results["mae"])

@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from pcbench.errors import UserError
@@ -51,7 +52,7 @@ def method_for(asked: str | None, aim: Objective, p: Planned, where: str) -> str
 
 
 def evaluator(
-    how: str, p: Planned, aim: Objective, root_seed: int, seeds: Any, design: Callable[[Vector], Any]
+    how: str, p: Planned, aim: Objective, root_seed: int, seeds: NDArray[np.int64], design: Callable[[Vector], Any]
 ) -> Evaluate:
     """Return what evaluates a point: infinite where its gains are refused or a run diverges."""
     (label, _), *_ = p.layout.observers

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from pcbench.errors import UserError
@@ -19,12 +20,12 @@ from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.planning.padding import Planned
 from pcbench.simulation import batch, differentiable
+from pcbench.simulation.problem import Problem
 
 LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
 STEP = 1e-5  # of a free parameter
-Slope = tuple[
-    float, list[Any], bool
-]  # the mean of a goal's base over runs, its derivative by each array of gains, a run is lost
+# the mean of an objective's base over runs, its derivative by each array of gains, whether a run is lost
+Slope = tuple[float, list[Any], bool]
 
 
 def numbers(gains: Any) -> list[Any]:
@@ -32,14 +33,16 @@ def numbers(gains: Any) -> list[Any]:
     return [a for a in jax.tree.leaves(gains) if np.issubdtype(np.result_type(a), np.floating)]
 
 
-def backwards(p: Planned, goal: Objective, root_seed: int, seeds: Any) -> Callable[[Any], Slope]:
+def backwards(p: Planned, goal: Objective, root_seed: int, seeds: NDArray[np.int64]) -> Callable[[Any], Slope]:
     """Return what gives, for gains of a planned cell's one observer, the mean over runs and its derivatives."""
     (label, _), *_ = p.layout.observers
     layout = p.layout._replace(width=min(LANES, len(seeds)))
     n, tail = p.cell.times.ticks, p.cell.times.tail
     tree = jax.tree.structure(p.problem.gains[label])
 
-    def mean(reals: list[Array], others: list[Any], problem: Any, seeds: Array, weights: Array) -> tuple[Array, Array]:
+    def mean(
+        reals: list[Array], others: list[Any], problem: Problem, seeds: Array, weights: Array
+    ) -> tuple[Array, Array]:
         left, right = iter(reals), iter(others)
         leaves = [next(left if real else right) for real in which]
         whole = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
@@ -93,7 +96,7 @@ def _allowed(design: Callable[[Vector], Any], at: Vector) -> list[Any] | None:
         return None
 
 
-def _padded(seeds: Any, width: int, many: int) -> tuple[Any, Any]:
+def _padded(seeds: NDArray[np.int64], width: int, many: int) -> tuple[NDArray[np.int64], Vector]:
     weights = np.where(np.arange(width) < len(seeds), 1 / many, 0.0)
     return np.resize(seeds, width), weights
 

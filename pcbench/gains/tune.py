@@ -47,7 +47,7 @@ class Tuning(NamedTuple):
 
 
 def tune(
-    scenario: Any,
+    scenario: read.Described,
     observer: str,
     *,
     budget: int = BUDGET,
@@ -102,14 +102,14 @@ def tune(
         judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
         kept = against(judged)
         tuned = Tuning(
-            _study(study, observer, {} if kept else found),
-            parameters.written(every, start),
-            found,
-            kept,
-            judged,
-            trials.points,
-            how,
-            aim,
+            study=_study(study, observer, {} if kept else found),
+            start=parameters.written(every, start),
+            found=found,
+            kept_start=kept,
+            judged=judged,
+            points=trials.points,
+            method=how,
+            objective=aim,
         )
         history.finish(target, whole, tuned)
         return tuned
