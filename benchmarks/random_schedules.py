@@ -57,9 +57,9 @@ def planned(scenario: str, observers: list[str], axes: dict[str, Any], small: bo
     study = read.parse(raw, "cost")
     (cell,) = cells.cells_of(study)
     if not small:
-        return next(planning.drafts(study, [cell]))
+        return next(planning.drafts([cell]))
     cell = cell.having(horizon=2.0, tail=1.0)
-    draft = next(planning.drafts(study, [cell]))
+    draft = next(planning.drafts([cell]))
     return draft._replace(layout=draft.layout._replace(width=FEW))
 
 

@@ -59,7 +59,7 @@ def timed(study: dict[str, Any], execute: executors.Executor, block: int | None 
     """
     with tempfile.TemporaryDirectory() as out, process.float64():
         target, began = store.target(out), []
-        owned = ownership.claim(target, read.study_of(study, {}, []))
+        owned = ownership.claim(target, read.grid_of(study, {}, []))
         planned = Progress(begin=lambda what, many: began.append(time.perf_counter()))
         cost = fill.fill(target, owned, [], execute, fill.everything(owned, []), fill.Sizes(block), planned)
         took, asked = time.perf_counter() - began[0], study["seeds"] * len(study["observers"])

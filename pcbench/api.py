@@ -14,9 +14,9 @@ from pcbench.errors import UserError
 from pcbench.gains import fair_table, versions
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.planning import alone, plan
+from pcbench.planning import alone, drafts, padding
 from pcbench.plants import signals_of
-from pcbench.study.read import Described, one_cell, study_of
+from pcbench.study.read import Described, grid_of, one_cell
 from pcbench.synthesis.certificate import Design
 
 
@@ -55,7 +55,7 @@ def run(
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
-    chosen = study_of(study, changes | {"first_seed": first_seed}, overrides or [])
+    grid = grid_of(study, changes | {"first_seed": first_seed}, overrides or [])
     with process.float64():
         how = run_study.How(
             fresh=fresh,
@@ -69,8 +69,8 @@ def run(
             progress=progress,
             say=say,
         ).checked()
-        made = versions.prepare(chosen, out, fresh, progress)
-        return fair_table.report(made, run_study.execute(made.study, out, how), out, how)
+        made = versions.prepare(grid, out, fresh, progress)
+        return fair_table.report(made, run_study.execute(made.grid, out, how), out, how)
 
 
 def trace(
@@ -89,12 +89,12 @@ def trace(
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
     with process.float64():
         study, cell = one_cell(scenario, names, overrides or [])
-        if cell.scenario.controller and len(names) > 1:
+        if cell.scenario.loop.controller and len(names) > 1:
             raise UserError(
                 f"{study.name}: got {len(names)} observers in a closed loop, expected one: each drives a plant of its own; "
                 "trace them one at a time."
             )
-        (p,) = (alone(planned, study.root_seed, seed) for planned in plan(study))
+        (p,) = (alone(planned, study.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
         from pcbench.simulation import trace
 
         out = trace.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))

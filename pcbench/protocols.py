@@ -1,7 +1,7 @@
 """The protocols: a plant and an observer are NamedTuples of pure functions plus a pytree of numbers.
 
 Every function here is written for ONE run (a *lane*); `simulation/lanes/entrywise` carries it over thousands. Arrays have the
-shapes named below; n states, m inputs, q outputs, r numbers in a note. Time is counted in ticks of `dt` seconds.
+shapes named below; n states, m inputs, q outputs, s unknowns beside the state. Time is counted in ticks of `dt` seconds.
 
 Order of events at tick k: sense, deliver, estimate, control, flow. Values are
 right-continuous: the estimate of tick k is read after the jump of tick k, and in a closed loop the command of tick k is made
@@ -9,11 +9,14 @@ of it.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from jax import Array
+from jaxtyping import Bool, Float, Int
 
 Leaf = Any  # an array among an observer's or a plant's numbers: NumPy's when designed, jax's when traced
+Room = Leaf  # zeros, whose number alone is the message: under jit a length is known where a value is not
+Params = Any  # a pytree of arrays: a plant's or a controller's numbers
 Gains = Any  # a pytree of arrays: an observer's numbers, traced, never captured in a closure
 Memory = Any  # a pytree of arrays: an observer's state between ticks
 Delay = Callable[[Any], Any]  # of a closed loop: t [s], an array -> tau [s]
@@ -28,56 +31,139 @@ class Now(NamedTuple):
     its schedule can ask for: beyond them `past_u` is NaN.
     """
 
-    t: Array  # [s], scalar
-    tick: Array  # integer scalar
-    dt: Array  # [s], scalar
-    u: Array  # [m]
+    t: Float[Array, ""]  # [s]
+    tick: Int[Array, ""]
+    dt: Float[Array, ""]  # [s]
+    u: Float[Array, " m"]
     past_u: Callable[[Array], Array]  # age [ticks] -> u[m] applied `age` ticks ago
 
 
 class Arrival(NamedTuple):
     """What the network delivers to `jump`: one sampling instant; channels that did not arrive are not fresh."""
 
-    value: Array  # [q] measured values; meaningful where fresh
-    fresh: Array  # [q] bool
-    age: Array  # [q] ticks since the sample was taken
-    index: Array  # type: ignore[assignment]  # [q] which sample of its channel this is (0 is the first)
-    note: Array  # [r] what the observer noted when the sample was taken
-    since: Array  # ticks since the last tick at which anything arrived (counted from 0 before the first)
+    value: Float[Array, " q"]  # measured; meaningful where fresh
+    fresh: Bool[Array, " q"]
+    age: Int[Array, " q"]  # ticks since the sample was taken
+    index: Int[Array, " q"]  # type: ignore[assignment]  # which sample of its channel this is (0 is the first)
+    note: Float[Array, " noted"]  # what the observer noted when the sample was taken
+    since: Int[Array, ""]  # ticks since the last tick at which anything arrived (counted from 0 before the first)
+
+
+class Step(Protocol):
+    """Move x by one tick, under the held now.u."""
+
+    def __call__(self, params: Params, now: Now, x: Float[Array, " n"], /) -> Float[Array, " n"]: ...
+
+
+class Output(Protocol):
+    """Return y, what is measured of x."""
+
+    def __call__(self, params: Params, now: Now, x: Float[Array, " n"], /) -> Float[Array, " q"]: ...
+
+
+class PlantField(Protocol):
+    """Return dx/dt under the held now.u; now.t is the time of a Runge-Kutta stage."""
+
+    def __call__(self, params: Params, now: Now, x: Float[Array, " n"], /) -> Float[Array, " n"]: ...
+
+
+class Unknown(Protocol):
+    """Return, at now.t, what observers are not told."""
+
+    def __call__(self, params: Params, now: Now, x: Float[Array, " n"], /) -> Float[Array, " s"]: ...
+
+
+class OfRun(Protocol):
+    """Return the numbers of one run, from what it has drawn uniformly in [0, 1)."""
+
+    def __call__(self, params: Params, uniform: Float[Array, " drawn"], /) -> Params: ...
 
 
 class Plant(NamedTuple):
     """A plant as pure functions of its numbers `params`.
 
     `unknown` is what observers are not told and may estimate beside the state: unknown inputs, parameters. A plant whose
-    numbers drift in each run differently draws `drawn` of them, uniform in [0, 1), and `of_run` makes its params of them.
+    numbers drift in each run differently draws `drawn` numbers, of which `of_run` makes its params.
     """
 
-    step: Callable[[Any, Now, Array], Array]  # x[n] -> x[n] one tick later, under the held now.u
-    output: Callable[[Any, Now, Array], Array]  # x[n] -> y[q]
-    field: Callable[[Any, Now, Array], Array] | None = None  # x[n] -> dx/dt[n]; now.t is the stage's time
-    unknown: Callable[[Any, Now, Array], Array] | None = None  # x[n] -> [s] at now.t
+    step: Step
+    output: Output
+    field: PlantField | None = None
+    unknown: Unknown | None = None
     drawn: int = 0
-    of_run: Callable[[Any, Array], Any] | None = None  # uniform[drawn] -> params
+    of_run: OfRun | None = None
+
+
+class Target(Protocol):
+    """Return the set point of a tick, of the first r states."""
+
+    def __call__(self, params: Params, tick: Int[Array, ""], /) -> Float[Array, " r"]: ...
+
+
+class Before(Protocol):
+    """Return the command of a tick below 0, from the estimate at 0."""
+
+    def __call__(self, params: Params, tick: Int[Array, ""], estimate: Array, /) -> Float[Array, " m"]: ...
+
+
+class Command(Protocol):
+    """Return the command of now; coming(i) is the input applied i ticks on, as far as it is decided."""
+
+    def __call__(
+        self, params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], /
+    ) -> Float[Array, " m"]: ...
 
 
 class Controller(NamedTuple):
     """A control law as pure functions of its numbers `params`; m inputs, r outputs that are to follow a set point."""
 
-    target: Callable[[Any, Array], Array]  # tick -> set point [r], of the first r states
-    before: Callable[[Any, Array, Array], Array]  # (tick below 0, estimate at 0) -> command [m] of the time before 0
-    command: Callable[[Any, Now, Array, Callable[[Array], Array]], Array]
-    # (now, estimate, coming) -> command [m] of now; coming(i): the input applied i ticks on, as far as it is decided
+    target: Target
+    before: Before
+    command: Command
+
+
+class Init(Protocol):
+    """Start a run from xhat(0)."""
+
+    def __call__(self, gains: Gains, xhat0: Float[Array, " n"], /) -> Memory: ...
+
+
+class Note(Protocol):
+    """Return what the observer will need of the present when the sample that is taken now arrives."""
+
+    def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, " noted"]: ...
+
+
+class Jump(Protocol):
+    """Use what arrives."""
+
+    def __call__(self, gains: Gains, memory: Memory, now: Now, arrival: Arrival, /) -> Memory: ...
+
+
+class Flow(Protocol):
+    """Move by one tick, under the held now.u."""
+
+    def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Memory: ...
+
+
+class Estimate(Protocol):
+    """Return xhat of the *present*: of the state, [n], or of the plant's unknowns too, [n + s]."""
+
+    def __call__(self, gains: Gains, memory: Memory, /) -> Float[Array, " signals"]: ...
+
+
+class ObserverField(Protocol):
+    """Return d memory/dt with y measured at now.t, a Runge-Kutta stage's."""
+
+    def __call__(self, gains: Gains, memory: Memory, now: Now, y: Float[Array, " q"], /) -> Memory: ...
 
 
 class Observer(NamedTuple):
     """An observer as pure functions of its `gains` and its `memory`."""
 
-    init: Callable[[Gains, Array], Memory]  # xhat0[n] -> memory
-    note: Callable[[Gains, Memory, Now], Array]  # -> [r], when a sample is taken
-    jump: Callable[[Gains, Memory, Now, Arrival], Memory]  # when something arrives
-    flow: Callable[[Gains, Memory, Now], Memory]  # one tick later
-    estimate: Callable[
-        [Gains, Memory], Array
-    ]  # -> xhat[n], the *current* estimate; or [n + s], the plant's unknowns too
-    field: Callable[[Gains, Memory, Now, Array], Memory] | None = None  # d memory / dt with y held
+    init: Init
+    note: Note  # when a sample is taken
+    jump: Jump  # when something arrives
+    flow: Flow  # from tick to tick
+    estimate: Estimate
+    field: ObserverField | None = None  # where it runs on continuous measurement as well

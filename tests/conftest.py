@@ -20,7 +20,8 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 settings.register_profile("house", deadline=None)  # a machine under load is no failure
 settings.load_profile("house")
-install_import_hook(["pcbench.dynamics.integrate", "pcbench.plants", "pcbench.synthesis"], "beartype.beartype")
+SHAPED = ["dynamics.integrate", "plants", "observers", "controllers", "synthesis", "simulation.actuator"]
+install_import_hook([f"pcbench.{name}" for name in SHAPED], "shapes.checked")
 
 
 @pytest.fixture(scope="session")

@@ -4,11 +4,12 @@ The order is that of what can be asked: without a design nothing, without the ri
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from pcbench.checking.finding import FAILS, PASSES, SKIPPED, Finding, Skipped
 from pcbench.checking.lanes import lanes
-from pcbench.checking.loading import Found, load
+from pcbench.checking.loading import Candidate, load
 from pcbench.checking.programs import float64, gains, purity
 from pcbench.checking.schedules import after_the_jump, delay_0, no_peeking, perfect_start
 from pcbench.checking.trial import Trial, trial
@@ -17,10 +18,10 @@ from pcbench.machine import process
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.simulation.conformance import check as shapes_of
 
-Check = Callable[[Trial, Any], str]
+Check = Callable[[Trial], str]  # what passed; raises UserError or Skipped
 
 
-def shapes(t: Trial, found: Any) -> str:
+def shapes(t: Trial) -> str:
     """Every function of the protocol returns what it should."""
     for case in t.cases:
         p = case.problem
@@ -40,7 +41,15 @@ CHECKS: dict[str, Check] = {
     "after the jump": after_the_jump,
 }
 BASIC = ("design", "shapes")  # what must pass before another check is asked
-NEEDS = {"shapes": ("design",), "gains": (*BASIC, "purity")}
+RUN = (*BASIC, "lanes")  # a run is carried over lanes
+NEEDS = {
+    "shapes": ("design",),
+    "gains": (*BASIC, "purity"),
+    "perfect start": RUN,
+    "delay 0": RUN,
+    "no peeking": RUN,
+    "after the jump": RUN,
+}
 
 
 def check(
@@ -53,33 +62,33 @@ def check(
     if scenario not in SCENARIOS:
         raise unknown("check --scenario", "scenario", scenario, SCENARIOS)
     with process.float64():
-        found = load(target, options)
-        return found.label, findings(found, SCENARIOS[scenario])
+        candidate = load(target, options)
+        return candidate.label, findings(candidate, SCENARIOS[scenario])
 
 
-def findings(found: Found, scenario: Scenario) -> list[Finding]:
+def findings(candidate: Candidate, scenario: Scenario) -> list[Finding]:
     """Return what every check says of an observer; nothing that its code raises comes out but in a sentence."""
     made: list[Trial] = []
 
-    def design(_: Any, __: Any) -> str:
-        made.append(trial(found, scenario))
+    def design() -> str:
+        made.append(trial(candidate, scenario))
         refused = f"; refused {len(made[0].refused)}: {made[0].refused[0]}" if made[0].refused else ""
         return f"gains on {len(made[0].cases)} schedules of {scenario.name}{refused}"
 
-    out = [_verdict("design", design, None, found)]
+    out = [_verdict("design", design)]
     for name, check in CHECKS.items():
         failed = [f.check for f in out if f.verdict == FAILS]
         first = next((need for need in NEEDS.get(name, BASIC) if need in failed), None)
         if first:
             out.append(Finding(name, SKIPPED, f"not asked before {first} passes"))
         else:
-            out.append(_verdict(name, check, made[0], found))
+            out.append(_verdict(name, partial(check, made[0])))
     return out
 
 
-def _verdict(name: str, check: Any, t: Any, found: Found) -> Finding:
+def _verdict(name: str, check: Callable[[], str]) -> Finding:
     try:
-        return Finding(name, PASSES, check(t, found))
+        return Finding(name, PASSES, check())
     except Skipped as reason:
         return Finding(name, SKIPPED, str(reason))
     except UserError as error:

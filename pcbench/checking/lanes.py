@@ -16,7 +16,7 @@ from pcbench.simulation.lanes.entrywise import over
 WIDTH, CLOSE = 3, 1e-11  # sums over lanes may be in another order
 
 
-def lanes(t: Trial, found: Any) -> str:
+def lanes(t: Trial) -> str:
     """Each lane of a batch is what the run gives alone; lanes stand last."""
     case = t.cases[0]
     first, every = given(t, case, case.problem.gains[t.label]), asked(t, case)

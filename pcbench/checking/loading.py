@@ -23,7 +23,7 @@ from pcbench.protocols import Observer
 WHERE = "check"
 
 
-class Found(NamedTuple):
+class Candidate(NamedTuple):
     """An observer with the name it goes by and its options."""
 
     label: str
@@ -37,7 +37,7 @@ class NoOptions(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def load(target: str, given: dict[str, Any] | None = None) -> Found:
+def load(target: str, given: dict[str, Any] | None = None) -> Candidate:
     """Return the observer that MODULE:OBSERVER names, with the options `given`; raise UserError where there is none."""
     place, colon, name = target.rpartition(":")
     if not colon or not place or not name:
@@ -53,7 +53,7 @@ def load(target: str, given: dict[str, Any] | None = None) -> Found:
         public = [n for n in vars(module) if not n.startswith("_")]
         raise unknown(f"{WHERE} {place}", "observer there", name, there or public) from None
     entry = _entry(found, module, f"{WHERE} {short(target)}")
-    return Found(name, entry, _options(entry, given or {}, f"{WHERE} {short(target)}"))
+    return Candidate(name, entry, _options(entry, given or {}, f"{WHERE} {short(target)}"))
 
 
 def _entry(found: Any, module: ModuleType, where: str) -> Entry:

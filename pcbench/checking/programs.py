@@ -9,14 +9,15 @@ from pcbench.checking.finding import require
 from pcbench.checking.tracing import Asked, Given, Program, alike, asked, given, inside, program
 from pcbench.checking.trial import Case, Trial, designed
 from pcbench.errors import UserError
+from pcbench.protocols import Gains
 
 ALLOWED = (-1.0, 0.0, 0.5, 1.0, 2.0)  # of arrays that pick or sign entries, or are a Runge-Kutta step's: no design's
 
 
-def gains(t: Trial, found: Any) -> str:
+def gains(t: Trial) -> str:
     """Gains are arrays; another design fits the same program, and changes no number in it."""
     case = t.cases[0]
-    first = _gains(found, case)
+    first = _gains(t, case)
     programs = _programs(t, case, first)
     for name, each in programs.items():
         captured = [a for a in each.numbers if a.ndim and a.dtype.kind == "f" and not np.isin(a, ALLOWED).all()]
@@ -27,7 +28,7 @@ def gains(t: Trial, found: Any) -> str:
         )
     other = t.cases[-1]
     known = other.setting._replace(noise_std=tuple(2 * s or 1.0 for s in case.setting.noise_std))
-    second = _gains(found, other._replace(setting=known))
+    second = _gains(t, other._replace(setting=known))
     require(
         _form(first) == _form(second),
         f"gains: got {_form(second)} from another delay and noise, expected the form {_form(first)} of the first design; keep "
@@ -42,7 +43,7 @@ def gains(t: Trial, found: Any) -> str:
     return "all numbers are gains; another design needs no other program"
 
 
-def purity(t: Trial, found: Any) -> str:
+def purity(t: Trial) -> str:
     """The same input gives the same output; nothing is kept outside, no argument is changed."""
     case = t.cases[0]
     g = given(t, case, case.problem.gains[t.label])
@@ -60,7 +61,7 @@ def purity(t: Trial, found: Any) -> str:
     return "same input, same output; nothing kept outside, no argument changed"
 
 
-def float64(t: Trial, found: Any) -> str:
+def float64(t: Trial) -> str:
     """No number is rounded to fewer bits than it came with."""
     case = t.cases[0]
     g = given(t, case, case.problem.gains[t.label])
@@ -107,11 +108,11 @@ def _changed(a: Asked, g: Given) -> bool:
     return found[0]
 
 
-def _gains(found: Any, case: Case) -> Any:
-    return designed(found, case).gains
+def _gains(t: Trial, case: Case) -> Gains:
+    return designed(t.candidate, case).gains
 
 
-def _programs(t: Trial, case: Case, gains: Any) -> dict[str, Program]:
+def _programs(t: Trial, case: Case, gains: Gains) -> dict[str, Program]:
     g = given(t, case, gains)
     return {a.name: program(a, g) for a in asked(t, case)}
 

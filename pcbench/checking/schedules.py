@@ -7,26 +7,28 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.checking.finding import Skipped, require
-from pcbench.checking.replay import Shift, none, replay
+from pcbench.checking.replay import none, replay
 from pcbench.checking.tracing import AGE, TICK, given
-from pcbench.checking.trial import Case, Trial, called
+from pcbench.checking.trial import Case, Trial
 from pcbench.protocols import Arrival
+from pcbench.simulation.events_shared import Shift
 from pcbench.simulation.problem import present
 
 ROUNDING = 1e-9  # of the largest state: a tick of slip is more than 1e-5
 WRONG = 0.07  # part by which a start is wrong where one is needed
 
 
-def perfect_start(t: Trial, found: Any) -> str:
+def perfect_start(t: Trial) -> str:
     """True model, true start, no noise: no error, on every schedule."""
     if not t.knows_schedule:
         raise Skipped("it declares that it does not know the schedule")
     if t.cases[0].setting.model.E is not None:
         raise Skipped("an unknown input pushes this plant: no start stays perfect; name a --scenario without one")
     for case in t.cases:
-        got = jax.tree.map(np.asarray, _run(t, case))
-        n = len(case.problem.x0)  # what is unknown beside the states may take its time
-        e = np.abs(got.x - got.xhat[:, :n]).max(1) / np.abs(got.x).max()
+        p = case.problem
+        got = jax.tree.map(np.asarray, replay(t, p._replace(xhat0=p.x0), none(p)))
+        n = len(p.x0)  # what is unknown beside the states may take its time
+        e = np.abs(got.x[:, :n] - got.estimates[t.label][:, :n]).max(1) / np.abs(got.x[:, :n]).max()
         bad = np.flatnonzero(~(e <= ROUNDING))
         require(
             not bad.size,
@@ -37,12 +39,12 @@ def perfect_start(t: Trial, found: Any) -> str:
     return f"no error on {_many(t)}"
 
 
-def delay_0(t: Trial, found: Any) -> str:
+def delay_0(t: Trial) -> str:
     """A sample may arrive at the tick it is taken: numbers stay finite, and u of that tick is not known to jump."""
-    case = called("delay 0", t)
+    case = t.called("delay 0")
     if case is None:
         raise Skipped("its design refuses delay 0")
-    got = np.asarray(_run(t, case, WRONG).xhat)
+    got = _estimates(t, case)
     bad = np.flatnonzero(~np.isfinite(got).all(1))
     require(
         not bad.size,
@@ -58,7 +60,7 @@ def delay_0(t: Trial, found: Any) -> str:
     return "a sample of age 0 is used, the input of its tick is not"
 
 
-def no_peeking(t: Trial, found: Any) -> str:
+def no_peeking(t: Trial) -> str:
     """Estimates do not depend on what has not arrived: values, ages, notes, channels, inputs."""
     _not_fresh(t, t.cases[0])
     for case in t.cases:
@@ -76,14 +78,14 @@ def no_peeking(t: Trial, found: Any) -> str:
     return f"what has not arrived changes no bit of an estimate, on {_many(t)}"
 
 
-def after_the_jump(t: Trial, found: Any) -> str:
+def after_the_jump(t: Trial) -> str:
     """An arrival shows in the estimate of its own tick, or as a rate of the flow from there on."""
     case = t.cases[0]
     k, number = _arrival(case)
     many, q = len(case.problem.schedule.sense) + 1, len(case.problem.noise_std)
     touched = jnp.asarray(np.arange(many) == number, float)
     shift = Shift(jnp.tile(touched[:, None], q), jnp.zeros(many))
-    plain, other = (np.asarray(_run(t, case, WRONG, s).xhat) for s in (None, shift))
+    plain, other = (_estimates(t, case, s) for s in (none(case.problem), shift))
     moved = np.abs(other - plain).max(1)
     if not moved.any():
         return "no measurement changes its estimate"
@@ -110,15 +112,14 @@ def _arrival(case: Case) -> tuple[int, int]:
     return k, int(plan.arrive[k].max())
 
 
-def _run(t: Trial, case: Case, wrong: float = 0.0, shift: Any = None, p: Any = None) -> Any:
-    p = case.problem if p is None else p
-    start = p.x0 * (1 - wrong) - wrong
-    p = p._replace(xhat0=start if wrong else p.x0)
-    gains = jax.tree.map(jnp.asarray, p.gains[t.label])
-    return replay(t.plant, t.observer, p._replace(gains={}), gains, none(p) if shift is None else shift)
+def _estimates(t: Trial, case: Case, shift: Shift | None = None) -> np.ndarray:
+    """The estimates of ticks 0 .. N from a start that is wrong, [N+1, n or n + s]."""
+    p = case.problem
+    wrong = p._replace(xhat0=p.x0 * (1 - WRONG) - WRONG)
+    return np.asarray(replay(t, wrong, none(p) if shift is None else shift).estimates[t.label])
 
 
-def _same_until(t: Trial, case: Case, k: int, shift: Any, inputs_from: int, ages_from: int | None = None) -> bool:
+def _same_until(t: Trial, case: Case, k: int, shift: Shift, inputs_from: int, ages_from: int | None = None) -> bool:
     """Whether estimates of ticks 0 .. k have the same bits when data are shifted, and inputs and ages from a tick on."""
     p = case.problem
     u = np.array(p.inputs)
@@ -128,8 +129,8 @@ def _same_until(t: Trial, case: Case, k: int, shift: Any, inputs_from: int, ages
         believed = np.array(plan.believed)
         believed[ages_from:] = np.maximum(believed[ages_from:] - 1, 0)
         plan = plan._replace(believed=believed)
-    plain = np.asarray(_run(t, case, WRONG).xhat)
-    other = np.asarray(_run(t, case, WRONG, shift, p._replace(inputs=u, schedule=plan)).xhat)
+    plain = _estimates(t, case)
+    other = _estimates(t, case._replace(problem=p._replace(inputs=u, schedule=plan)), shift)
     return np.array_equal(plain[: k + 1], other[: k + 1], equal_nan=True)
 
 

@@ -5,18 +5,18 @@ same time; where it takes them, intervals that vary and samples that overtake. A
 schedule in a sentence of its own; it must take one.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from pcbench import planning
-from pcbench.checking.loading import Found
+from pcbench.checking.loading import Candidate
 from pcbench.errors import UserError, raised
 from pcbench.plants import PLANTS
 from pcbench.protocols import Observer, Plant
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import Loop, Sampling, Scenario, Truth
 from pcbench.simulation.problem import Problem, present, truth
 from pcbench.simulation.schedule import shared
 from pcbench.study import times
@@ -38,34 +38,54 @@ class Case(NamedTuple):
 class Trial(NamedTuple):
     """An observer with its gains on every schedule that it takes."""
 
-    label: str
-    observer: Observer
+    candidate: Candidate
     plant: Plant
-    knows_schedule: bool
     cases: tuple[Case, ...]
     refused: tuple[str, ...]  # its own sentences
+
+    @property
+    def label(self) -> str:
+        """Return the name that the observer goes by."""
+        return self.candidate.label
+
+    @property
+    def observer(self) -> Observer:
+        """Return its functions."""
+        return self.candidate.entry.observer
+
+    @property
+    def knows_schedule(self) -> bool:
+        """Return whether it claims a perfect start."""
+        return self.candidate.entry.knows_schedule
+
+    def called(self, name: str) -> Case | None:
+        """Return the case of a name, or None where the observer refused it."""
+        return next((case for case in self.cases if case.name == name), None)
 
 
 def cases(scenario: Scenario, takes: str) -> list[Case]:
     """Return the schedules to try, without gains."""
-    every, at_once = round(scenario.sampling_period[0] / scenario.dt), len(scenario.delay)
-    ticks = SPAN * every
+    measured, x0 = scenario.sampling, scenario.truth.x0
+    every, at_once = round(measured.sampling_period[0] / scenario.dt), len(measured.delay)
     seconds = [every * scenario.dt * late for late in (0, 1, 2.5)]
+    usual = all(d is not None and round(d / scenario.dt) <= 3 * every for d in measured.delay)
     plain = scenario._replace(
-        drift=0.0, parameters={}, process_std=(), horizon=ticks * scenario.dt, tail=scenario.dt, xhat0=scenario.x0,
-        input="zero", unknown_input="zero" if scenario.unknown_input else "", continuous=False, start_box=(),
-        controller="", early=False, delay_swing=(0.0, 0.0), profile="periodic", jitter=0.0, delay_jitter=0.0, loss=0.0,
-        assumed_delay_error=0.0, sampling_period=(every * scenario.dt,) * at_once,
-    )  # fmt: skip
-    if any(d is None or round(d / scenario.dt) > 3 * every for d in plain.delay):
-        plain = plain._replace(delay=(seconds[1],) * at_once)
+        truth=Truth(x0, unknown_input="zero" if scenario.truth.unknown_input else ""),
+        loop=Loop(input="zero"),
+        sampling=Sampling(
+            sampling_period=(every * scenario.dt,) * at_once,
+            delay=measured.delay if usual else (seconds[1],) * at_once,
+            noise_std=measured.noise_std,
+        ),
+        horizon=SPAN * every * scenario.dt,
+    ).having(xhat0=x0, assumed_delay_error=0.0, start_box=(), tail=scenario.dt)
     named = {"the scenario's own": plain}
     for name, late in zip(("delay 0", "one period late", "two and a half periods late"), seconds, strict=True):
         whole = every * scenario.dt * 2 if late == seconds[2] and every % 2 else late
-        named[name] = plain._replace(delay=(whole,) * at_once)
+        named[name] = plain.having(delay=(whole,) * at_once)
     if takes in VARYING:
         turn = tuple(max(part, 1) * scenario.dt for part in (every, every // 2, every + every // 3))
-        named["varying intervals"] = named["one period late"]._replace(profile=turn)
+        named["varying intervals"] = named["one period late"].having(profile=turn)
     found = [_case(name, each, None) for name, each in named.items()]
     if takes in VARYING:
         found.append(_case("samples that overtake", named["one period late"], every))
@@ -78,7 +98,7 @@ def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
     cell = cell_of(scenario)
     known = planning.setting(cell)
     drafted = planning.draft(cell, {}, known)
-    p, n, q = drafted.problem, known.ticks, len(scenario.delay)
+    p, n, q = drafted.problem, known.ticks, len(scenario.sampling.delay)
     if overtaken is not None:
         taken = shared.samples(times.clocks(scenario), n)
         late = [s._replace(arrives=s.arrives + (3 * overtaken // 2 if s.number % 3 == 1 else 0)) for s in taken]
@@ -99,11 +119,11 @@ def plant_of(scenario: Scenario) -> Plant:
     return PLANTS[scenario.plant].plant
 
 
-def designed(found: Found, case: Case) -> Design:
+def designed(candidate: Candidate, case: Case) -> Design:
     """Return what the observer's design makes of one schedule; raise UserError where it makes no Design."""
     where = f"design on {case.name}"
     try:
-        made = found.entry.design(case.setting, found.options)
+        made = candidate.entry.design(case.setting, candidate.options)
     except UserError:
         raise
     except BaseException as error:
@@ -128,31 +148,23 @@ class Broken(UserError):
     """A design that raises or returns something else: no answer of its own."""
 
 
-def trial(found: Found, scenario: Scenario) -> Trial:
+def trial(candidate: Candidate, scenario: Scenario) -> Trial:
     """Design the observer on every schedule; raise UserError where it takes none or its design is broken."""
     kept: list[Case] = []
     refused: dict[str, str] = {}
-    for case in cases(scenario, found.entry.takes):
+    for case in cases(scenario, candidate.entry.takes):
         try:
-            made = designed(found, case)
+            made = designed(candidate, case)
         except Broken:
             raise
         except UserError as error:
             refused[case.name] = str(error)
             continue
-        kept.append(case._replace(problem=case.problem._replace(gains={found.label: made.gains})))
+        kept.append(case._replace(problem=case.problem._replace(gains={candidate.label: made.gains})))
     if not kept:
         name, why = next(iter(refused.items()))
         raise UserError(
             f"design: got a refusal of all {len(refused)} schedules, on {name} '{why.rstrip('.')}', expected one that is "
             "taken; name a --scenario that the observer is made for."
         )
-    entry = found.entry
-    return Trial(
-        found.label, entry.observer, plant_of(scenario), entry.knows_schedule, tuple(kept), tuple(refused.values())
-    )
-
-
-def called(name: str, t: Trial) -> Any:
-    """Return the case of a name, or None where the observer refused it."""
-    return next((case for case in t.cases if case.name == name), None)
+    return Trial(candidate, plant_of(scenario), tuple(kept), tuple(refused.values()))

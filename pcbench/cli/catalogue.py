@@ -86,22 +86,22 @@ def scenario(name: str) -> Description:
     """Return a scenario with its plant, its times, its observers and its source."""
     s = SCENARIOS[name]
     signals = signals_in(s)
-    bounds = (s.bound,) * len(signals) if isinstance(s.bound, float) else s.bound
+    bounds = (s.scoring.bound,) * len(signals) if isinstance(s.scoring.bound, float) else s.scoring.bound
     return {
         "summary": s.summary,
         "source": s.source,
         "plant": s.plant,
-        "loop": f"closed by {s.controller}" if s.controller else "open",
+        "loop": f"closed by {s.loop.controller}" if s.loop.controller else "open",
         "observers": list(s.observers),
-        "sampling_period": list(s.sampling_period),
-        "delay": ["one interval" if d is None else d for d in s.delay],
-        "noise_std": list(s.noise_std),
+        "sampling_period": list(s.sampling.sampling_period),
+        "delay": ["one interval" if d is None else d for d in s.sampling.delay],
+        "noise_std": list(s.sampling.noise_std),
         "tick": s.dt,
         "horizon": s.horizon,
-        "tail": s.tail,
+        "tail": s.scoring.tail,
         "signals": [
             {"name": n, "unit": u, "settled_within": band, "diverged_beyond": bound}
-            for (n, u), band, bound in zip(signals, s.settle_band, bounds, strict=True)
+            for (n, u), band, bound in zip(signals, s.scoring.settle_band, bounds, strict=True)
         ],
         "axes": [*AXES, *(f"plant.{p}" for p in parameters_of(s.plant))],
     }

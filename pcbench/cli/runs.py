@@ -50,12 +50,13 @@ def run(
     from pcbench.study import read
 
     statistics.compared(metric, "--metric")
-    asked, where = read.load(study, changes), chosen(signal)
+    asked, where = read.described(read.raw_of(study, changes or []), study), chosen(signal)
     read.require_signals(asked, where, "--signal")
     into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
     with bar(quiet or as_json, "designing gains") as progress:
         result = api.run(
-            asked,
+            study,
+            overrides=changes,
             seeds=seeds,
             first_seed=first_seed,
             observers=None if observers is None else names(observers),

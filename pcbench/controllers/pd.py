@@ -75,7 +75,7 @@ def prepare(options: Options, delay: Delay, dt: float, rows: int, ticks: int, mo
     return Params(Kp, Kd, limit, help_, first, path(t), path(sigma), sigma - t, model, inverse)
 
 
-def law(params: Params, row: Array, x: Array, B: Array, aim: Float[Array, "3 2"]) -> Float[Array, "2"]:
+def law(params: Params, row: Array, x: Array, B: Array, aim: Float[Leaf, "3 2"]) -> Float[Array, "2"]:
     """Return the clipped command of angles and rates x [4] against `aim`, with viscosities B [2]."""
     u = -params.Kp * (x[:2] - aim[0]) - params.Kd * (x[2:4] - aim[1])
     return jnp.clip(u + params.help * params.inverse(B, *params.goal[row]), -params.limit, params.limit)
@@ -107,7 +107,7 @@ def predicted(params: Params, now: Now, estimate: Array, coming: Callable[[Array
     return law(params, row, x, B, params.goal[row])
 
 
-def target(params: Params, tick: Array) -> Float[Array, "2"]:
+def target(params: Params, tick: Array) -> Float[Leaf, "2"]:
     """Return Td at a tick [rad]."""
     return params.path[tick - params.first, 0]
 

@@ -44,9 +44,9 @@ def rows_of(
     names, units = [name for name, _ in signals], dict(signals)
     head = columns.keys(study, cell) | {"plant": s.plant}
     carries = {name: each.about["carries_input"] for name, each in found.items()}
-    bounds = {name: _seen(each.about["bound"], s.prior_std) for name, each in found.items()}
+    bounds = {name: _seen(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
     described, compared = statistics.summarise(
-        lambda: chunks(target, found, within), bounds, names, s.prior_std + s.unknown_std
+        lambda: chunks(target, found, within), bounds, names, s.belief.prior_std + s.belief.unknown_std
     )
     stats, pairs = [], []
     for name, rows in described.items():

@@ -27,7 +27,8 @@ from pcbench.dataset.verify import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
 from pcbench.statistics.moments import Values
-from pcbench.study.cells import identity, to_toml
+from pcbench.study.as_toml import to_toml
+from pcbench.study.cells import identity, rooted
 
 LEVEL = 0.05
 KEY = ["scenario", "digest", "observer", "signal", "metric"]
@@ -88,7 +89,8 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
 def _rooted(owned: Owned, root_seed: int) -> Owned:
     """A claim as it would be with another root seed: that changes draws, and is no other study here."""
     study = owned.study.model_copy(update={"root_seed": root_seed})
-    return Owned(study, owned.cells, to_toml(study, owned.cells))
+    every = rooted(owned.cells, root_seed)
+    return Owned(study, every, to_toml(study, every))
 
 
 class Side(NamedTuple):

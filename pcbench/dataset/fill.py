@@ -206,7 +206,7 @@ def _planned(owned: Owned, todo: Gaps, shelf: Path) -> list[WaitingCell]:
     """Plan what is to do and lay it aside, cells of one program together."""
     room = padding.Room()
     drafts: list[Path | Planned] = []
-    for p in padding.checked(planning.drafts(owned.study, owned.cells, todo)):
+    for p in padding.checked(planning.drafts(owned.cells, todo)):
         room = padding.larger(room, padding.room_of(p))
         if p.labels:
             drafts.append(lay_aside(p, shelf / str(len(drafts))))

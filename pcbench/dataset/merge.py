@@ -13,7 +13,7 @@ from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.dataset.verify import difference
 from pcbench.errors import UserError
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.study.cells import cells_of, to_toml
+from pcbench.study.as_toml import to_toml
 
 
 class Part(NamedTuple):
@@ -148,8 +148,7 @@ def _whole(holdings: list[Owned]) -> Owned:
     each = [counted(s.first_seed, s.seeds) for s in studies]
     whole = Seeds(min(seeds.first for seeds in each), max(seeds.stop for seeds in each))
     study = studies[0].model_copy(update={"first_seed": whole.first, "seeds": whole.many})
-    every = cells_of(study, ownership.numbers_in(holdings[0]))
-    return Owned(study, every, to_toml(study, every))
+    return Owned(study, holdings[0].cells, to_toml(study, holdings[0].cells))
 
 
 def _closed(into: store.Target, whole: Owned, targets: list[store.Target], doubled: int) -> MergeReport:

@@ -11,9 +11,10 @@ from typing import Any, NamedTuple
 from pcbench.dataset import block_files, repair, store
 from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.study import Study
-from pcbench.study.cells import Cell, cells_of, channels_apart, identity, to_toml
-from pcbench.study.read import NOT_TOML, parse
+from pcbench.study import Study, read
+from pcbench.study.as_toml import to_toml
+from pcbench.study.cells import Cell, Grid, channels_apart, numbered
+from pcbench.study.raw import NOT_TOML
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
@@ -33,20 +34,20 @@ class Owned(NamedTuple):
     fresh: bool = False  # what an older run left goes when this one begins
 
 
-def claim(target: store.Target, study: Study, fresh: bool = False) -> Owned:
+def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
     """Return the study with its cells as numbered in a target; raise UserError where that belongs to another. Writes nothing.
 
     With `fresh` a study of pcbench's own that stands there is to go.
     """
+    study, every = grid
     said = store.text(target, TEXT)
     blocks = block_files.present(target)
     if fresh and (blocks or said is not None):
         if said is not None and not blocks:
             _read(target, said)
-        every = cells_of(study)
         return Owned(study, every, to_toml(study, every), True)
     if blocks and (said is None or not _readable(said)):
-        every = repair.cells_of_blocks(target, study, blocks)
+        every = repair.cells_of_blocks(target, grid, blocks)
         return Owned(study, every, to_toml(study, every))
     if said is None:
         others = [name for name in store.names(target) if not name.startswith(BESIDE)]
@@ -54,10 +55,9 @@ def claim(target: store.Target, study: Study, fresh: bool = False) -> Owned:
             raise UserError(
                 f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
             )
-        every = cells_of(study)
         return Owned(study, every, to_toml(study, every))
     there = _read(target, said)
-    every = cells_of(study, there["resolved"]["cells"])
+    every = numbered(every, there["resolved"]["cells"])
     _only_what_stands(there, blocks)
     changed = [*changes(there, tomllib.loads(to_toml(study, every))), *_reshaped(target, there, study)]
     if changed and blocks:
@@ -67,7 +67,7 @@ def claim(target: store.Target, study: Study, fresh: bool = False) -> Owned:
             "or one with more seeds, cells or observers; give a new folder with --out, or start over with --fresh."
         )
     if changed:  # nothing was finished there
-        every = cells_of(study)
+        every = grid.cells
     return Owned(study, every, to_toml(study, every))
 
 
@@ -79,13 +79,13 @@ def opened(target: store.Target) -> Owned:
             f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
         )
     there = _read(target, said)
-    study = _study(target, there)
-    return Owned(study, cells_of(study, there["resolved"]["cells"]), said.decode())
+    study, every = _grid(target, there)
+    return Owned(study, numbered(every, there["resolved"]["cells"]), said.decode())
 
 
 def digests(owned: Owned) -> dict[tuple[str, int], str]:
     """Return by key what tells each cell of a study from all others."""
-    return {c.key: identity(c, owned.study.root_seed) for c in owned.cells}
+    return {c.key: c.digest for c in owned.cells}
 
 
 def differences(a: Owned, b: Owned) -> list[str]:
@@ -120,8 +120,16 @@ def renew(target: store.Target, owned: Owned) -> None:
         store.put(target, TEXT, owned.text.encode())
 
 
+def _grid(target: store.Target, there: dict[str, Any]) -> Grid:
+    return read.grid(_said(there), f"{target.name}/{TEXT}")
+
+
 def _study(target: store.Target, there: dict[str, Any]) -> Study:
-    return parse({k: v for k, v in there.items() if k != "resolved"}, f"{target.name}/{TEXT}")
+    return read.described(_said(there) | {"seeds": 1}, f"{target.name}/{TEXT}")
+
+
+def _said(there: dict[str, Any]) -> dict[str, Any]:
+    return {k: v for k, v in there.items() if k != "resolved"}
 
 
 def _only_what_stands(there: dict[str, Any], blocks: list[block_files.Block]) -> None:
@@ -134,7 +142,7 @@ def _only_what_stands(there: dict[str, Any], blocks: list[block_files.Block]) ->
 
 def _reshaped(target: store.Target, there: dict[str, Any], study: Study) -> Iterator[str]:
     """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
-    for name in sorted(channels_apart(_study(target, there | {"seeds": 1})) ^ channels_apart(study)):
+    for name in sorted(channels_apart(_study(target, there)) ^ channels_apart(study)):
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
 
 

@@ -7,7 +7,6 @@ the gains are those that were designed and certified once, in one place.
 import pickle
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 from pcbench.observers import base_of, entry_of
 from pcbench.planning import controller
@@ -17,12 +16,10 @@ from pcbench.plants import PLANTS
 
 def pack(p: Planned) -> bytes | Planned:
     """Return a planned cell as bytes; as it is where its observers' numbers are of a kind that no other process can find."""
-    plain: dict[str, Any] = {
-        k: dict(v) for k, v in p.cell.scenario._asdict().items() if isinstance(v, MappingProxyType)
-    }
+    plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
     proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
     layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
-    cell = p.cell._replace(scenario=p.cell.scenario._replace(**plain))
+    cell = p.cell._replace(scenario=p.cell.scenario.having(**plain), options={})
     try:
         return pickle.dumps(p._replace(cell=cell, layout=layout, certificates=proofs))
     except (pickle.PicklingError, AttributeError):
@@ -35,7 +32,7 @@ def unpack(parcel: bytes | Planned) -> Planned:
         return parcel
     p: Planned = pickle.loads(parcel)
     s = p.cell.scenario
-    names = [(base_of(o) or o) if s.controller else o for o in p.labels]
+    names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
     each = tuple((name, entry_of(o).observer) for name, o in zip(names, p.labels, strict=True))
     plant, law = PLANTS[s.plant].plant, controller.controller(p.cell)
     return p._replace(layout=p.layout._replace(plant=plant, observers=each, controller=law))

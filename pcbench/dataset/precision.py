@@ -110,7 +110,7 @@ def _error(
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
     found = cell_rows.observed(target, owned, cell, blocks)
     rows, _ = cell_rows.rows_of(target, owned.study.name, cell, found, Seeds(0, stop))
-    shown = scenarios_of(owned.study)[cell.scenario.name].headline or (signals_of(cell.scenario)[0][0],)
+    shown = scenarios_of(owned.study)[cell.scenario.name].scoring.headline or (signals_of(cell.scenario)[0][0],)
     signals = [goal.signal] if goal.signal else shown
     mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
     if not mine:

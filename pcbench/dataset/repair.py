@@ -7,20 +7,22 @@ from typing import Any
 from pcbench.dataset import block_files, store
 from pcbench.dataset.block_files import Block
 from pcbench.errors import UserError
-from pcbench.study import Study, observers_of, options_of, scenarios_of
-from pcbench.study.cells import Cell, cells_of, identity, told
+from pcbench.study import Study
+from pcbench.study.cells import Cell, Grid, numbered
 
 
-def cells_of_blocks(target: store.Target, study: Study, blocks: list[Block]) -> list[Cell]:
+def cells_of_blocks(target: store.Target, grid: Grid, blocks: list[Block]) -> list[Cell]:
     """Return the cells of the study that blocks are of, numbered as their names say, and its other cells after them.
 
     Raises UserError where a block is of another study: of other options, or of a cell that the study does not have.
     """
     with ThreadPoolExecutor() as pool:
         each = list(pool.map(lambda b: block_files.about_block(target, b), blocks))
-    here = {s: [identity(c, study.root_seed) for c in cells_of(study) if c.scenario.name == s] for s in study.scenarios}
+    here: dict[str, list[Cell]] = {}
+    for cell in grid.cells:
+        here.setdefault(cell.scenario.name, []).append(cell)
     for b, said in zip(blocks, each, strict=True):
-        if wrong := next(_apart(study, here, b, said), None):
+        if wrong := next(_apart(grid.study, here, b, said), None):
             raise UserError(
                 f"{target.name}/study.toml: is gone or damaged, and {b.name} is not of the study given ({wrong}), expected the "
                 "study that these blocks are of; run that, or give a new folder with --out."
@@ -28,23 +30,24 @@ def cells_of_blocks(target: store.Target, study: Study, blocks: list[Block]) -> 
     numbers: dict[str, dict[int, str]] = {}
     for b, said in zip(blocks, each, strict=True):
         numbers.setdefault(b.scenario, {})[b.cell] = said["cell"]
-    return cells_of(study, {s: _in_order(found, here[s]) for s, found in numbers.items()})
+    return numbered(grid.cells, {s: _in_order(found, [c.digest for c in here[s]]) for s, found in numbers.items()})
 
 
-def _apart(study: Study, here: dict[str, list[str]], b: Block, said: dict[str, Any]) -> Iterator[str]:
+def _apart(study: Study, here: dict[str, list[Cell]], b: Block, said: dict[str, Any]) -> Iterator[str]:
     """Yield what tells a block from those of a study, a phrase each."""
     if not said:
         yield "it cannot be read"
         return
-    for key, mine in (("study", study.name), ("root_seed", study.root_seed)):
-        if said.get(key) != mine:
-            yield f"{key}: {said.get(key)} there, {mine} here"
-    if b.observer not in (observers_of(study, b.scenario) if b.scenario in here else []):
+    for key, ours in (("study", study.name), ("root_seed", study.root_seed)):
+        if said.get(key) != ours:
+            yield f"{key}: {said.get(key)} there, {ours} here"
+    mine = here.get(b.scenario)
+    if not mine or b.observer not in mine[0].told:
         yield f"{b.observer} in {b.scenario}"
         return
-    if said.get("options") != told(options_of(study, scenarios_of(study)[b.scenario], b.observer)):
+    if said.get("options") != mine[0].told[b.observer]:
         yield f"options of {b.observer}"
-    if said.get("cell") not in here[b.scenario] or b.cell >= len(here[b.scenario]):
+    if said.get("cell") not in [c.digest for c in mine] or b.cell >= len(mine):
         yield "axes"
 
 

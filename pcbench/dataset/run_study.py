@@ -13,7 +13,7 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.study import Study
+from pcbench.study.cells import Grid
 
 Say = Callable[[str], None]
 
@@ -42,7 +42,7 @@ class How(NamedTuple):
         return self
 
 
-def execute(study: Study, out: str | Path | None = None, how: How | None = None) -> Result:
+def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there. Errors are those of `pcbench.run`."""
     how = (how or How()).checked()
     goal, say = precision.parse(how.until_se, how.max_seeds), how.say
@@ -50,7 +50,7 @@ def execute(study: Study, out: str | Path | None = None, how: How | None = None)
         start, began = perf_counter(), datetime.now(UTC)
         keep = tempfile.TemporaryDirectory(prefix="pcbench-") if out is None else None
         target = store.target(keep.name if keep else str(out))
-        owned = ownership.claim(target, study, how.fresh)
+        owned = ownership.claim(target, grid, how.fresh)
         precision.check(goal, owned)
         share = executors.share(how.memory, how.dask, how.workers, how.devices)
         sizes = fill.Sizes(how.block, share)
@@ -76,4 +76,4 @@ def execute(study: Study, out: str | Path | None = None, how: How | None = None)
     where: str | Path | None = out
     if out is not None and target.local:
         where = Path(target.root if "://" in str(out) else out)
-    return Result(study, target, where, cost, keep)
+    return Result(grid.study, target, where, cost, keep)

@@ -18,7 +18,7 @@ from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, joined
 from pcbench.machine import provenance
-from pcbench.study.cells import digest
+from pcbench.study.as_toml import digest
 
 PROVENANCE = "provenance.json"
 ROWS = 20_000  # that are gathered before they are written
@@ -34,7 +34,7 @@ def close(target: store.Target, owned: Owned, there: list[Block], about: dict[st
     study = {
         "schema": columns.SCHEMA,
         "study": owned.study.name,
-        "study_sha256": digest(owned.study),
+        "study_sha256": digest(owned.study, owned.cells),
         "root_seed": owned.study.root_seed,
         "blocks": len(there),
     }

@@ -101,9 +101,9 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], seeds: Se
     about = {
         "study": work.study,
         "root_seed": work.root_seed,
-        "cell": p.digest,
+        "cell": p.cell.digest,
         "observer": label,
-        "options": p.told[label],
+        "options": p.cell.told[label],
         "first": seeds.first,
         "last": seeds.stop,
         "metrics": {m: len(results[m]) for m in RUN_METRICS if m in results},

@@ -16,7 +16,7 @@ from pcbench.dataset.seeds import Seeds
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.study import observers_of
-from pcbench.study.cells import digest
+from pcbench.study.as_toml import digest
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
 FAIR = "fair.parquet"  # of a study with several tunings
@@ -128,8 +128,8 @@ def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:
     by: dict[tuple[str, int], dict[Seeds, list[str]]] = {}
     for b in chosen:
         by.setdefault((b.scenario, b.cell), {}).setdefault(b.seeds, []).append(b.observer)
-    room = padding.needed(planning.drafts(owned.study, owned.cells, ()))
-    for draft in planning.drafts(owned.study, owned.cells, by):
+    room = padding.needed(planning.drafts(owned.cells, ()))
+    for draft in planning.drafts(owned.cells, by):
         for seeds, observers in by[draft.cell.key].items() if draft.labels else ():
             if labels := tuple(label for label in draft.labels if label in observers):
                 yield task.Task(padding.fitted(draft, room), ((seeds, labels),))
@@ -199,7 +199,7 @@ def _others(target: store.Target, owned: Owned) -> Iterator[str]:
     for name in summary.damaged(target):
         yield f"{name}: is not as it was written; run the study again to have it made anew."
     said = summary.record(target)
-    if said and said["study_sha256"] != digest(owned.study):
+    if said and said["study_sha256"] != digest(owned.study, owned.cells):
         yield f"{ownership.TEXT}: is not of the study that was run; run that again to have it written anew."
     for name in [n for n in store.names(target) if n.startswith("examples/") or n == FAIR]:
         content = store.get(target, name)

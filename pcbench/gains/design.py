@@ -12,9 +12,9 @@ from pcbench.machine import process
 from pcbench.observers import entry_of
 from pcbench.observers.parts.options import WAY, extra
 from pcbench.planning import setting
-from pcbench.study import Study, options_of
+from pcbench.study import Study
 from pcbench.study.cells import Cell
-from pcbench.study.read import Described, one_cell, study_of
+from pcbench.study.read import Described, one_cell
 from pcbench.synthesis.certificate import Design
 
 FEW = 6  # entries of an array that a row of a trade-off shows
@@ -32,9 +32,8 @@ def design(
     """
     study, cell = one_cell(scenario, [observer], overrides or [])
     if method is not None:
-        study = _changed(study, observer, {_way(observer, method): method})
-    options = options_of(study, cell.scenario, observer)
-    return study, cell, entry_of(observer).design(setting(cell), options)
+        study, cell = one_cell(_changed(study, observer, {_way(observer, method): method}), [observer], [])
+    return study, cell, entry_of(observer).design(setting(cell), cell.options[observer])
 
 
 def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str, Any]:
@@ -43,7 +42,7 @@ def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str
     Under [resolved.certificate] stands what proves them; a study that is read leaves it aside. What is returned has been
     designed anew from these options, so it can be run.
     """
-    model, options = entry_of(observer).options, options_of(study, cell.scenario, observer)
+    model, options = entry_of(observer).options, cell.options[observer]
     numbers = _as_options(model, options, found)
     chosen = options.model_dump(exclude_none=True)
     if numbers:
@@ -108,7 +107,7 @@ def trade_off(
 
 def _changed(study: Study, observer: str, options: dict[str, Any]) -> Study:
     given = study.options.get(observer, {})
-    return study_of(study, {"options": study.options | {observer: given | options}}, [])
+    return study.model_copy(update={"options": study.options | {observer: given | options}})
 
 
 def _way_of(observer: str) -> list[str]:
@@ -154,7 +153,7 @@ def _proven_again(study: Study, cell: Cell, observer: str, chosen: dict[str, Any
     for each in (*slower, {k: v for k, v in chosen.items() if k != "decay" or not v}):
         try:
             here = _changed(study.model_copy(update={"options": {}}), observer, each)
-            entry_of(observer).design(setting(cell), options_of(here, cell.scenario, observer))
+            entry_of(observer).design(setting(cell), one_cell(here, [observer], [])[1].options[observer])
         except UserError:
             continue
         return each

@@ -14,6 +14,7 @@ from pcbench.dataset.verify import FAIR
 from pcbench.gains import tune
 from pcbench.gains.objective import Objective
 from pcbench.gains.versions import ExplicitStudy, Version
+from pcbench.study import read
 
 
 def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How) -> Result:
@@ -29,7 +30,7 @@ def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How
     seeds = {"first_seed": tune.TRAINING.first, "seeds": made.study.tune.training}
     beside = None if out is None else f"{out}/training"
     training = run_study.execute(
-        made.study.model_copy(update=seeds), beside, how._replace(until_se=None, max_seeds=None)
+        read.grid_of(made.study, seeds, []), beside, how._replace(until_se=None, max_seeds=None)
     )
     result.fair = table(made.versions, made.aim, training.stats, result.stats)
     if out is not None:

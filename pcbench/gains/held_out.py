@@ -29,7 +29,7 @@ def judge(
     metric, out = POOLED.get(aim.metric, aim.metric), []
     for what, each in seeds.items():
         changes = {"observers": list(labels), "options": options, "first_seed": each.first, "seeds": each.many}
-        result = run_study.execute(read.study_of(study, changes, []))
+        result = run_study.execute(read.grid_of(study, changes, []))
         stats = result.stats[(result.stats.signal == aim.name) & (result.stats.metric == metric)].set_index("observer")
         (pair,) = result.pairs[(result.pairs.signal == aim.name) & (result.pairs.metric == metric)].to_dict("records")
         sign = 1.0 if pair["observer_a"] == labels[1] else -1.0

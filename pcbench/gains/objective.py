@@ -52,12 +52,12 @@ def objective_of(objective: str, scenario: Scenario, signal: str | None, where: 
     Raises UserError for another word.
     """
     ticks = round(scenario.horizon / scenario.dt)
-    loop, jumping = bool(scenario.controller), jumps(scenario.unknown_input, scenario.dt, ticks).size > 0
+    loop, jumping = bool(scenario.loop.controller), jumps(scenario.truth.unknown_input, scenario.dt, ticks).size > 0
     there = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
     if objective not in there:
         raise unknown(f"{where}: --objective", "metric to tune for here", objective, there)
     names = [name for name, _ in signals_of(scenario)]
     if signal is not None and signal not in names:
         raise unknown(f"{where}: --signal", "signal", signal, names)
-    chosen = names.index(signal or (*scenario.headline, names[0])[0])
+    chosen = names.index(signal or (*scenario.scoring.headline, names[0])[0])
     return Objective(objective, chosen, names[chosen], signals_of(scenario)[chosen][1])

@@ -19,8 +19,10 @@ from pcbench.gains.parameters import Vector
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.observers import entry_of
-from pcbench.study import Study, given, options_of, read
-from pcbench.study.cells import Cell, digest
+from pcbench.planning import padding
+from pcbench.study import Study, given, read
+from pcbench.study.as_toml import digest
+from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import Design, Setting
 
 BUDGET = 60
@@ -77,19 +79,20 @@ def tune(
         aim = objective_of(objective, cell.scenario, signal, where)
         how_far = f"{method or 'the method that fits'}, seeds {training}, {', '.join(only or ['all'])} free"
         mine = given(study, cell.scenario, observer)
-        about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(study)[:12]}"
+        about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(study, [cell])[:12]}"
         whole = f"{about}, {budget} points, judged on {judges}"
         target = store.target(str(out) if out is not None else spare)
         if done := history.finished(target, whole, about):
             return Tuning(objective=aim, **done)
         known = planning.setting(cell)
-        study, options, designed = _startable(study, cell, observer, known)
+        study, cell, designed = _startable(study, cell, observer, known)
+        options = cell.options[observer]
         every, start = freed(observer, known, options, designed, only, where)
 
         def design(at: Vector) -> Any:
             return entry_of(observer).design(known, parameters.put(options, every, at)).gains
 
-        (p,) = planning.plan(study)
+        (p,) = padding.fit(list(planning.drafts([cell])))
         evaluation.check_estimates(p, aim, where)
         how = evaluation.method_for(method, aim, p, where)
         evaluate = evaluation.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
@@ -115,19 +118,19 @@ def tune(
         return tuned
 
 
-def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple[Study, BaseModel, Design]:
-    """The study, its observer's options and their design; a decay is asked for a little slower.
+def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple[Study, Cell, Design]:
+    """The study and its cell with their observer's design; a decay is asked for a little slower.
 
     A gain that was found for a rate stands at the edge of it, where another proof of the same rate may fail.
     """
-    options = options_of(study, cell.scenario, observer)
+    options = cell.options[observer]
     designed = entry_of(observer).design(known, options)
     decay = getattr(options, "decay", None)
     if not decay:
-        return study, options, designed
+        return study, cell, designed
     mine = study.options.get(observer, {}) | {"decay": BACK * decay}
     slower = study.model_copy(update={"options": study.options | {observer: mine}})
-    return slower, options_of(slower, cell.scenario, observer), designed
+    return *read.one_cell(slower, [observer], []), designed
 
 
 def freed(

@@ -25,8 +25,9 @@ from pcbench.gains import parameters, tune
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.observers import entry_of
-from pcbench.study import Study, given, observers_of, options_of, scenarios_of
-from pcbench.study.read import one_cell, study_of
+from pcbench.study import Study, given, observers_of, scenarios_of
+from pcbench.study.cells import Grid
+from pcbench.study.read import grid_of, one_cell
 
 JUDGES = counted(tune.JUDGES.first, 256)
 
@@ -43,18 +44,24 @@ class Version(NamedTuple):
 class ExplicitStudy(NamedTuple):
     """A study with every option explicit, and what its labels are."""
 
-    study: Study
+    grid: Grid
     versions: list[Version]  # empty: one tuning only, nothing to compare
     aim: Objective | None = None
 
+    @property
+    def study(self) -> Study:
+        """Return the study itself."""
+        return self.grid.study
 
-def prepare(study: Study, out: str | Path | None, fresh: bool, progress: Progress = SILENT) -> ExplicitStudy:
+
+def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress = SILENT) -> ExplicitStudy:
     """Return the study to be run: designed and tuned as it asks. What tuning leaves stands in out/tuning, and goes on there.
 
     Raises UserError where several tunings, or tuned gains, are asked for in more than one scenario.
     """
+    study = grid.study
     if study.tunings == ["paper"]:
-        return ExplicitStudy(study, [])
+        return ExplicitStudy(grid, [])
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
         designed = {o: study.options.get(o, {}) | dict(entry_of(o).designed or {}) for o in labels}
@@ -88,9 +95,9 @@ def prepare(study: Study, out: str | Path | None, fresh: bool, progress: Progres
     return ExplicitStudy(_with(study, every, list(every)), versions, aim)
 
 
-def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Study:
+def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Grid:
     changes: dict[str, Any] = {"options": study.options | options, "tuning": "paper"}
-    return study_of(study, changes | {"observers": observers}, [])
+    return grid_of(study, changes | {"observers": observers}, [])
 
 
 def _at_first(study: Study) -> Study:
@@ -154,9 +161,9 @@ def _better(
     if not free_ones:
         return {}
     progress.note("comparing starts")
-    here = _with(study, {v.label: options[v.label] for v in free_ones}, [v.label for v in free_ones])
-    seeds = {"first_seed": tune.TRAINING.first, "seeds": study.tune.training}
-    stats = run_study.execute(_at_first(here).model_copy(update=seeds)).stats
+    here = _at_first(study).model_copy(update={"first_seed": tune.TRAINING.first, "seeds": study.tune.training})
+    labels = [v.label for v in free_ones]
+    stats = run_study.execute(_with(here, {label: options[label] for label in labels}, labels)).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
     best: dict[str, tuple[tuple[float, float], str]] = {}
     for v in free_ones:
@@ -171,8 +178,11 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
     """Say whether a version has free parameters that its gains depend on."""
     if not parameters.tunable(version.observer):
         return False
-    here, cell = one_cell(_at_first(_with(study, {version.observer: options})), [version.observer], [])
-    known, chosen = planning.setting(cell), options_of(here, cell.scenario, version.observer)
+    here = _at_first(study).model_copy(
+        update={"options": study.options | {version.observer: options}, "tuning": "paper"}
+    )
+    cell = one_cell(here, [version.observer], [])[1]
+    known, chosen = planning.setting(cell), cell.options[version.observer]
     designed = entry_of(version.observer).design(known, chosen)
     try:
         return bool(tune.freed(version.observer, known, chosen, designed, None, study.name))
@@ -188,7 +198,15 @@ def _tuned(
         begin=lambda what, many: progress.note(f"tuning {observer}"),
         note=lambda text: progress.note(f"tuning {observer}: {text}"),
     )
-    here = _at_first(_with(study, {observer: start}, [observer])).model_copy(update={"seeds": 1, "first_seed": 0})
+    options = study.options | {observer: start}
+    changes: dict[str, Any] = {
+        "options": options,
+        "tuning": "paper",
+        "observers": [observer],
+        "seeds": 1,
+        "first_seed": 0,
+    }
+    here = _at_first(study).model_copy(update=changes)
     try:
         found = tune.tune(
             here,

@@ -21,13 +21,15 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jaxtyping import Bool, Float, Int
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
 from pcbench.observers.parts import per_sample
+from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable, way
-from pcbench.observers.parts.per_sample import Model, Place, Pole, known_input, read, ring, write
-from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.observers.parts.per_sample import Model, Place, Pole, read, ring, write
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import chain, chain_lyapunov
 from pcbench.synthesis.certificate import Design, Setting, certified
 from pcbench.synthesis.error_bounds import rate_of
@@ -35,35 +37,35 @@ from pcbench.synthesis.sampled import sampled
 
 
 class Link(NamedTuple):
-    """The links, latest first: n states, q outputs, q links."""
+    """A link; or all q of them, latest first, on a leading axis. n states, q outputs."""
 
-    stamp: Leaf  # [q] samples ago
-    source: Leaf  # [q]
-    seen: Leaf  # [q, q] link x channel: arrived at the link's source
-    F: Leaf  # [q, n, n]
-    K: Leaf  # [q, n, q]
-    V: Leaf  # [q, q, q]
-    W: Leaf  # [q, q, n]
+    stamp: Int[Leaf, "..."]  # samples ago
+    source: Int[Leaf, "..."]
+    seen: Float[Leaf, "... q"]  # by channel: arrived at the link's source
+    F: Float[Leaf, "... n n"]
+    K: Float[Leaf, "... n q"]
+    V: Float[Leaf, "... q q"]
+    W: Float[Leaf, "... q n"]
 
 
 class Gains(NamedTuple):
     """n states, q outputs."""
 
     model: Model
-    tau: Leaf  # [q] samples
+    tau: Int[Leaf, " q"]  # samples
     links: Link
-    room: Leaf  # [rows] its length is how many samples back the longest delay of the study reaches
+    room: Room  # for as many samples as the longest delay of the study reaches back
 
 
 class Memory(NamedTuple):
     """Deviations from the model alone."""
 
     place: Place
-    past: Array  # [ring, n] the links' estimates by the sample they are of
-    arrived: tuple[Array, ...]  # q rings: y - D u - C xbar of a channel by when it was sampled
-    known: tuple[Array, ...]  # q rings of bool: it has arrived
-    value: Array  # [q] what has arrived since the last tick, so reduced
-    fresh: Array  # [q] bool
+    past: Float[Array, "ring n"]  # the links' estimates by the sample they are of
+    arrived: tuple[Float[Array, " ring"], ...]  # [q] y - D u - C xbar of a channel by when it was sampled
+    known: tuple[Bool[Array, " ring"], ...]  # [q] it has arrived
+    value: Float[Array, " q"]  # what has arrived since the last tick, so reduced
+    fresh: Bool[Array, " q"]
 
 
 class Options(BaseModel):
@@ -85,8 +87,8 @@ class Options(BaseModel):
     shared: bool = Field(False, description="also look for one P for all links, the paper's condition (29)")
 
 
-def init(gains: Gains, xhat0: Array) -> Memory:
-    """Start from xhat(0) [n], nothing measured."""
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start from xhat(0), nothing measured."""
     (q, n), room = gains.model.C.shape, gains.room
     arrived = (ring(room, jnp.zeros(())),) * q
     known = (ring(room, jnp.asarray(False)),) * q
@@ -94,19 +96,19 @@ def init(gains: Gains, xhat0: Array) -> Memory:
     return Memory(per_sample.start(xhat0), past, arrived, known, jnp.zeros(q), jnp.zeros(q, bool))
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Array:
-    """Note what the model alone expects of the sample, C xbar [q]."""
+def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
+    """Note what the model alone expects of the sample, C xbar."""
     return gains.model.C @ memory.place.xbar
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Keep what arrives, less what is known of it."""
-    y = arrival.value - known_input(gains.model, now, arrival.age) - arrival.note
+    y = arrival.value - known_input(gains.model.D, now, arrival.age) - arrival.note
     return memory._replace(value=jnp.where(arrival.fresh, y, memory.value), fresh=memory.fresh | arrival.fresh)
 
 
-def links(gains: Gains, memory: Memory) -> Array:
-    """Run the links on all that has arrived: the estimate at the stamp of each, latest first, [q, n]."""
+def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
+    """Run the links on all that has arrived: the estimate at the stamp of each, latest first."""
     k, C, channels = memory.place.sample, gains.model.C, range(gains.model.C.shape[0])
 
     def link(before: tuple[Array, Array], own: Link) -> tuple[tuple[Array, Array], Array]:
@@ -122,7 +124,7 @@ def links(gains: Gains, memory: Memory) -> Array:
     return lax.scan(link, (jnp.zeros(C.shape[1]), jnp.zeros(C.shape[0])), gains.links)[1]
 
 
-def _sample(gains: Gains, memory: Memory, j: int, age: Array, expected: Array) -> Array:
+def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected: Float[Array, ""]) -> Float[Array, ""]:
     """Channel j's sample of so many samples ago: from its ring, or just arrived; as expected where it has not."""
     sample, new = memory.place.sample - age, age == gains.tau[j]
     known = jnp.where(new, memory.fresh[j], read(memory.known[j], sample)) & (sample >= 0)
@@ -147,8 +149,8 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     )
 
 
-def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return the nearest link's estimate, carried on to now, [n]."""
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
+    """Return the nearest link's estimate, carried on to now."""
     return memory.place.xbar + memory.place.carried @ links(gains, memory)[-1]
 
 

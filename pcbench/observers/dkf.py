@@ -22,17 +22,19 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import covariance_after
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import require_detectable
-from pcbench.observers.parts import prediction
+from pcbench.observers.parts import kalman, prediction
+from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Sample
-from pcbench.protocols import Leaf, Observer
+from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
 
@@ -41,22 +43,15 @@ class Gains(NamedTuple):
     """n states (the plant's, and what is estimated beside them), m inputs, q outputs."""
 
     motion: Motion
-    noise: Leaf  # [2, R, n, n] process noise covariance over as many ticks as each of motion.powers
-    C: Leaf  # [q, n]
-    D: Leaf  # [q, m]
-    R: Leaf  # [q] variance of one sample
-    P0: Leaf  # [n, n]
-    places: Leaf  # [K] room for samples that may be overtaken
-    states: Leaf  # [the plant's n] their number is what the estimate has, and
-    inputs: Leaf  # [r] the number of unknown inputs, the last states of the filter
+    noise: Float[Leaf, "2 R n n"]  # process noise covariance over as many ticks as each of motion.powers
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    R: Float[Leaf, " q"]  # variance of one sample
+    P0: Float[Leaf, "n n"]
+    room: Room  # for samples that may be overtaken
+    states: Float[Room, " plant"]  # what the estimate has of the filter's
+    inputs: Float[Room, " r"]  # unknown inputs, the last states of the filter
     known: Any  # x[n] -> [r] the known part of f, or None
-
-
-class Filtered(NamedTuple):
-    """Mean and covariance at the time of a sample."""
-
-    mean: Point
-    P: Array  # [n, n]
 
 
 class Options(BaseModel):
@@ -75,28 +70,26 @@ class Options(BaseModel):
     )
 
 
-def init(gains: Gains, xhat0: Array) -> Memory:
+def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior N(xhat(0), P0), what is beside the state from 0."""
     whole = jnp.concatenate([xhat0, jnp.zeros(gains.P0.shape[0] - xhat0.shape[0])])
-    return prediction.start(whole, Filtered(prediction.origin(whole), gains.P0), gains.places, gains.C.shape[0])
+    return prediction.start(whole, Posterior(whole, gains.P0, jnp.asarray(0)), gains.room, gains.C.shape[0])
 
 
-def update(gains: Gains, before: Filtered, sample: Sample) -> Filtered:
-    """Update at the sample's own time, channel by channel: with independent noise that is the joint update."""
-    free = prediction.at(gains.motion, before.mean, sample.taken)
-    gap = sample.taken - before.mean.taken
-    P = covariance_after(gains.motion.powers, gains.noise, gap, before.P)
+def update(gains: Gains, before: Posterior, sample: Sample) -> Posterior:
+    """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
+    free = prediction.at(gains.motion, Point(before.mean, before.taken), sample.taken)
+    P = covariance_after(gains.motion.powers, gains.noise, sample.taken - before.taken, before.P)
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
-        K = jnp.where(fresh, P @ c / (c @ P @ c + r), 0.0)
+        K = kalman.gain(P @ c, c @ P @ c + r, fresh)
         free = free + K * (sample.value[channel] - c @ (sample.note + free))
-        keep = jnp.eye(c.shape[0]) - K[:, None] * c[None, :]
-        P = keep @ P @ keep.T + r * (K[:, None] * K[None, :])
-    return Filtered(Point(free, sample.taken), P)
+        P = kalman.covariance(P, K, c, r)
+    return Posterior(free, P, sample.taken)
 
 
-def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return xhat of now, [n], and the unknown inputs, [n + r]."""
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " plant+r"]:
+    """Return xhat of now, and the unknown inputs."""
     n, r = gains.states.shape[0], gains.inputs.shape[0]
     xhat = memory.xhat[:n]
     if not r:
@@ -105,7 +98,7 @@ def estimate(gains: Gains, memory: Memory) -> Array:
     return jnp.append(xhat, f - gains.known(xhat) if gains.known else f)
 
 
-jump = prediction.jumping(update, lambda filtered: filtered.mean)
+jump = prediction.jumping(update, lambda after: Point(after.mean, after.taken))
 OBSERVER = Observer(init, prediction.note, jump, prediction.flow, estimate)
 
 
@@ -128,7 +121,7 @@ def design(setting: Setting, options: Options) -> Design:
     Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
     Q[:n, :n] += setting.process_noise
     noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)
-    sizes = (setting.places, np.zeros(n), np.zeros(len(inputs)))
+    sizes = (setting.room, np.zeros(n), np.zeros(len(inputs)))
     gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, *sizes, setting.model.known if len(inputs) else None)
     carries = True if len(inputs) else None
     proof = _certify(gains, model, Q, setting)

@@ -22,15 +22,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import rk4
-from pcbench.observers.parts import reordering
+from pcbench.observers.parts import kalman, reordering
+from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reordering import Line, Sample
-from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
 
@@ -39,30 +40,22 @@ class Gains(NamedTuple):
 
     motion: Any  # (now, z[N]) -> z[N] one tick later
     slope: Any  # (now, z[N]) -> F[N, N]
-    C: Leaf  # [q, n]
-    D: Leaf  # [q, m]
-    R: Leaf  # [q] variance of one sample
-    Q: Leaf  # [N, N] a tick
-    P0: Leaf  # [N, N]
-    start: Leaf  # [s] p at t = 0
-    low: Leaf  # [s]
-    high: Leaf  # [s]
-    places: Leaf  # [K] room for samples that may be overtaken
-
-
-class Filtered(NamedTuple):
-    """The posterior of a sample, at its own time."""
-
-    z: Array  # [N]
-    P: Array  # [N, N]
-    taken: Array  # tick
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    R: Float[Leaf, " q"]  # variance of one sample
+    Q: Float[Leaf, "N N"]  # a tick
+    P0: Float[Leaf, "N N"]
+    start: Float[Leaf, " s"]  # p at t = 0
+    low: Float[Leaf, " s"]
+    high: Float[Leaf, " s"]
+    room: Room  # for samples that may be overtaken
 
 
 class Memory(NamedTuple):
     """The samples that may be overtaken with the posterior before them, and the mean of now."""
 
     line: Line
-    z: Array  # [N]
+    z: Float[Array, " N"]
 
 
 class Options(BaseModel):
@@ -77,26 +70,26 @@ class Options(BaseModel):
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from the prior: xhat(0), p at its start, P0."""
     z, q = jnp.concatenate([xhat0, gains.start]), gains.C.shape[0]
-    return Memory(reordering.start(Filtered(z, gains.P0, jnp.asarray(0)), gains.places, q, 0), z)
+    return Memory(reordering.start(Posterior(z, gains.P0, jnp.asarray(0)), gains.room, q, 0), z)
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Array:
+def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
     """Note nothing: the inputs are stored."""
     return jnp.zeros(0)
 
 
-def within(gains: Gains, z: Array) -> Array:
+def within(gains: Gains, z: Float[Array, " N"]) -> Float[Array, " N"]:
     """Return z with p clipped to its range."""
     s = gains.start.shape[0]
     return jnp.concatenate([z[: z.shape[0] - s], jnp.clip(z[z.shape[0] - s :], gains.low, gains.high)]) if s else z
 
 
-def at(now: Now, tick: Array) -> Now:
+def at(now: Now, tick: Int[Array, ""]) -> Now:
     """Return the present as it was at an earlier tick, with the input held from there."""
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(now.tick - tick))
 
 
-def update(gains: Gains, now: Now, before: Filtered, sample: Sample) -> Filtered:
+def update(gains: Gains, now: Now, before: Posterior, sample: Sample) -> Posterior:
     """Carry mean and covariance to the sample's own time and update there, channel by channel."""
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -104,23 +97,22 @@ def update(gains: Gains, now: Now, before: Filtered, sample: Sample) -> Filtered
         F = gains.slope(there, z)
         return within(gains, gains.motion(there, z)), F @ P @ F.T + gains.Q
 
-    z, P = lax.fori_loop(before.taken, sample.taken, tick, (before.z, before.P))
-    n, identity = gains.C.shape[1], jnp.eye(P.shape[0])
+    z, P = lax.fori_loop(before.taken, sample.taken, tick, (before.mean, before.P))
+    n, none = gains.C.shape[1], jnp.zeros(gains.start.shape[0])
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
         Pc = P[:, :n] @ c
-        K = jnp.where(fresh, Pc / (c @ Pc[:n] + r), 0.0)
+        K = kalman.gain(Pc, c @ Pc[:n] + r, fresh)
         z = z + K * (sample.value[channel] - c @ z[:n])
-        keep = identity - jnp.outer(K, jnp.concatenate([c, jnp.zeros(P.shape[0] - n)]))
-        P = keep @ P @ keep.T + r * jnp.outer(K, K)
-    return Filtered(within(gains, z), P, sample.taken)
+        P = kalman.covariance(P, K, jnp.concatenate([c, none]), r)
+    return Posterior(within(gains, z), P, sample.taken)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Put what arrived in its place, and roll the mean forward to now."""
     sample = reordering.sample_of(now, arrival, gains.D)
     line, newest = reordering.replay(lambda state, sample: update(gains, now, state, sample), memory.line, sample)
-    z = lax.fori_loop(newest.taken, now.tick, lambda k, z: within(gains, gains.motion(at(now, k), z)), newest.z)
+    z = lax.fori_loop(newest.taken, now.tick, lambda k, z: within(gains, gains.motion(at(now, k), z)), newest.mean)
     return Memory(line, z)
 
 
@@ -129,7 +121,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     return memory._replace(z=within(gains, gains.motion(now, memory.z)))
 
 
-def estimate(gains: Gains, memory: Memory) -> Float[Array, " n+s"]:
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
     """Return xhat of now, and the unknowns."""
     return memory.z
 
@@ -147,20 +139,20 @@ def constant(Phi: Array, now: Now, z: Array) -> Array:
     return Phi
 
 
-def rate(model: Any, low: Array, now: Now, z: Array) -> Array:
-    """Return dz/dt: the model's field with the unknowns p, which stand still; `low` [s] tells their number."""
-    n = z.shape[0] - low.shape[0]
-    return jnp.concatenate([model(now, z[:n], z[n:]), jnp.zeros(low.shape[0])])
+def rate(model: Any, room: Room, now: Now, z: Array) -> Array:
+    """Return dz/dt: the model's field with the unknowns p, room [s], which stand still."""
+    n = z.shape[0] - room.shape[0]
+    return jnp.concatenate([model(now, z[:n], z[n:]), jnp.zeros(room.shape[0])])
 
 
-def step(model: Any, low: Array, now: Now, z: Array) -> Array:
+def step(model: Any, room: Room, now: Now, z: Array) -> Array:
     """Move a model by one Runge-Kutta step."""
-    return rk4(lambda t, z: rate(model, low, now._replace(t=t), z), now.t, z, now.dt)
+    return rk4(lambda t, z: rate(model, room, now._replace(t=t), z), now.t, z, now.dt)
 
 
-def slope(model: Any, low: Array, now: Now, z: Array) -> Array:
+def slope(model: Any, room: Room, now: Now, z: Array) -> Array:
     """Return I + h J."""
-    return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, low, now, z))(z)
+    return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, room, now, z))(z)
 
 
 def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Array) -> Array:
@@ -170,13 +162,13 @@ def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Arra
 
 def motion_of(setting: Setting) -> tuple[Any, Any]:
     """Return how a tick moves z, and its slope: exactly where the model is linear."""
-    model, low = setting.model, np.zeros(len(setting.unknown_std))
+    model, room = setting.model, np.zeros(len(setting.unknown_std))
     if setting.field is None and (model.E is None or model.known is None):
         whole = linear.with_unknown_input(model) if model.E is not None else model
         Phi, Gamma = linear.one_tick(whole, setting.dt)
         return jax.tree_util.Partial(affine, Phi, Gamma), jax.tree_util.Partial(constant, Phi)
     field = setting.field or jax.tree_util.Partial(pushed, model.A, model.B, model.E, model.known)
-    return jax.tree_util.Partial(step, field, low), jax.tree_util.Partial(slope, field, low)
+    return jax.tree_util.Partial(step, field, room), jax.tree_util.Partial(slope, field, room)
 
 
 def design(setting: Setting, options: Options) -> Design:
@@ -191,8 +183,19 @@ def design(setting: Setting, options: Options) -> Design:
     Q[n:, n:] = np.diag(options.walk * size * setting.dt)
     R = setting.noise_variance if options.R is None else np.full(len(setting.model.C), options.R)
     low, high = np.array(setting.unknown_range).T.reshape(2, s)
-    start, places = np.array(setting.unknown0, float), setting.places
-    gains = Gains(motion, tangent, setting.model.C, setting.model.feedthrough, R, Q, P0, start, low, high, places)
+    gains = Gains(
+        motion=motion,
+        slope=tangent,
+        C=setting.model.C,
+        D=setting.model.feedthrough,
+        R=R,
+        Q=Q,
+        P0=P0,
+        start=np.array(setting.unknown0, float),
+        low=low,
+        high=high,
+        room=setting.room,
+    )
     numbers = {"Q": Q, "R": R}
     proof = Certificate("none: the slope at the estimate is no proof", float("inf"), "none", "not needed", numbers)
     return Design(gains, proof, True if setting.model.E is not None else None)

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.dynamics.integrate import rk4
@@ -43,22 +43,22 @@ class Gains(NamedTuple):
     """d positions."""
 
     parts: Any  # (u, x[2d]) -> a[d], phi[d]
-    theta: Leaf  # [1/s] Th
-    rho: Leaf  # 0: as printed
-    fastest: Leaf  # the largest speed in a and phi; inf: as printed
-    low: Leaf  # [d] the parameters' range; -inf, inf: as printed
-    high: Leaf
-    start: Leaf  # [d] parameters at t = 0
+    theta: Float[Leaf, ""]  # [1/s] Th
+    rho: Float[Leaf, ""]  # 0: as printed
+    fastest: Float[Leaf, ""]  # the largest speed in a and phi; inf: as printed
+    low: Float[Leaf, " d"]  # the parameters' range; -inf, inf: as printed
+    high: Float[Leaf, " d"]
+    start: Float[Leaf, " d"]  # parameters at t = 0
 
 
 class Memory(NamedTuple):
     """What stands between ticks."""
 
-    z: Array  # [3d]
-    al: Array  # [d]
-    S: Array  # [6, d] rows 11 12 13 22 23 33
-    c: Array  # [d]
-    newest: Array  # [d] the number of the sample that c is of; -1: none
+    z: Float[Array, " 3*d"]
+    al: Float[Array, " d"]
+    S: Float[Array, "6 d"]  # rows 11 12 13 22 23 33
+    c: Float[Array, " d"]
+    newest: Int[Array, " d"]  # the number of the sample that c is of; -1: none
 
 
 class Options(BaseModel):
@@ -70,7 +70,7 @@ class Options(BaseModel):
     rho: float = Field(0.1, gt=0, description="robust: the leak")
 
 
-def init(gains: Gains, xhat0: Float[Array, " 2d"]) -> Memory:
+def init(gains: Gains, xhat0: Float[Array, " 2*d"]) -> Memory:
     """Start from xhat(0), the parameters' start, al = 0 and S(0)."""
     d = gains.start.shape[0]
     S = S0 * jnp.outer(jnp.array([1.0, 0.0, 0.0, 1.0, 0.0, 1.0]), jnp.ones(d))
@@ -127,7 +127,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     return memory._replace(z=z, al=moved[1], S=moved[2])
 
 
-def estimate(gains: Gains, memory: Memory) -> Float[Array, " 3d"]:
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " 3*d"]:
     """Return z: positions, rates and parameters of now."""
     return memory.z
 

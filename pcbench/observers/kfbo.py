@@ -20,10 +20,12 @@ from typing import Annotated, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pcbench.dynamics import linear
 from pcbench.errors import UserError
+from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis import riccati
@@ -33,25 +35,25 @@ from pcbench.synthesis.certificate import Design, Setting, certified
 class Gains(NamedTuple):
     """n states, m inputs, q outputs; maps over one tick."""
 
-    Phi: Leaf  # [n, n] of A
-    Gamma: Leaf  # [n, m] of A, B
-    Phi_z: Leaf  # [n, n] of the filter, A - K C (or A, where the innovation is sampled)
-    Gamma_z: Leaf  # [n, m] of the filter, B
-    Gain_z: Leaf  # [n, q] of the filter, K
-    E: Leaf  # [n, n] e^{A d}
-    C: Leaf  # [q, n]
-    D: Leaf  # [q, m]
-    lag: Leaf  # [ticks] d
-    sampled: Leaf  # 1 where the innovation is sampled and held, 0 where the measurement is
+    Phi: Float[Leaf, "n n"]  # of A
+    Gamma: Float[Leaf, "n m"]  # of A, B
+    Phi_z: Float[Leaf, "n n"]  # of the filter, A - K C (or A, where the innovation is sampled)
+    Gamma_z: Float[Leaf, "n m"]  # of the filter, B
+    Gain_z: Float[Leaf, "n q"]  # of the filter, K
+    E: Float[Leaf, "n n"]  # e^{A d}
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    lag: Int[Leaf, ""]  # [ticks] d
+    sampled: Float[Leaf, ""]  # 1 where the innovation is sampled and held, 0 where the measurement is
 
 
 class Memory(NamedTuple):
     """What stands between ticks."""
 
-    z: Array  # [n] estimate of the state d ago
-    s: Array  # [n] response to the input of the last d
-    xhat: Array  # [n]
-    Y: Array  # [q] what drives the filter: the arrived sample (or innovation), held
+    z: Float[Array, " n"]  # estimate of the state d ago
+    s: Float[Array, " n"]  # response to the input of the last d
+    xhat: Float[Array, " n"]
+    Y: Float[Array, " q"]  # what drives the filter: the arrived sample (or innovation), held
 
 
 class Options(BaseModel):
@@ -72,20 +74,19 @@ class Options(BaseModel):
         return self
 
 
-def init(gains: Gains, xhat0: Array) -> Memory:
-    """Start from xhat(0) [n], nothing measured."""
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start from xhat(0), nothing measured."""
     return Memory(xhat0, jnp.zeros_like(xhat0), xhat0, jnp.zeros(gains.C.shape[0]))
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Array:
+def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
     """Note nothing."""
     return jnp.zeros(0)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Hold what arrived."""
-    known = jnp.stack([gains.D[j] @ now.past_u(arrival.age[j]) for j in range(gains.D.shape[0])])
-    Y = arrival.value - known - gains.sampled * (gains.C @ memory.z)
+    Y = arrival.value - known_input(gains.D, now, arrival.age) - gains.sampled * (gains.C @ memory.z)
     return memory._replace(Y=jnp.where(arrival.fresh, Y, memory.Y))
 
 
@@ -100,8 +101,8 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     return Memory(z, s, jnp.where(started, gains.E @ z + s, gains.Phi @ memory.xhat + pushed), memory.Y)
 
 
-def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return xhat of now (29), [n]."""
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
+    """Return xhat of now (29)."""
     return memory.xhat
 
 

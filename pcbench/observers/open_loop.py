@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
@@ -17,10 +18,10 @@ from pcbench.synthesis.certificate import Certificate, Design, Setting
 class Gains(NamedTuple):
     """n states, m inputs."""
 
-    Phi: Leaf  # [n, n] one tick
-    Gamma: Leaf  # [n, m]
-    A: Leaf  # [n, n] of the field
-    B: Leaf  # [n, m]
+    Phi: Float[Leaf, "n n"]  # one tick
+    Gamma: Float[Leaf, "n m"]
+    A: Float[Leaf, "n n"]  # of the field
+    B: Float[Leaf, "n m"]
 
 
 class Options(BaseModel):
@@ -29,32 +30,32 @@ class Options(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def init(gains: Gains, xhat0: Array) -> Array:
-    """Start from xhat(0) [n]."""
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Start from xhat(0)."""
     return xhat0
 
 
-def note(gains: Gains, memory: Array, now: Now) -> Array:
+def note(gains: Gains, memory: Float[Array, " n"], now: Now) -> Float[Array, "0"]:
     """Note nothing."""
     return jnp.zeros(0)
 
 
-def jump(gains: Gains, memory: Array, now: Now, arrival: Arrival) -> Array:
+def jump(gains: Gains, memory: Float[Array, " n"], now: Now, arrival: Arrival) -> Float[Array, " n"]:
     """Ignore what arrives."""
     return memory
 
 
-def flow(gains: Gains, memory: Array, now: Now) -> Array:
+def flow(gains: Gains, memory: Float[Array, " n"], now: Now) -> Float[Array, " n"]:
     """Move by one tick under the held input."""
     return gains.Phi @ memory + gains.Gamma @ now.u
 
 
-def estimate(gains: Gains, memory: Array) -> Array:
-    """Return xhat of now, [n]."""
+def estimate(gains: Gains, memory: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Return xhat of now."""
     return memory
 
 
-def field(gains: Gains, memory: Array, now: Now, y: Array) -> Array:
+def field(gains: Gains, memory: Float[Array, " n"], now: Now, y: Float[Array, " q"]) -> Float[Array, " n"]:
     """Return dxhat/dt; of a continuous plant only."""
     return gains.A @ memory + gains.B @ now.u
 

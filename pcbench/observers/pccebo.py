@@ -21,6 +21,7 @@ from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.dynamics.observability import require_detectable
@@ -28,7 +29,7 @@ from pcbench.observers.parts import prediction
 from pcbench.observers.parts.options import matrix, tunable, way
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Sample
-from pcbench.protocols import Leaf, Observer
+from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import current_gains, ranges
 from pcbench.synthesis.certificate import Design, Setting, one_clock
 from pcbench.synthesis.ranges import Range
@@ -38,10 +39,10 @@ class Gains(NamedTuple):
     """n states, m inputs, q outputs."""
 
     motion: Motion
-    C: Leaf  # [q, n]
-    D: Leaf  # [q, m]
-    L: Leaf  # [n, q]
-    places: Leaf  # [K] room for samples that may be overtaken
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    L: Float[Leaf, "n q"]
+    room: Room  # for samples that may be overtaken
 
 
 class Options(BaseModel):
@@ -60,9 +61,9 @@ class Options(BaseModel):
     parameter_range: dict[str, Range] | None = Field(None, description="and ranges of the model's parameters, by name")
 
 
-def init(gains: Gains, xhat0: Array) -> Memory:
-    """Start from xhat(0) [n]."""
-    return prediction.start(xhat0, prediction.origin(xhat0), gains.places, gains.C.shape[0])
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start from xhat(0)."""
+    return prediction.start(xhat0, prediction.origin(xhat0), gains.room, gains.C.shape[0])
 
 
 def correct(gains: Gains, before: Point, sample: Sample) -> Point:
@@ -73,8 +74,8 @@ def correct(gains: Gains, before: Point, sample: Sample) -> Point:
     return Point(free + gains.L @ innovation, sample.taken)
 
 
-def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return xhat of now, [n]."""
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
+    """Return xhat of now."""
     return memory.xhat
 
 
@@ -93,4 +94,4 @@ def design(setting: Setting, options: Options) -> Design:
     maps = ranges.maps(setting, options.period_range, options.parameter_range, options.q, where) if wide else None
     L, certificate = current_gains.find(setting, options.gain, given, options.q, options.decay, maps, where)
     moves = prediction.motion_of(setting.model, setting)
-    return Design(Gains(moves, setting.model.C, setting.model.feedthrough, L, setting.places), certificate)
+    return Design(Gains(moves, setting.model.C, setting.model.feedthrough, L, setting.room), certificate)

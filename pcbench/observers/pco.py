@@ -26,6 +26,7 @@ from typing import Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Bool, Float
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError
@@ -33,7 +34,7 @@ from pcbench.observers.parts import prediction
 from pcbench.observers.parts.options import matrix, tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Sample
-from pcbench.protocols import Leaf, Observer
+from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import ranges, reduced_order
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
 from pcbench.synthesis.ranges import Range
@@ -42,23 +43,23 @@ Given = Literal["lmi"] | float | list[list[float]] | None
 
 
 class Gains(NamedTuple):
-    """n states, m inputs, l outputs."""
+    """n states, m inputs, l outputs, w = n - l states that are not measured."""
 
     motion: Motion
-    T: Leaf  # [n, n] to coordinates [y; w]
-    T_inv: Leaf  # [n, n] back
-    D: Leaf  # [l, m]
-    Kp: Leaf  # [n-l, l]
-    Ki: Leaf  # [n-l, l]
-    places: Leaf  # [K] room for samples that may be overtaken
+    T: Float[Leaf, "n n"]  # to coordinates [y; w]
+    T_inv: Float[Leaf, "n n"]  # back
+    D: Float[Leaf, "l m"]
+    Kp: Float[Leaf, "w l"]
+    Ki: Float[Leaf, "w l"]
+    room: Room  # for samples that may be overtaken
 
 
 class Reduced(NamedTuple):
     """The reduced-order PI observer at the time of a sample."""
 
     point: Point  # inv(T) [y; w]
-    L: Array  # [n-l] the integral
-    started: Array  # a sample has been used
+    L: Float[Array, " w"]  # the integral
+    started: Bool[Array, ""]  # a sample has been used
 
 
 class Proportional(BaseModel):
@@ -77,10 +78,10 @@ class ProportionalIntegral(Proportional):
     Ki: Given = tunable(None, description="gain of the integral, as Kp; default: by LMI")
 
 
-def init(gains: Gains, xhat0: Array) -> Memory:
-    """Start from xhat(0) [n], nothing measured."""
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start from xhat(0), nothing measured."""
     state = Reduced(prediction.origin(xhat0), jnp.zeros(gains.Kp.shape[0]), jnp.asarray(False))
-    return prediction.start(xhat0, state, gains.places, gains.D.shape[0])
+    return prediction.start(xhat0, state, gains.room, gains.D.shape[0])
 
 
 def reduced(gains: Gains, before: Reduced, sample: Sample) -> Reduced:
@@ -94,8 +95,8 @@ def reduced(gains: Gains, before: Reduced, sample: Sample) -> Reduced:
     return Reduced(Point(xhat - sample.note, sample.taken), L, jnp.asarray(True))
 
 
-def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return xhat of now, [n]."""
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
+    """Return xhat of now."""
     return memory.xhat
 
 
@@ -121,5 +122,5 @@ def design(setting: Setting, options: Proportional) -> Design:
     found = reduced_order.design(plant, given, integral, options.decay, where)
     certificate = certified(found.certificate, where)
     moves = prediction.motion_of(setting.model, setting)
-    gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.places)
+    gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.room)
     return Design(gains, certificate)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 from pydantic import Field
 
 from pcbench.dynamics.linear import Matrix
@@ -43,9 +44,9 @@ PRINTED = _printed()
 class Law(NamedTuple):
     """p outputs."""
 
-    KP: Leaf  # [p, p]
-    KI: Leaf  # [p, p]
-    xi: Leaf
+    KP: Float[Leaf, "p p"]
+    KI: Float[Leaf, "p p"]
+    xi: Float[Leaf, ""]
 
 
 class Options(unknown_input.Options):
@@ -56,7 +57,7 @@ class Options(unknown_input.Options):
     xi: float = tunable(2.0, gt=0, description="bounds each entry of E222 f' that is followed, per second")
 
 
-def inject(law: Law, s: Array, w: Array) -> tuple[Array, Array]:
+def inject(law: Law, s: Float[Array, " p"], w: Float[Array, " p"]) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
     """Return v and w' (37)."""
     return law.KP @ s + w, law.KI @ s + law.xi * jnp.sign(s)
 

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float
 
 from pcbench.observers.parts import unknown_input
 from pcbench.observers.parts.options import tunable
@@ -39,9 +40,9 @@ PRINTED = sliding_mode.Found(
 class Law(NamedTuple):
     """p outputs."""
 
-    P2: Leaf  # [p, p]
-    rho: Leaf  # the largest |E222 f| that can be found
-    eps: Leaf  # of s: where v bends
+    P2: Float[Leaf, "p p"]
+    rho: Float[Leaf, ""]  # the largest |E222 f| that can be found
+    eps: Float[Leaf, ""]  # of s: where v bends
 
 
 class Options(unknown_input.Options):
@@ -52,7 +53,7 @@ class Options(unknown_input.Options):
     eps: float = tunable(0.005, gt=0, description="width of the layer in which it is smooth")
 
 
-def inject(law: Law, s: Array, w: Array) -> tuple[Array, Array]:
+def inject(law: Law, s: Float[Array, " p"], w: Float[Array, " p"]) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
     """Return v (21), and no integral."""
     direction = law.P2 @ s
     return law.rho * direction / (jnp.sqrt(direction @ direction) + law.eps), jnp.zeros_like(w)

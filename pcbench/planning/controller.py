@@ -24,12 +24,12 @@ class Reach(NamedTuple):
 def options(cell: Cell) -> Any:
     """Return the options of a closed loop's controller: the scenario's, with the study's choices over them."""
     s, chosen = cell.scenario, {k: v for k, v in cell.choices.loop().items() if v is not None}
-    return CONTROLLERS[s.controller].options.model_validate(dict(s.control) | chosen)
+    return CONTROLLERS[s.loop.controller].options.model_validate(dict(s.loop.control) | chosen)
 
 
 def controller(cell: Cell) -> Controller | None:
     """Return the control law of a cell; None of an open loop."""
-    name = cell.scenario.controller
+    name = cell.scenario.loop.controller
     return CONTROLLERS[name].controller(options(cell)) if name else None
 
 
@@ -51,5 +51,5 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:
     s, plant = cell.scenario, PLANTS[cell.scenario.plant]
     delay, params = times.actuator_delay(s), plant.prepare(numbers_of(s), s.dt, ticks)
     model, inverse = Partial(plant.model, params), Partial(plant.inverse, params)
-    law = CONTROLLERS[s.controller].prepare(options(cell), delay, s.dt, reach.back, ticks, model, inverse)
+    law = CONTROLLERS[s.loop.controller].prepare(options(cell), delay, s.dt, reach.back, ticks, model, inverse)
     return law, actuator.line(delay, s.dt, reach.back, ticks + reach.ahead)

@@ -17,8 +17,9 @@ from pcbench.synthesis.certificate import Setting
 def setting(cell: Cell) -> Setting:
     """Return what a designer is told: the nominal model and the believed delay, whatever is true of the plant."""
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
-    period, delay = [0] * len(s.delay), [0] * len(s.delay)
-    plant, many = PLANTS[s.plant], len(s.unknown_std)
+    belief, noise = s.belief, s.sampling.noise_std
+    period, delay = [0] * len(noise), [0] * len(noise)
+    plant, many = PLANTS[s.plant], len(belief.unknown_std)
     params = plant.prepare(numbers_of(s), s.dt, n) if plant.model else None
     for clock in clocks:
         for j in clock.channels:
@@ -29,26 +30,26 @@ def setting(cell: Cell) -> Setting:
             late = period[j] if clock.delay is None else clock.delay
             delay[j] = late + clock.spread // 2 + cell.times.error
     return Setting(
-        s.name,
-        plant.nominal(numbers_of(s)),
-        s.dt,
-        n,
-        tuple(period),
-        tuple(delay),
-        tuple(std or spare for std, spare in zip(s.noise_std, s.assumed_noise_std or s.noise_std, strict=True)),
-        np.diag(np.square(s.prior_std)),
-        s.drift_intensity if s.drift else 0.0,
-        _overtaking(clocks, n),
-        s.process_std or s.assumed_process_std,
-        cell.times.error,
-        max(-(-late // every) for late, every in zip(delay, period, strict=True)),
-        s.unknown_std,
-        s.unknown0 or (0.0,) * many,
-        plant.ranges or ((-np.inf, np.inf),) * many,
-        Partial(plant.model, params) if plant.model else None,
-        Partial(plant.parts, params) if plant.parts else None,
-        partial(_variant, s),
-        tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
+        scenario=s.name,
+        model=plant.nominal(numbers_of(s)),
+        dt=s.dt,
+        ticks=n,
+        period=tuple(period),
+        delay=tuple(delay),
+        noise_std=tuple(std or spare for std, spare in zip(noise, belief.assumed_noise_std or noise, strict=True)),
+        P0=np.diag(np.square(belief.prior_std)),
+        input_intensity=belief.drift_intensity if s.truth.drift else 0.0,
+        overtaking=_overtaking(clocks, n),
+        process_std=s.truth.process_std or belief.assumed_process_std,
+        error=cell.times.error,
+        reach=max(-(-late // every) for late, every in zip(delay, period, strict=True)),
+        unknown_std=belief.unknown_std,
+        unknown0=belief.unknown0 or (0.0,) * many,
+        unknown_range=plant.ranges or ((-np.inf, np.inf),) * many,
+        field=Partial(plant.model, params) if plant.model else None,
+        parts=Partial(plant.parts, params) if plant.parts else None,
+        variant=partial(_variant, s),
+        intervals=tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )
 
 

@@ -14,14 +14,14 @@ from pcbench.synthesis.certificate import Setting
 def bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
     s = cell.scenario
-    wrong = nonlinear(s.plant) or s.drift or cell.parameters or s.unknown_input
-    exact = not wrong and all(s.noise_std)  # no bound without noise
+    wrong = nonlinear(s.plant) or s.truth.drift or cell.parameters or s.truth.unknown_input
+    exact = not wrong and all(s.sampling.noise_std)  # no bound without noise
     clocks = cell.times.clocks
     if not exact or cell.times.random:
         return None
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     samples = [(s.arrives, s.taken, s.channel) for s in shared.samples(clocks, known.ticks)]
-    added = known._replace(process_std=s.process_std).process_noise  # what is, not what designers assume
+    added = known._replace(process_std=s.truth.process_std).process_noise  # what is, not what designers assume
     noise = linear.noise_doublings(known.model, added, known.dt, len(doubled))
     variance = riccati.posterior_variance(
         doubled, noise, known.model.C, known.noise_variance, known.P0, samples, known.ticks

@@ -31,8 +31,6 @@ class Planned(NamedTuple):
     carries_input: dict[str, bool | None]  # by observer, of its prediction to now
     labels: tuple[str, ...]  # of the layout's observers; they go by their base in a closed loop, to share a program
     reach: controller.Reach | None  # of a closed loop
-    told: dict[str, str]  # by label, the digest of its observer's options
-    digest: str = ""  # of its cell, in a study
 
 
 class Room(NamedTuple):
@@ -54,14 +52,14 @@ def room_of(p: Planned) -> Room:
     rows = {(p.cell.scenario.plant, i): len(a) for i, a in enumerate(jax.tree.leaves(p.problem.params)) if np.ndim(a)}
     back, ahead = p.reach or (0, 0)
     return Room(
-        plan.arrive.shape[1] if common else 1,
-        0 if common else plan.due.shape[1],
-        _rounded(p.layout.ring),
-        _rounded(len(plan.early)) if common else 0,
-        _rounded(back),
-        _rounded(ahead),
-        len(p.problem.jumps),
-        tuple(rows.items()),
+        slots=plan.arrive.shape[1] if common else 1,
+        due=0 if common else plan.due.shape[1],
+        ring=_rounded(p.layout.ring),
+        early=_rounded(len(plan.early)) if common else 0,
+        back=_rounded(back),
+        ahead=_rounded(ahead),
+        falls=len(p.problem.jumps),
+        rows=tuple(rows.items()),
     )
 
 

@@ -72,17 +72,17 @@ PLANTS = {
 
 def states_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     """Return (state, unit) of every state of a scenario's plant."""
-    return scenario.signals or PLANTS[scenario.plant].signals
+    return scenario.scoring.signals or PLANTS[scenario.plant].signals
 
 
 def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     """Return (signal, unit) of all that observers may estimate: the states, and what the plant has of unknowns."""
-    return states_of(scenario) + (scenario.unknowns or PLANTS[scenario.plant].unknowns)
+    return states_of(scenario) + (scenario.scoring.unknowns or PLANTS[scenario.plant].unknowns)
 
 
 def numbers_of(scenario: Scenario) -> Any:
     """Return a plant's numbers as observers know them."""
-    return PLANTS[scenario.plant].numbers._replace(**scenario.model)
+    return PLANTS[scenario.plant].numbers._replace(**scenario.belief.model)
 
 
 def nonlinear(plant: str) -> bool:

@@ -32,7 +32,7 @@ def scenario_of(result: Result, scenario: str | None) -> str:
 def signals_by_default(result: Result, scenario: str) -> list[str]:
     """Return the signals that a scenario's pictures show by default."""
     there = list(dict.fromkeys(result.stats.signal[result.stats.scenario == scenario]))
-    chosen = [s for s in scenarios_of(result.study)[scenario].headline if s in there]
+    chosen = [s for s in scenarios_of(result.study)[scenario].scoring.headline if s in there]
     return chosen or there[:1]
 
 

@@ -17,9 +17,8 @@ from pcbench.dataset import parquet, store
 from pcbench.machine import provenance
 from pcbench.planning import setting
 from pcbench.plants import signals_of
-from pcbench.study import Study, observers_of, options_of, scenarios_of
-from pcbench.study.cells import cells, identity
-from pcbench.study.read import study_of
+from pcbench.study import Study
+from pcbench.study.cells import Cell, cells
 
 KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
 POINTS = 300  # ticks that are kept
@@ -34,12 +33,13 @@ def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
     """
     target = None if out is None else store.target(str(out))
     name = f"examples/{scenario.replace('/', '%2F')}.parquet"
-    key = _key(study, scenario)
+    first = cells(study, scenario)[0]
+    key = _key(study, first)
     found = None if target is None else store.get(target, name)
     kept = None if found is None else parquet.whole(found)
     if kept is not None and kept.schema.metadata.get(KEY) == key:
         return kept.to_pandas()
-    made = _made(study, scenario)
+    made = _made(study, first)
     if target is not None:
         table = pa.Table.from_pandas(made, preserve_index=False)
         about = {**(table.schema.metadata or {}), KEY: key}
@@ -47,35 +47,32 @@ def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
     return made
 
 
-def _key(study: Study, scenario: str) -> bytes:
+def _key(study: Study, cell: Cell) -> bytes:
     """What an example was made of: the cell, the observers with their options, the run, and the release."""
-    cell, s = cells(study, scenario)[0], scenarios_of(study)[scenario]
-    options = {o: options_of(study, s, o).model_dump() for o in observers_of(study, scenario)}
-    said = [identity(cell, study.root_seed), options, study.first_seed, provenance.versions(), POINTS]
+    options = {o: given.model_dump() for o, given in cell.options.items()}
+    said = [cell.digest, options, study.first_seed, provenance.versions(), POINTS]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest().encode()
 
 
-def _made(study: Study, scenario: str) -> pd.DataFrame:
+def _made(study: Study, cell: Cell) -> pd.DataFrame:
+    scenario = cell.scenario.name
     axes = {name: [values[0]] for name, values in study.axes.items()}
-    here = study_of(study, {"scenarios": [scenario], "axes": axes}, [])
-    names, closed = observers_of(here, scenario), bool(scenarios_of(here)[scenario].controller)
+    here = study.model_copy(update={"scenarios": [scenario], "axes": axes})
+    names, closed = list(cell.options), bool(cell.scenario.loop.controller)
     groups = [[name] for name in names] if closed else [names]
-    parts = [part for group in groups for part in _series(here, scenario, group, closed)]
+    parts = [part for group in groups for part in _series(here, cell, group, closed)]
     return pd.concat(parts, ignore_index=True)
 
 
-def _series(study: Study, scenario: str, observers: list[str], closed: bool) -> list[pd.DataFrame]:
+def _series(study: Study, cell: Cell, observers: list[str], closed: bool) -> list[pd.DataFrame]:
     trace = api.trace(study, observers, seed=study.first_seed)
     thin = trace.iloc[:: -(-len(trace) // POINTS)]
-    s = scenarios_of(study)[scenario]
-    shown = _shown(study, scenario)
+    shown = _shown(cell)
     out = []
-    for signal, _ in signals_of(s):
+    for signal, _ in signals_of(cell.scenario):
         columns = {(f"plant under {observers[0]}" if closed else "plant", "truth"): signal}
         columns |= {(o, "estimate"): f"{o}.{signal}" for o in observers}
-        columns |= (
-            {("target", "target"): f"target.{signal}"} if observers[0] == observers_of(study, scenario)[0] else {}
-        )
+        columns |= {("target", "target"): f"target.{signal}"} if observers[0] == next(iter(cell.options)) else {}
         columns |= {("measured", "measured"): f"y{shown[signal] + 1}"} if signal in shown and not closed else {}
         for (series, kind), column in columns.items():
             if column in thin:
@@ -84,10 +81,10 @@ def _series(study: Study, scenario: str, observers: list[str], closed: bool) -> 
     return out
 
 
-def _shown(study: Study, scenario: str) -> dict[str, int]:
+def _shown(cell: Cell) -> dict[str, int]:
     """Which output shows a state as it is, by state."""
-    C = setting(cells(study, scenario)[0]).model.C
-    states = [name for name, _ in signals_of(scenarios_of(study)[scenario])]
+    C = setting(cell).model.C
+    states = [name for name, _ in signals_of(cell.scenario)]
     return {
         states[j]: i
         for i in range(len(C))

@@ -142,9 +142,11 @@ def _command(result: Result) -> str:
 
 
 def _said(result: Result) -> str:
-    from pcbench.study.cells import to_toml
+    import tomli_w
 
-    return to_toml(result.study).partition("[resolved")[0].strip()
+    from pcbench.study.as_toml import as_dict
+
+    return tomli_w.dumps(as_dict(result.study)).strip()
 
 
 def _provenance(result: Result) -> list[tuple[str, str]]:

@@ -95,7 +95,7 @@ def _compared() -> list[Claim]:
 def _chatter(dt: float) -> float:
     """PIO's largest error of x3 from 6 s on, integrated with another step."""
     base = SCENARIOS["arm/sine"]
-    one = base._replace(dt=dt, horizon=10.0 + dt, sampling_period=(dt, dt))
+    one = base.having(dt=dt, horizon=10.0 + dt, sampling_period=(dt, dt))
     study = Study(name="step", scenarios=["arm/sine"], seeds=1)
     drafted = planning.draft(cell_of(one), {"pio": options_of(study, one, "pio")})
     (done,) = in_memory.execute(study, padding.fit([drafted]))

@@ -58,7 +58,7 @@ def _gains() -> list[Claim]:
             out.append(digits(f"KFBO {name} at R = {R:g} (26)", printed, value))
     for scenario in ("cart/nominal", "cart/slow"):
         L = api.design(scenario, "pccebo").certificate.numbers["L"]
-        te = SCENARIOS[scenario].sampling_period[0]
+        te = SCENARIOS[scenario].sampling.sampling_period[0]
         for i, printed in enumerate(("1.0000", "0.0000")):
             out.append(digits(f"PCCEBO L{i + 1} at te = {te:g} s (23)", printed, L[i, 0]))
     return out
@@ -68,7 +68,7 @@ def _two_periods() -> list[Claim]:
     out = []
     for scenario in ("cart/nominal", "cart/slow"):
         d = api.trace(scenario, "pccebo")
-        te = SCENARIOS[scenario].sampling_period[0]
+        te = SCENARIOS[scenario].sampling.sampling_period[0]
         e = (d["position"] - d["pccebo.position"]).abs()[d["t"] >= 2 * te - 1e-9].max()
         out.append(
             statement(
@@ -100,7 +100,7 @@ def _ordering() -> list[Claim]:
 def _under_noise() -> list[Claim]:
     """Once the start is forgotten the order turns; and how far either is from what the measurements would allow."""
     study = Study(name="noise", scenarios=["cart/gaussian"], observers=["pccebo", "kfbo", "dkf"], seeds=SEEDS)
-    late = SCENARIOS["cart/gaussian"]._replace(horizon=43.142, tail=40.0)  # the tail is one period of the sawtooth
+    late = SCENARIOS["cart/gaussian"].having(horizon=43.142, tail=40.0)  # the tail is one period of the sawtooth
     options = {name: options_of(study, late, name) for name in ("pccebo", "kfbo")}
     (done,) = in_memory.execute(study, padding.fit([planning.draft(cell_of(late), options)]))
     a, b = (np.sqrt(done.results[name]["tail_mse"][0].mean()) for name in options)
@@ -135,7 +135,9 @@ def _open() -> list[Claim]:
     """What the paper does not say, and what depends on it; velocity."""
     sections = ["cart/gaussian", "cart/gaussian-fast"]
     both = api.run(Study(name="te", scenarios=sections, observers=["pccebo", "kfbo"], seeds=SEEDS)).stats
-    fast = "; ".join(f"te = {SCENARIOS[s].sampling_period[0]:g} s: {_both(both, s, 'position')} m" for s in sections)
+    fast = "; ".join(
+        f"te = {SCENARIOS[s].sampling.sampling_period[0]:g} s: {_both(both, s, 'position')} m" for s in sections
+    )
     signs = {sign: _drifting({"scenario": {"drift_sign": sign}}) for sign in (1, -1)}
     drift = "; ".join(
         f"{'+' if sign > 0 else '-'}: {_both(stats, 'cart/drift', 'position')} m" for sign, stats in signs.items()

@@ -20,7 +20,7 @@ def theorem() -> list[Claim]:
     """Return what is printed of the inequality (23), and what it can and cannot guarantee."""
     out = []
     for scenario, printed in SCALES.items():
-        te, P = SCENARIOS[scenario].sampling_period[0], float(printed) * np.eye(2)
+        te, P = SCENARIOS[scenario].sampling.sampling_period[0], float(printed) * np.eye(2)
         Y = float(printed) * C.T
         largest = float(np.linalg.eigvalsh(inequality(te, P, Y)).max())
         text = f"largest eigenvalue {largest:.4f}; inv(P) Y = {_row(np.linalg.solve(P, Y)[:, 0])}"

@@ -41,7 +41,7 @@ def _remark_2() -> list[Claim]:
 
 def _remark_3() -> list[Claim]:
     """Remark 3: what the poles and the delays do; and chain 3, said to be chain 1."""
-    tau = [round((d or 0.0) / SCENARIOS["csth/10s"].dt) for d in SCENARIOS["csth/10s"].delay]
+    tau = [round((d or 0.0) / SCENARIOS["csth/10s"].dt) for d in SCENARIOS["csth/10s"].sampling.delay]
     steps = np.diff([0, *sorted(tau)])
     alike = (
         f"delays {tau} leave steps of {', '.join(map(str, steps))} samples: (8) is the same for the first and the last"
@@ -82,7 +82,7 @@ def _claims() -> list[Claim]:
         x = trace[STATES].to_numpy()
         e = {name: np.abs(x - trace[[f"{name}.{s}" for s in STATES]].to_numpy())[:, 1] for name in methods}
         radius = float(api.design(scenario, "chain").certificate.numbers["radius_of_one_sample"])
-        left, te = e["chain"][10], SCENARIOS[scenario].sampling_period[0]
+        left, te = e["chain"][10], SCENARIOS[scenario].sampling.sampling_period[0]
         text = f"enthalpy off by {e['chain'][0]:.0f} J at first, {_small(left)} after 10 samples, {10 * te:g} s"
         text += f" (radius {radius:.4f})"
         out.append(statement(f"#1 converges: {what}", "in 10 s", text, bool(left < 1e-3 * e["chain"][0])))

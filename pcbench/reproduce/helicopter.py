@@ -55,7 +55,7 @@ def _printed(runs: dict[str, Flight]) -> list[Claim]:
     text = f"off the path by {apart[0]:+.4f} rad (yaw), {apart[1]:+.4f} rad (pitch) against the constant delay"
     out.append(statement("varying delay: the control is more challenging", "more challenging", text, max(apart) > 1e-3))
     s, t = SCENARIOS["helicopter/varying"], np.arange(20_000) * 1e-3
-    longest = float((s.delay[0] + s.delay_swing[0] * np.sin(s.delay_swing[1] * t)).max())
+    longest = float((s.sampling.delay[0] + s.sampling.delay_swing[0] * np.sin(s.sampling.delay_swing[1] * t)).max())
     out.append(digits("largest varying delay [s]", "0.045", longest))
     radius, far = high_gain.radius(4.0 * 0.2), high_gain.radius(4.0 * 0.8)
     text = f"linear part: radius {radius:.2f} a sample at 0.2 s, {far:.2f} at 0.8 s; limit {limit() / 4.0:.2f} s"

@@ -32,7 +32,7 @@ CASES: dict[str, tuple[str, str, dict[str, Any], dict[str, Any]]] = {  # name: s
     "full": ("constant", "high-gain", FULL, {}),
     "full, varying": ("varying", "high-gain", FULL, {}),
     "still": ("constant", "high-gain", {"path": "still"}, {}),
-    "still, true": ("constant", "high-gain", {"path": "still"}, {"xhat0": SCENARIOS["helicopter/constant"].x0}),
+    "still, true": ("constant", "high-gain", {"path": "still"}, {"xhat0": SCENARIOS["helicopter/constant"].truth.x0}),
     "late samples": ("constant", "high-gain-robust", {}, {"delay": (0.15, 0.15), "actuator_delay": 0.025}),
     "late commands": ("constant", "high-gain-robust", {}, {"actuator_delay": 0.15}),
     "heavy": ("constant", "high-gain-robust", {}, {"m": 1.1 * helicopter.Numbers().m}),
@@ -83,7 +83,7 @@ def record() -> dict[str, Flight]:
 
 def _draft(name: str, observer: str, choices: dict[str, Any], changes: dict[str, Any]) -> Planned:
     parameters = {k: v for k, v in changes.items() if k == "m"}
-    s = SCENARIOS["helicopter/" + name]._replace(**{k: v for k, v in changes.items() if k not in parameters})
+    s = SCENARIOS["helicopter/" + name].having(**{k: v for k, v in changes.items() if k not in parameters})
     options = options_of(Study(name="reproduce", scenarios=[s.name]), s, observer)
     return planning.draft(cell_of(s, parameters=parameters, choices=Choices(**choices)), {observer: options})
 

@@ -31,7 +31,7 @@ ALIKE = 1e-5  # the least that a tail's error counts for: nothing on the cart is
 CARTS_A12 = -np.expm1(-12.2) / 122  # at an interval of 0.1 s
 STEADY = SCENARIOS[
     "cart/variable"
-]._replace(  # nothing but noise: true start, a clock of 0.1 s, read when the start is forgotten
+].having(  # nothing but noise: true start, a clock of 0.1 s, read when the start is forgotten
     name="steady", profile="periodic", sampling_period=(0.1,), xhat0=(5.0, 10.0), tail=5.0
 )
 GRID = [(F, k) for F in (-0.6, -0.3, 0.0, 0.3, 0.5) for k in (0.1, 0.4, 0.8, 1.4) if F + k < 0.9]
@@ -78,7 +78,9 @@ def monte_carlo(grid: list[tuple[float, float]], seeds: int, scenario: Scenario 
         options = {name: options_of(study, scenario, name) for name in given}
         drafts.append(planning.draft(cell_of(scenario, number), options))
     for (F, k), done in zip(grid, in_memory.execute(study, padding.fit(drafts)), strict=True):
-        pco, pi = (done.results[name]["tail_mse"][0] / scenario.noise_std[0] ** 2 for name in ("pco", "pi-pco"))
+        pco, pi = (
+            done.results[name]["tail_mse"][0] / scenario.sampling.noise_std[0] ** 2 for name in ("pco", "pi-pco")
+        )
         rows = (pco, pi, pi - pco)
         means, errors = ([float(f(row)) for row in rows] for f in (np.mean, standard_error))
         yield Variances(F, k, means[0], means[1], means[2], (errors[0], errors[1], errors[2]))

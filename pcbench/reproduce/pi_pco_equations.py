@@ -61,7 +61,7 @@ def _measured_part() -> Claim:
     trace = api.trace("cart/variable", "pi-pco")
     late = [k for k in arrivals(40) if 3000 <= k < len(trace)]
     e = (trace["position"] - trace["pi-pco.position"]).to_numpy()[late]
-    std = SCENARIOS["cart/variable"].noise_std[0]
+    std = SCENARIOS["cart/variable"].sampling.noise_std[0]
     text = (
         f"rms {np.sqrt(np.mean(e**2)):.3f} m at the arrivals after 3 s: the noise (sd {std:.3f} m), carried on by (18)"
     )

@@ -4,6 +4,8 @@ from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.csth import CSTH
 from pcbench.scenarios.helicopter import HELICOPTER
-from pcbench.scenarios.scenario import Scenario
+from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
+
+__all__ = ["SCENARIOS", "Belief", "Loop", "Sampling", "Scenario", "Scoring", "Truth"]
 
 SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH, *ARM, *HELICOPTER)}

@@ -11,7 +11,7 @@ Source: Peng, Appl. Sci. 2017, 7(1), 67, section 5 and Table 2.
 
 from typing import Any
 
-from pcbench.scenarios.scenario import Scenario
+from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
 
 PAPER = "Peng 2017, section 5, Table 2"
 PRINTED: dict[str, dict[str, Any]] = {"smo": {"gains": "paper"}, "pio": {"gains": "paper"}}
@@ -33,34 +33,26 @@ SINE = Scenario(
     source=PAPER,
     plant="arm",
     observers=("smo", "pio", "open-loop"),
-    sampling_period=(1e-4, 1e-4),
-    delay=(0.0, 0.0),
-    noise_std=(0.0, 0.0),
-    drift=0.0,
-    input="zero",
-    x0=(-0.5, 1.0, -1.5, -0.5),
-    xhat0=(0.0, 0.0, 0.0, 0.0),
-    prior_std=(1.0, 1.0, 1.0, 1.0),
-    settle_band=(0.025, 0.05, 0.075, 0.025, 0.1),
-    bound=1e3,
+    truth=Truth(x0=(-0.5, 1.0, -1.5, -0.5), unknown_input="arm-sine"),
+    loop=Loop(input="zero"),
+    sampling=Sampling(sampling_period=(1e-4, 1e-4), delay=(0.0, 0.0), noise_std=(0.0, 0.0), continuous=True),
+    belief=Belief(xhat0=(0.0, 0.0, 0.0, 0.0), prior_std=(1.0, 1.0, 1.0, 1.0), unknown_std=(1.0,)),
+    scoring=Scoring(
+        settle_band=(0.025, 0.05, 0.075, 0.025, 0.1), bound=1e3, tail=6.0, headline=("link_velocity", "input")
+    ),
     dt=1e-4,
     horizon=10.0001,
-    tail=6.0,
     options=PRINTED | LABELS,
-    unknown_std=(1.0,),
-    unknown_input="arm-sine",
-    continuous=True,
-    headline=("link_velocity", "input"),
 )
 
 ARM = (
     SINE,
-    SINE._replace(
+    SINE.having(
         name="arm/sawtooth",
         summary="unknown input: a saw-tooth that falls by 0.35 every 2 s, measured continuously",
         unknown_input="arm-sawtooth",
     ),
-    SINE._replace(
+    SINE.having(
         name="arm/sampled",
         summary="as arm/sine, te = d = 0.02 s, noise of 1e-3",
         source="ours, after Peng 2017",

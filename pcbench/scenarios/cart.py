@@ -11,7 +11,7 @@ The settling band is 5 % of the initial error.
 
 from math import sqrt
 
-from pcbench.scenarios.scenario import Scenario
+from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
 
 PAPER = "Mohammed, Wang, Tian 2017, section "
 VARIABLE = "Li, Wang, Tian, PI-PCO, section 4"
@@ -23,21 +23,15 @@ NOMINAL = Scenario(
     source=PAPER + "6.1",
     plant="cart",
     observers=("pccebo", "kfbo", "dkf", "open-loop"),
-    sampling_period=(0.2,),
-    delay=(0.2,),
-    noise_std=(0.0,),
-    drift=0.0,
-    input="sawtooth",
-    x0=(5.0, 10.0),
-    xhat0=(0.0, 0.0),
-    prior_std=(5.0, 10.0),
-    settle_band=(0.25, 0.5),
-    bound=1e6,
-    drift_intensity=0.002,
+    truth=Truth(x0=(5.0, 10.0)),
+    loop=Loop(input="sawtooth"),
+    sampling=Sampling(sampling_period=(0.2,), delay=(0.2,), noise_std=(0.0,)),
+    belief=Belief(xhat0=(0.0, 0.0), prior_std=(5.0, 10.0), drift_intensity=0.002),
+    scoring=Scoring(settle_band=(0.25, 0.5), bound=1e6),
     options=PCO | {"kfbo": {"R": 0.004}},
 )
 
-CAMERA = NOMINAL._replace(
+CAMERA = NOMINAL.having(
     name="cart/variable",
     summary="intervals vary about 0.2 s, each sample one interval late; noise of variance 0.001",
     source=VARIABLE,
@@ -51,7 +45,7 @@ CAMERA = NOMINAL._replace(
 
 CART = (
     NOMINAL,
-    NOMINAL._replace(
+    NOMINAL.having(
         name="cart/gaussian",
         summary="noise of variance 1, te = d = 0.6 s",
         source=PAPER + "6.2",
@@ -60,7 +54,7 @@ CART = (
         noise_std=(1.0,),
         options=PCO | {"kfbo": {"R": 1.0}},
     ),
-    NOMINAL._replace(
+    NOMINAL.having(
         name="cart/gaussian-fast",
         summary="noise of variance 1, te = 0.2 s, d = 0.6 s",
         source=PAPER + "6.2, other reading",
@@ -68,16 +62,16 @@ CART = (
         noise_std=(1.0,),
         options=PCO | {"kfbo": {"R": 1.0}},
     ),
-    NOMINAL._replace(
+    NOMINAL.having(
         name="cart/white",
         summary="white noise of power 0.07: variance 0.35 a sample, te = d = 0.2 s",
         source=PAPER + "6.2",
         noise_std=(sqrt(0.07 / 0.2),),
     ),
-    NOMINAL._replace(
+    NOMINAL.having(
         name="cart/drift", summary="drifting parameters, no noise, te = d = 0.2 s", source=PAPER + "6.3", drift=1.0
     ),
-    NOMINAL._replace(
+    NOMINAL.having(
         name="cart/slow",
         summary="no noise, te = d = 1 s",
         source=PAPER + "6.4",
@@ -86,13 +80,13 @@ CART = (
         options=PCO | {"kfbo": {"R": 0.3}},
     ),
     CAMERA,
-    CAMERA._replace(
+    CAMERA.having(
         name="cart/variable-bias",
         summary="as cart/variable; the plant's input has a bias of 0.2 that no model knows",
         source=VARIABLE + ", other plant",
         parameters={"input_bias": 0.2},
     ),
-    CAMERA._replace(
+    CAMERA.having(
         name="cart/variable-gain",
         summary="as cart/variable; the plant's gain is 10 % larger than the model's",
         source=VARIABLE + ", other plant",

@@ -10,7 +10,7 @@ there is no noise, designers take that of `10s-noise`.
 from math import sqrt
 from typing import Any
 
-from pcbench.scenarios.scenario import Scenario
+from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
 
 PAPER = "Alipouri, Zhong 2021, section 5"
 DELAYS = (2, 5, 7)  # samples
@@ -31,34 +31,34 @@ def sampled(name: str, summary: str, source: str, tick: float) -> Scenario:
         source=source,
         plant="csth",
         observers=("chain", "chain-riccati", "equal-delay", "no-delay", "dkf", "open-loop"),
-        sampling_period=(tick,) * 3,
-        delay=tuple(d * tick for d in DELAYS),
-        noise_std=(0.0, 0.0, 0.0),
-        drift=0.0,
-        input=f"heater-{tick:g}s",
-        x0=(0.5, 2e4, 5.0),
-        xhat0=(0.0, 0.0, 0.0),
-        prior_std=(0.5, 2e4, 5.0),
-        settle_band=(0.025, 1e3, 0.25),
-        bound=(5e5, 2e10, 5e6),
+        truth=Truth(x0=(0.5, 2e4, 5.0)),
+        loop=Loop(input=f"heater-{tick:g}s"),
+        sampling=Sampling(
+            sampling_period=(tick,) * 3, delay=tuple(d * tick for d in DELAYS), noise_std=(0.0, 0.0, 0.0)
+        ),
+        belief=Belief(
+            xhat0=(0.0, 0.0, 0.0),
+            prior_std=(0.5, 2e4, 5.0),
+            assumed_noise_std=NOISE,
+            assumed_process_std=tuple(sqrt(tick) * s for s in ROUGHNESS),
+        ),
+        scoring=Scoring(
+            settle_band=(0.025, 1e3, 0.25), bound=(5e5, 2e10, 5e6), tail=100 * tick, headline=("enthalpy",)
+        ),
         dt=tick,
         horizon=200 * tick,
-        tail=100 * tick,
         options=LABELS,
-        headline=("enthalpy",),
-        assumed_noise_std=NOISE,
-        assumed_process_std=tuple(sqrt(tick) * s for s in ROUGHNESS),
     )
 
 
 PHYSICAL = sampled("csth/10s", "physical plant, 10 s samples, no noise", PAPER + ", made consistent", 10.0)
 CSTH = (
-    sampled("csth/literal", "the printed recursion, tick 1, no noise", PAPER, 1.0)._replace(
+    sampled("csth/literal", "the printed recursion, tick 1, no noise", PAPER, 1.0).having(
         input="heater-literal", model={"literal": True}
     ),
     sampled("csth/1s", "physical plant, 1 s samples, no noise", PAPER + ", made consistent", 1.0),
     PHYSICAL,
-    PHYSICAL._replace(
+    PHYSICAL.having(
         name="csth/10s-noise",
         summary="physical plant, 10 s samples, measurement and process noise",
         source=PAPER + ", with noise",

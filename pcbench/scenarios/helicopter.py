@@ -12,7 +12,7 @@ Source: Hernandez-Gonzalez et al., Aerospace 2024, 11(3), 206, section 5.
 from math import pi, sqrt
 from typing import Any
 
-from pcbench.scenarios.scenario import Scenario
+from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring, Truth
 
 PAPER = "Hernandez-Gonzalez et al. 2024, section 5"
 VISCOSITY = (0.8, 0.318)  # N m s/rad
@@ -27,32 +27,32 @@ CONSTANT = Scenario(
     source=PAPER + ".1",
     plant="helicopter",
     observers=("high-gain", "high-gain-robust", "ekf"),
-    sampling_period=(0.2, 0.2),
-    delay=(0.025, 0.025),
-    noise_std=(0.0, 0.0),
-    drift=0.0,
-    input="",
-    x0=(pi / 4, pi / 8, 0.2, 0.1),
-    xhat0=(pi / 8, pi / 16, 0.5, 0.1),
-    prior_std=(0.5, 0.5, 0.5, 0.5),
-    settle_band=(0.01, 0.01, 0.05, 0.05, 0.05 * VISCOSITY[0], 0.05 * VISCOSITY[1]),
-    bound=1e6,
+    truth=Truth(x0=(pi / 4, pi / 8, 0.2, 0.1)),
+    loop=Loop(
+        controller="pd", control={"Kp": (30.0, 150.0), "Kd": (5.0, 1.0), "limit": (20.0, 15.0), "path": "circle"}
+    ),
+    sampling=Sampling(sampling_period=(0.2, 0.2), delay=(0.025, 0.025), noise_std=(0.0, 0.0), early=True),
+    belief=Belief(
+        xhat0=(pi / 8, pi / 16, 0.5, 0.1),
+        prior_std=(0.5, 0.5, 0.5, 0.5),
+        unknown_std=(0.8, 0.8),  # the prior of the viscosities, both alike
+        assumed_noise_std=(1e-4, 1e-4),
+        assumed_process_std=(0.0, 0.0, sqrt(1e-4 * 1e-3), sqrt(1e-4 * 1e-3)),  # a tick, of a density of 1e-4
+        start_box=(0.5, 0.5, 0.5, 0.5),
+    ),
+    scoring=Scoring(
+        settle_band=(0.01, 0.01, 0.05, 0.05, 0.05 * VISCOSITY[0], 0.05 * VISCOSITY[1]),
+        bound=1e6,
+        tail=10.0,
+        headline=("pitch", "pitch_viscosity"),
+    ),
     horizon=20.0,
-    tail=10.0,
     options=LABELS,
-    assumed_noise_std=(1e-4, 1e-4),
-    assumed_process_std=(0.0, 0.0, sqrt(1e-4 * 1e-3), sqrt(1e-4 * 1e-3)),  # a tick, of a density of 1e-4
-    unknown_std=(0.8, 0.8),  # the prior of the viscosities, both alike
-    headline=("pitch", "pitch_viscosity"),
-    start_box=(0.5, 0.5, 0.5, 0.5),
-    controller="pd",
-    control={"Kp": (30.0, 150.0), "Kd": (5.0, 1.0), "limit": (20.0, 15.0), "path": "circle"},
-    early=True,
 )
 
 HELICOPTER = (
     CONSTANT,
-    CONSTANT._replace(
+    CONSTANT.having(
         name="helicopter/varying",
         summary="as helicopter/constant, 0.03 + 0.015 sin 2t s late",
         source=PAPER + ".2",

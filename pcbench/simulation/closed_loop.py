@@ -3,7 +3,7 @@
 In a closed loop there is one observer, with a plant of its own. A run that has diverged is frozen.
 """
 
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,10 +12,12 @@ from jax import Array, lax
 from pcbench.protocols import Controller
 from pcbench.simulation import actuator, metrics
 from pcbench.simulation.lanes.entrywise import over
-from pcbench.simulation.problem import Layout, Problem, State, present
+from pcbench.simulation.problem import Layout, Memories, PerLane, Problem, State, present
+
+Tree = TypeVar("Tree")
 
 
-def before(layout: Layout, p: Problem, memories: Any) -> tuple[Any, Any]:
+def before(layout: Layout, p: Problem, memories: Memories) -> tuple[Any, Any]:
     """Return a closed loop's commands of the time before 0, and the stream of what it is off its target."""
     if layout.controller is None:
         return (), ()
@@ -30,8 +32,8 @@ def before(layout: Layout, p: Problem, memories: Any) -> tuple[Any, Any]:
     return commands, metrics.start(off_target(controller, p, jnp.asarray(0), p.x0).shape[0])
 
 
-def decide(layout: Layout, p: Problem, k: Any, state: State) -> State:
-    """Let the controller of a closed loop give its command of tick k, made of the estimate of now."""
+def control(layout: Layout, p: Problem, k: Array, state: State) -> State:
+    """Give the command of tick k in a closed loop, made of the estimate of now."""
     if layout.controller is None:
         return state
     ((label, observer),), controller = layout.observers, layout.controller
@@ -46,7 +48,7 @@ def decide(layout: Layout, p: Problem, k: Any, state: State) -> State:
     return state._replace(commands=over(one_lane)(k, state.memories[label], state.commands))
 
 
-def held(layout: Layout, p: Problem, k: Array, state: State) -> Any:
+def held(p: Problem, k: Array, state: State) -> PerLane:
     """Return the input held over tick k, once it is decided: [m]."""
     return over(lambda k, commands: present(p, k, True, commands).u)(k, state.commands)
 
@@ -62,7 +64,7 @@ def off_target(controller: Controller, p: Problem, k: Array, x: Array) -> Array:
     return target - x[: target.shape[0]]
 
 
-def unless_diverged(watches: dict[str, metrics.Watch], new: Any, old: Any) -> Any:
+def unless_diverged(watches: dict[str, metrics.Watch], new: Tree, old: Tree) -> Tree:
     """Keep a diverged run of a closed loop as it was when it diverged: its lane is frozen.
 
     Ticks and sample numbers go on: they are the same in all lanes, and loops over them are to stay shared.

@@ -13,13 +13,14 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.simulation import draws, lanes
-from pcbench.simulation.events_shared import Events
 from pcbench.simulation.lanes import packed
-from pcbench.simulation.problem import Layout, Problem, State
+from pcbench.simulation.lanes.packed import Kept, Packing
+from pcbench.simulation.problem import Layout, Notes, Packet, Problem, State
 from pcbench.simulation.schedule import per_lane
-from pcbench.simulation.schedule.per_lane import Agenda
+from pcbench.simulation.schedule.per_lane import Agenda, Times
 from pcbench.simulation.schedule.shared import NEVER
-from pcbench.simulation.steps import Row, advance, begin, hand_over, measure, note
+from pcbench.simulation.start import begin
+from pcbench.simulation.steps import Row, flow, jump, measure, note
 
 CHUNK = 32  # lanes taken out together: with 128 jitter costs 1.2 and overtaking 1.6 times as much
 
@@ -31,14 +32,20 @@ class Queue(NamedTuple):
     what: Array  # [E L + CHUNK] row L + run
 
 
-class Flight(NamedTuple):
-    """Packets on the network, in rings by row of each run's agenda; and how many events of all runs are done."""
+class Progress(NamedTuple):
+    """How many events of all runs are done."""
 
-    values: Array  # [q, R, L]
-    notes: Array  # [numbers noted by all observers, R, L]
     sensed: Array
     noted: Array
     arrived: Array
+
+
+class Flight(NamedTuple):
+    """Packets on the network, in rings by row of each run's agenda, and how far the queues are done."""
+
+    values: Array  # [q, R, L]
+    notes: Array  # [numbers noted by all observers, R, L]
+    done: Progress
 
 
 class Chunk(NamedTuple):
@@ -49,67 +56,123 @@ class Chunk(NamedTuple):
     size: Array  # how many there are
 
 
+class Events(NamedTuple):
+    """All events of a block of runs, and in what form memories are kept between them. E an agenda's length, M samples."""
+
+    layout: Layout
+    p: Problem
+    times: Times
+    agenda: Agenda
+    taken: Queue
+    arrivals: Queue
+    noise: list[Array]  # by channel [M, L], standard normal
+    form: Packing
+    first_notes: Notes  # of the start: the shape of all others
+
+    @property
+    def rows(self) -> int:
+        """Return E."""
+        return len(self.agenda.arrives)
+
+    def happen(self, k: Array, state: State) -> State:
+        """Let everything that is due at tick k happen: sense and note, then deliver, the oldest packet of a run first."""
+        return _deliver(self, k, _take(self, k, state))
+
+    def following(self, k: Array, state: State) -> Array:
+        """Return the tick of the next event of any run, once those of tick k have happened."""
+        done, error = state.flight.done, self.times.error
+        noting = self.taken.when[done.noted] - error * self.rows
+        due = jnp.stack([self.taken.when[done.sensed], noting, self.arrivals.when[done.arrived]])
+        return due.min() // self.rows
+
+
 def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:
-    """Return the events of a block of runs, and the state before tick 0."""
-    plan, drawn = per_lane.agenda(p.schedule, root_seed, seeds), _noise(p, root_seed, seeds)
-    rows, zero, error = len(plan.arrives), jnp.asarray(0), p.schedule.error
-    none = jnp.zeros(0)  # without process noise: it moves the plant, no memory
-    taken, arrivals = _queue(plan.samples[0] * rows), _queue(plan.arrives * rows + plan.slot)
-    state = begin(layout, p, root_seed, seeds)
-    form = packed.packing(lambda m: advance(layout, p, zero, state._replace(memories=m), none).memories, state.memories)
-    first_notes = note(layout, p, zero, state.memories)
-    early = (taken.when // rows < error).sum()  # believed to be from before tick 0: the start is noted
-    flight = Flight(_rings(layout, state.flight[0]), _rings(layout, first_notes), zero, early, zero)
-
-    def happen(k: Array, state: State) -> tuple[State, Array]:
-        f = state.flight
-
-        def sense(c: Chunk, rings: Array) -> Array:
-            number = _at(plan.samples[2], c.row, c.lane)
-            noise = jnp.stack([_at(each, number, c.lane) for each in drawn])
-            x, own = lanes.pick((state.x, state.own), c.lane)
-            return _write(rings, c, measure(layout, p, k, x, own, lanes.split(noise)))
-
-        def take_note(c: Chunk, rings: Array) -> Array:
-            return _write(rings, c, note(layout, p, k, form.whole(packed.pick(state.memories, c.lane))))
-
-        def deliver(c: Chunk, kept: Any) -> Any:
-            which = _at(plan.which, c.row, c.lane)
-            value, noted = (ring.at[:, which % layout.ring, c.lane].get(mode="clip") for ring in (values, notes))
-            mine = form.whole(packed.pick(kept, c.lane))
-            packet = lanes.split(value), _unflat(noted, first_notes)
-            jumped = hand_over(layout, p, k, _row(p, plan, k, c, which), packet, mine)
-            return packed.put_back(kept, form.pack(lanes.like(jumped, mine, CHUNK)), c.lane)
-
-        def take(c: tuple[Any, ...]) -> tuple[Any, ...]:
-            sensing, noting = _chunk(taken, c[0], k * rows, layout), _chunk(taken, c[1], (k + error) * rows, layout)
-            return c[0] + sensing.size, c[1] + noting.size, sense(sensing, c[2]), take_note(noting, c[3])
-
-        def taking(c: tuple[Any, ...]) -> Array:
-            return (taken.when[c[0]] == k * rows) | (taken.when[c[1]] == (k + error) * rows)
-
-        sensed, noted, values, notes = lax.while_loop(taking, take, (f.sensed, f.noted, f.values, f.notes))
-
-        def hand(c: tuple[Any, ...]) -> tuple[Any, ...]:
-            coming = _chunk(arrivals, c[0], arrivals.when[c[0]], layout)
-            return c[0] + coming.size, deliver(coming, c[1])
-
-        last = (k + 1) * rows
-        arrived, memories = lax.while_loop(lambda c: arrivals.when[c[0]] < last, hand, (f.arrived, state.memories))
-        due = jnp.stack([taken.when[sensed], taken.when[noted] - error * rows, arrivals.when[arrived]])
-        flight = Flight(values, notes, sensed, noted, arrived)
-        return state._replace(memories=memories, flight=flight), due.min() // rows
-
-    return Events(happen, form.whole, form.moved), state._replace(memories=form.pack(state.memories), flight=flight)
+    """Return the events of a block of runs, and the state before tick 0, its memories as they are kept."""
+    times: Any = p.schedule
+    plan, zero, state = per_lane.agenda(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
+    rows, none = len(plan.arrives), jnp.zeros(0)  # without process noise: it moves the plant, no memory
+    events = Events(
+        layout=layout,
+        p=p,
+        times=times,
+        agenda=plan,
+        taken=_queue(plan.samples[0] * rows),
+        arrivals=_queue(plan.arrives * rows + plan.slot),
+        noise=_noise(p, times, root_seed, seeds),
+        form=packed.packing(lambda m: flow(layout, p, zero, state._replace(memories=m), none).memories, state.memories),
+        first_notes=note(layout, p, zero, state),
+    )
+    early = (events.taken.when // rows < times.error).sum()  # believed to be from before tick 0: the start is noted
+    rings = _rings(layout, state.flight.values), _rings(layout, events.first_notes)
+    flight = Flight(*rings, Progress(zero, early, zero))
+    return events, state._replace(memories=events.form.pack(state.memories), flight=flight)
 
 
-def _noise(p: Problem, root_seed: Array, seeds: Array) -> list[Array]:
+def _take(events: Events, k: Array, state: State) -> State:
+    """Let the samples of tick k be taken, and noted where they are believed to be of it: CHUNK runs at a time."""
+    taken, rows, error = events.taken, events.rows, events.times.error
+    sensing, noting = k * rows, (k + error) * rows
+
+    def due(flight: Flight) -> Array:
+        return (taken.when[flight.done.sensed] == sensing) | (taken.when[flight.done.noted] == noting)
+
+    def some(flight: Flight) -> Flight:
+        done = flight.done
+        sensed, noted = (_chunk(taken, n, t, events.layout) for n, t in ((done.sensed, sensing), (done.noted, noting)))
+        values = _write(flight.values, sensed, _measured(events, k, state, sensed))
+        notes = _write(flight.notes, noted, _noted(events, k, state, noted))
+        return Flight(values, notes, Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived))
+
+    return state._replace(flight=lax.while_loop(due, some, state.flight))
+
+
+def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
+    number = _at(events.agenda.samples[2], c.row, c.lane)
+    noise = jnp.stack([_at(each, number, c.lane) for each in events.noise])
+    x, drawn = lanes.pick((state.x, state.drawn), c.lane)
+    return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lanes.split(noise))
+
+
+def _noted(events: Events, k: Array, state: State, c: Chunk) -> Notes:
+    return note(events.layout, events.p, k, state._replace(memories=_taken_out(events, state.memories, c)))
+
+
+def _deliver(events: Events, k: Array, state: State) -> State:
+    """Let every packet that arrives at tick k be used by its run's observers: CHUNK runs at a time, in order."""
+    arrivals, last, flight = events.arrivals, (k + 1) * events.rows, state.flight
+
+    def some(c: tuple[Array, Kept]) -> tuple[Array, Kept]:
+        coming = _chunk(arrivals, c[0], arrivals.when[c[0]], events.layout)
+        return c[0] + coming.size, _jumped(events, k, state._replace(memories=c[1]), coming)
+
+    arrived, memories = lax.while_loop(
+        lambda c: arrivals.when[c[0]] < last, some, (flight.done.arrived, state.memories)
+    )
+    return state._replace(memories=memories, flight=flight._replace(done=flight.done._replace(arrived=arrived)))
+
+
+def _jumped(events: Events, k: Array, state: State, c: Chunk) -> Kept:
+    """The memories after the arrivals of some runs."""
+    layout, flight = events.layout, state.flight
+    which = _at(events.agenda.which, c.row, c.lane)
+    values, notes = (ring.at[:, which % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
+    packet = Packet(lanes.split(values), _unflat(notes, events.first_notes))
+    mine = _taken_out(events, state.memories, c)
+    after = jump(layout, events.p, k, state._replace(memories=mine), _row(events, k, c, which), packet)
+    return packed.put_back(state.memories, events.form.pack(lanes.like(after, mine, CHUNK)), c.lane)
+
+
+def _taken_out(events: Events, kept: Kept, c: Chunk) -> Any:
+    return events.form.whole(packed.pick(kept, c.lane))
+
+
+def _noise(p: Problem, times: Times, root_seed: Array, seeds: Array) -> list[Array]:
     """Standard normal noise of every sample of each channel, [M, L]: the draws of a shared schedule.
 
     Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
     """
     keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
-    index = jnp.arange(p.schedule.due.shape[1])
+    index = jnp.arange(times.due.shape[1])
     return [lax.map(lambda i, key=key: draws.normals([key], i[None])[0], index) for key in keys]
 
 
@@ -126,10 +189,11 @@ def _chunk(queue: Queue, done: Array, when: Array, layout: Layout) -> Chunk:
     return Chunk(jnp.where(together, what % layout.width, layout.width), what // layout.width, together.sum())
 
 
-def _row(p: Problem, plan: Agenda, k: Array, c: Chunk, which: Array) -> Row:
+def _row(events: Events, k: Array, c: Chunk, which: Array) -> Row:
     """What is known of the packets that arrive."""
+    plan, times = events.agenda, events.times
     taken, clock, number = plan.samples.at[:, which, c.lane].get(mode="clip")
-    age, clocks = k - jnp.maximum(taken - p.schedule.error, 0), p.schedule.clock_of
+    age, clocks = k - jnp.maximum(taken - times.error, 0), times.clock_of
     same = (len(clocks), CHUNK)
     return Row(
         fresh=lanes.split(clock[None] == clocks[:, None]),

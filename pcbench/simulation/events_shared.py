@@ -4,7 +4,6 @@ Whole-number data (a `Schedule`) say where the events are; they are traced, so o
 and delay. Packets in flight are kept in rings by packet number.
 """
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,25 +12,31 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.simulation import draws, lanes
-from pcbench.simulation.problem import Layout, Problem, State
-from pcbench.simulation.steps import Row, begin, hand_over, measure, note
+from pcbench.simulation.lanes.entrywise import over
+from pcbench.simulation.problem import Layout, Notes, Packet, PerLane, Problem, State
+from pcbench.simulation.start import begin
+from pcbench.simulation.steps import Happen, Row, jump, measure, note
 
 
-class Events(NamedTuple):
-    """How events happen, and in what form the memories are kept between them."""
+class Shift(NamedTuple):
+    """What is added to packets, by their number: what changes then depends on them. P packets."""
 
-    happen: Callable[
-        [Array, State], tuple[State, Array]
-    ]  # (tick, state) -> state after the tick's events, next event's tick
-    whole: Callable[[Any], Any] = lambda kept: kept  # as kept -> the observers' memories
-    moved: Callable[[Any, Any], Any] = lambda memories, kept: memories  # memories after a flow, as kept -> as kept
+    values: Array  # [P, q]
+    notes: Array  # [P]
 
 
-def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:
-    """Return the events of a block of runs, and the state before tick 0."""
+def prepare(
+    layout: Layout, p: Problem, root_seed: Array, seeds: Array, shift: Shift | None = None
+) -> tuple[Happen, State]:
+    """Return what lets a tick's events happen to a block of runs, and the state before tick 0."""
     keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
     state = rings(layout, p, keys, begin(layout, p, root_seed, seeds))
-    return Events(lambda k, state: (happen(layout, p, keys, k, state), p.schedule.next_event[k])), state
+    return partial(happen, layout, p, keys, shift), state
+
+
+def where_any(p: Problem, events: Happen) -> Happen:
+    """Return the same for every tick, events or none."""
+    return lambda k, state: lax.cond(p.schedule.event[k], events, lambda k, state: state, k, state)
 
 
 def rings(layout: Layout, p: Problem, keys: list[Array], state: State) -> State:
@@ -39,21 +44,21 @@ def rings(layout: Layout, p: Problem, keys: list[Array], state: State) -> State:
 
     A packet that nothing was noted for carries the note of the start (it is believed to be from before tick 0).
     """
+    one = state.flight.values
     values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
 
     def put(rings: Any, packet: tuple[Array, Array]) -> tuple[Any, None]:
         place, numbers = packet
         noise = lanes.split(draws.normals(keys, numbers))
-        y = measure(layout, p, jnp.asarray(0), state.x, state.own, noise)
-        y = lanes.like(y, state.flight[0], layout.width)
+        y = lanes.like(measure(layout, p, jnp.asarray(0), state, noise), one, layout.width)
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, y), None
 
     if early := p.schedule.early.shape[0]:
         values, _ = lax.scan(put, values, (jnp.arange(early), p.schedule.early))
-    return state._replace(flight=(values, notes))
+    return state._replace(flight=Packet(values, notes))
 
 
-def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State) -> State:
+def happen(layout: Layout, p: Problem, keys: list[Array], shift: Shift | None, k: Array, state: State) -> State:
     """Let everything that the schedule has for tick k happen: sense and note, then deliver, the oldest packet first.
 
     Only one packet, never the ring of them, goes through a `cond`, which would copy it: what is not there is written to
@@ -67,12 +72,16 @@ def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State
         place = jnp.where(number >= 0, number % layout.ring, layout.ring)
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, new)
 
-    def sense() -> Any:
-        return measure(layout, p, k, state.x, state.own, lanes.split(draws.normals(keys, plan.sample[k])))
+    def sense() -> PerLane:
+        y = measure(layout, p, k, state, lanes.split(draws.normals(keys, plan.sample[k])))
+        return _shifted(y, shift.values[plan.sense[k]]) if shift else y
 
-    values = put(state.flight[0], plan.sense[k], sense)
-    notes = put(state.flight[1], plan.note[k], lambda: note(layout, p, k, state.memories, state.commands))
-    flight = (values, notes)
+    def noted() -> Notes:
+        found = note(layout, p, k, state)
+        return {label: _shifted(each, shift.notes[plan.note[k]]) for label, each in found.items()} if shift else found
+
+    values, notes = state.flight
+    flight = Packet(put(values, plan.sense[k], sense), put(notes, plan.note[k], noted))
 
     def deliver(slot: Array, memories: Any) -> Any:
         number = plan.arrive[k, slot]
@@ -80,11 +89,15 @@ def happen(layout: Layout, p: Problem, keys: list[Array], k: Array, state: State
         fresh, age = plan.fresh[k, slot], jnp.full(plan.fresh[k, slot].shape, k - plan.believed[k, slot])
         row = Row(fresh, age, plan.number[k, slot], plan.since[k, slot])
 
-        def jump(memories: Any) -> Any:
-            handed = hand_over(layout, p, k, row, packet, memories, state.commands, state.watches)
-            return lanes.like(handed, memories, layout.width)
+        def jumped(memories: Any) -> Any:
+            after = jump(layout, p, k, state._replace(memories=memories), row, packet)
+            return lanes.like(after, memories, layout.width)
 
-        return lax.cond(number >= 0, jump, lambda memories: memories, memories)
+        return lax.cond(number >= 0, jumped, lambda memories: memories, memories)
 
     memories = lax.fori_loop(0, plan.arrive.shape[1], deliver, state.memories)
     return state._replace(memories=memories, flight=flight)
+
+
+def _shifted(numbers: PerLane, by: Array) -> PerLane:
+    return over(lambda a, b: a + b.astype(a.dtype))(numbers, by)

@@ -1,33 +1,41 @@
-"""One run, tick by tick: sense, deliver, estimate, control, flow; thousands of lanes at once.
+"""Thousands of runs at once, from event to event, keeping sums only.
 
 The loop is shaped like the hybrid system it simulates: at an event it *jumps* (samples are taken, packets arrive), then
 it *flows* tick after tick to the next event, so nothing is asked at a tick where nothing happens. Time is the same in
 all lanes; the events are shared by all, or each lane has its own.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import events_per_lane, events_shared, lanes
-from pcbench.simulation.closed_loop import decide
-from pcbench.simulation.problem import Layout, Outcome, Problem, State
+from pcbench.simulation import events_per_lane, events_shared, lanes, steps
+from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
 from pcbench.simulation.schedule.per_lane import Times
-from pcbench.simulation.steps import advance, final, process_noise
+from pcbench.simulation.start import process_noise
+
+
+class Events(NamedTuple):
+    """How events happen, and in what form the memories are kept between them."""
+
+    happen: steps.Happen
+    following: Callable[[Array, State], Array]  # (tick, state after its events) -> the next event's tick
+    whole: Callable[[Any], Memories] = lambda kept: kept  # as kept -> the observers' memories
+    moved: Callable[[Memories, Any], Any] = lambda memories, kept: memories  # memories after a flow, as kept -> as kept
 
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
     """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`."""
-    kind = events_per_lane if isinstance(p.schedule, Times) else events_shared
-    events, state = kind.prepare(layout, p, root_seed, seeds)
+    events, state = _events(layout, p, root_seed, seeds)
     empty, end = {"streams": state.streams, "tracking": state.tracking}, p.windows[-1, 0]
-    drawn = process_noise(p, root_seed, seeds)
+    w = process_noise(p, root_seed, seeds)
 
     def tick(k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))
-        new = lanes.like(advance(layout, p, k, decide(layout, p, k, full), drawn(k)), full, layout.width)
+        new = lanes.like(steps.tick(layout, p, k, full, w(k))[0], full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
 
     def flow(start: Array, stop: Array, state: State) -> State:
@@ -41,7 +49,8 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
         return lax.fori_loop(start + 2 * pairs, stop, tick, state)
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
-        state, following = events.happen(k, state)  # a window's edge may be no event: then nothing happens
+        state = events.happen(k, state)  # a window's edge may be no event: then nothing happens
+        following = events.following(k, state)
         stop = jnp.minimum(jnp.minimum(following, edge), end)  # the last tick's events happen, its flow is not needed
         return jnp.where(k < end, stop, k + 1), flow(k, stop, state)
 
@@ -50,7 +59,20 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
         return state._replace(**empty), (state.streams, state.tracking)
 
     state, sums = lax.scan(window, state, p.windows)
-    last = final(layout, p, end, state._replace(memories=events.whole(state.memories)))
-    sums, last = jax.tree.map(lambda a: lanes.whole(a, layout.width), (sums, last), is_leaf=lanes.is_lanes)
-    streams, tracking = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, (last.streams, last.tracking))
-    return Outcome(streams, last.watches, last.error, tracking)
+    state = state._replace(memories=events.whole(state.memories))
+    last = steps.estimate(layout, p, end, state)  # of the last tick its error is all that is needed
+    left = (last.streams, last.tracking), last.watches, steps.errors(layout, p, end, state)
+    sums, left = jax.tree.map(lambda a: lanes.whole(a, layout.width), (sums, left), is_leaf=lanes.is_lanes)
+    streams, tracking = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])
+    return Outcome(streams=streams, watches=left[1], final=left[2], tracking=tracking)
+
+
+def _events(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:
+    """The events of a block of runs, on a schedule that all share or on schedules of their own; and the state before tick 0."""
+    if isinstance(p.schedule, Times):
+        each, state = events_per_lane.prepare(layout, p, root_seed, seeds)
+        form = each.form
+        return Events(each.happen, each.following, form.whole, form.moved), state
+    happen, state = events_shared.prepare(layout, p, root_seed, seeds)
+    plan = p.schedule
+    return Events(happen, lambda k, state: plan.next_event[k]), state

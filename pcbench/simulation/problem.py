@@ -6,8 +6,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from pcbench.protocols import Controller, Gains, Leaf, Now, Observer, Plant
+from pcbench.protocols import Controller, Gains, Leaf, Memory, Now, Observer, Plant
 from pcbench.simulation import actuator, metrics
+
+PerLane = Any  # Lanes where it differs between lanes, an Array where it does not; inside a one-lane function, an Array
+Memories = dict[str, Memory]  # by observer label, a pytree of PerLane
+Notes = dict[str, PerLane]  # by observer label: [r]
 
 
 class Layout(NamedTuple):
@@ -49,13 +53,20 @@ class Problem(NamedTuple):
     scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
 
 
+class Packet(NamedTuple):
+    """What travels together: one sampling instant."""
+
+    values: PerLane  # [q] what was measured
+    notes: Notes
+
+
 class State(NamedTuple):
     """What a block of lanes carries from tick to tick."""
 
-    x: Any
-    own: Any  # numbers the run has drawn for its plant; (): none
-    memories: Any  # by observer label
-    flight: Any  # packets on the network: measured values and notes
+    x: PerLane  # [n]
+    drawn: Any  # numbers the run has drawn for its plant, [plant.drawn]; (): none
+    memories: Any  # Memories; between events on schedules of their own, packed
+    flight: Any  # packets on the network, in rings: `events_shared` and `events_per_lane` have their own
     streams: dict[str, metrics.Stream]
     watches: dict[str, metrics.Watch]
     commands: Any = ()  # [R, m] of a closed loop
@@ -85,9 +96,9 @@ def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 
 
-def params_of(layout: Layout, p: Problem, own: Any) -> Any:
-    """Return the plant's numbers in the run that has drawn `own`."""
-    return layout.plant.of_run(p.params, own) if layout.drifting and layout.plant.of_run else p.params
+def params_of(layout: Layout, p: Problem, drawn: Any) -> Any:
+    """Return the plant's numbers in the run that has `drawn` its own."""
+    return layout.plant.of_run(p.params, drawn) if layout.drifting and layout.plant.of_run else p.params
 
 
 def truth(layout: Layout, params: Any, now: Now, x: Array) -> Array:

@@ -1,6 +1,6 @@
-"""One run, tick by tick, with everything in sight: the rollout's own steps, recorded at every tick 0 .. N.
+"""One run with everything in sight, recorded at every tick 0 .. N.
 
-Slower than `loop.simulate`, which keeps sums only; the same functions in the same order.
+Slower than `loop.simulate`, which keeps sums only; the same functions in the same order (`steps.tick`).
 """
 
 from functools import cache
@@ -11,10 +11,11 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.simulation import lanes
-from pcbench.simulation.closed_loop import aims, decide, held
-from pcbench.simulation.events_shared import prepare
-from pcbench.simulation.problem import Layout, Problem, State
-from pcbench.simulation.steps import actual, advance, estimates, process_noise
+from pcbench.simulation.closed_loop import aims, held
+from pcbench.simulation.events_shared import Shift, prepare, where_any
+from pcbench.simulation.problem import Layout, PerLane, Problem, State
+from pcbench.simulation.start import process_noise
+from pcbench.simulation.steps import actual, estimates, tick
 
 
 class Recording(NamedTuple):
@@ -27,33 +28,41 @@ class Recording(NamedTuple):
     target: Array  # [N+1, r] the set point of a closed loop
 
 
-def record(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Recording:
-    """Record one run tick by tick, tick N included."""
+def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
+    """Record one run tick by tick, tick N included; with a `shift`, on packets that are changed by it."""
     layout = layout._replace(width=1)
-    events, state = prepare(layout, p, root_seed, seed[None])
-    drawn = process_noise(p, root_seed, seed[None])
+    events, state = prepare(layout, p, root_seed, seed[None], shift)
+    happen, w = where_any(p, events), process_noise(p, root_seed, seed[None])
 
-    def whole(a: Any) -> Array:
-        return lanes.whole(a, 1)[:, 0]
+    def read(k: Array, state: State) -> Recording:
+        return Recording(
+            x=_whole(actual(layout, p, k, state)),
+            estimates={label: _whole(xhat) for label, xhat in estimates(layout, p, state).items()},
+            u=_whole(held(p, k, state)),
+            arrived=_arrived(layout, p, k, state),
+            target=aims(layout, p, k),
+        )
 
-    def arrivals(k: Array, rings: Any) -> Array:
-        y = jnp.full(p.noise_std.shape, jnp.nan)
-        for slot in range(p.schedule.arrive.shape[1]):
-            place = p.schedule.arrive[k, slot] % layout.ring
-            value = whole(jax.tree.map(lambda ring, place=place: ring[place], rings))
-            y = jnp.where(p.schedule.fresh[k, slot], value, y)
-        return y
+    def step(state: State, k: Array) -> tuple[State, Recording]:
+        new, row = tick(layout, p, k, state, w(k), happen, read)
+        return lanes.like(new, state, 1), row
 
-    def tick(state: State, k: Array) -> tuple[State, Recording]:
-        state = lax.cond(p.schedule.event[k], lambda s: events.happen(k, s)[0], lambda s: s, state)
-        state = lanes.like(decide(layout, p, k, state), state, 1)
-        shown = {label: whole(xhat) for label, xhat in estimates(layout, p, state).items()}
-        u, y = whole(held(layout, p, k, state)), arrivals(k, state.flight[0])
-        row = Recording(whole(actual(layout, p, k, state)), shown, u, y, aims(layout, p, k))
-        return lanes.like(advance(layout, p, k, state, drawn(k)), state, 1), row
-
-    _, out = lax.scan(tick, state, jnp.arange(p.schedule.event.shape[0]))
+    _, out = lax.scan(step, state, jnp.arange(p.schedule.event.shape[0]))
     return out
+
+
+def _arrived(layout: Layout, p: Problem, k: Array, state: State) -> Array:
+    """What arrives at tick k, the newest of each channel: [q], NaN where nothing does."""
+    plan, y = p.schedule, jnp.full(p.noise_std.shape, jnp.nan)
+    for slot in range(plan.arrive.shape[1]):
+        row = plan.arrive[k, slot] % layout.ring
+        value = _whole(jax.tree.map(lambda ring, row=row: ring[row], state.flight.values))
+        y = jnp.where(plan.fresh[k, slot], value, y)
+    return y
+
+
+def _whole(a: PerLane) -> Array:
+    return lanes.whole(a, 1)[:, 0]
 
 
 @cache

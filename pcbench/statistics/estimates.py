@@ -8,7 +8,7 @@
 * `reached`: bound / pooled rms, likewise.
 * `wilson`: a fraction. Source: Wilson, J. Am. Stat. Assoc. 22 (1927), 209-212.
 
-Where they cover (tests/test_coverage.py). Those of means, roots and bounds reached: 93.5 to 96.5 % where the metric's skewness
+Where they cover (`test_coverage`). Those of means, roots and bounds reached: 93.5 to 96.5 % where the metric's skewness
 over runs is at most 1 from 8 runs on (an error's mean size), at most 2 from 64 on (a mean square of two or more degrees of
 freedom), 3 from 64 on (a mean square of one degree), 6 from 1024 on (a log-normal of sigma 1). Not claimed: less skewness or
 more runs are needed; 8 runs of skewness 2 are covered in 93 %, of skewness 3 in 91 %, of skewness 6 in 88 %, and 64 of that in

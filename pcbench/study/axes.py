@@ -48,7 +48,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Any:
                 f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."
             )
         return n
-    channels = len(base.delay)
+    channels = len(base.sampling.delay)
     each = value if isinstance(value, list) else [value] * channels
     if len(each) != channels:
         raise UserError(

@@ -16,34 +16,34 @@ from pcbench.study.times import clocks, whole
 
 def fits(s: Scenario, where: str) -> None:
     """Raise UserError where a scenario's times do not fit together."""
-    ticks = whole(s.horizon, s)
-    if s.continuous:
+    ticks, measured = whole(s.horizon, s), s.sampling
+    if measured.continuous:
         _at_every_stage(s, where)
     _loop(s, where)
     for clock in clocks(s):
         least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:
             raise UserError(
-                f"{where}: got a jitter of {s.jitter:g} s with intervals down to {least * s.dt:g} s, expected less than half "
-                f"the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
+                f"{where}: got a jitter of {measured.jitter:g} s with intervals down to {least * s.dt:g} s, expected less than "
+                f"half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
             )
         youngest = sampling.ages(clock, ticks)[0]
-        if youngest * s.dt + s.assumed_delay_error < -1e-9:
+        if youngest * s.dt + s.belief.assumed_delay_error < -1e-9:
             raise UserError(
-                f"{where}: got an assumed_delay_error of {s.assumed_delay_error:g} s where samples may be only "
+                f"{where}: got an assumed_delay_error of {s.belief.assumed_delay_error:g} s where samples may be only "
                 f"{youngest * s.dt:g} s late, expected an assumed delay of 0 or more; write at least "
                 f"{-youngest * s.dt:g}."
             )
-    if not s.continuous:
+    if not measured.continuous:
         limits.require_few_samples(clocks(s), ticks, s.dt, where)
 
 
 def _at_every_stage(s: Scenario, where: str) -> None:
     """Raise UserError where a scenario that measures continuously is given a sampler's axis."""
     nothing = {
-        "sampling_period": (s.dt,) * len(s.delay),
-        "delay": (0.0,) * len(s.delay),
-        "noise_std": (0.0,) * len(s.delay),
+        "sampling_period": (s.dt,) * len(s.sampling.delay),
+        "delay": (0.0,) * len(s.sampling.delay),
+        "noise_std": (0.0,) * len(s.sampling.delay),
         "profile": "periodic",
         "jitter": 0.0,
         "delay_jitter": 0.0,
@@ -51,51 +51,52 @@ def _at_every_stage(s: Scenario, where: str) -> None:
         "assumed_delay_error": 0.0,
     }
     for name, value in nothing.items():
-        if getattr(s, name) != value:
+        if s.value(name) != value:
             raise UserError(
-                f"{where}: got {name} = {plain(name, getattr(s, name))} in {s.name}, which measures continuously and without "
+                f"{where}: got {name} = {plain(name, s.value(name))} in {s.name}, which measures continuously and without "
                 f"noise, expected no such axis; leave it out, or take a scenario that samples, such as arm/sampled."
             )
 
 
 def _loop(s: Scenario, where: str) -> None:
     """Raise UserError where the delays of a closed loop cannot be, or what stands open is asked for its actuator."""
-    if not s.controller:
-        if s.actuator_delay is not None:
+    measured, actuator_delay = s.sampling, s.loop.actuator_delay
+    if not s.loop.controller:
+        if actuator_delay is not None:
             raise UserError(
-                f"{where}: got actuator_delay = {s.actuator_delay:g} s in {s.name}, where no controller gives commands, "
+                f"{where}: got actuator_delay = {actuator_delay:g} s in {s.name}, where no controller gives commands, "
                 "expected a closed loop such as helicopter/constant; leave it out."
             )
         return
-    if s.jitter or s.delay_jitter or s.loss or s.profile == "uniform":
+    if measured.jitter or measured.delay_jitter or measured.loss or measured.profile == "uniform":
         raise UserError(
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
             "offered with times of each run's own; leave jitter, delay_jitter, loss and the profile 'uniform' out."
         )
-    if None in s.delay:
+    if None in measured.delay:
         raise UserError(
             f"{where}: got a delay of one interval in {s.name}, expected seconds: measuring began before t = 0; write a number."
         )
-    if len(set(s.delay)) > 1:
-        each = ", ".join(f"{d:g}" for d in s.delay if d is not None)
+    if len(set(measured.delay)) > 1:
+        each = ", ".join(f"{d:g}" for d in measured.delay if d is not None)
         raise UserError(
             f"{where}: got delays of {each} s in {s.name}, expected one for all channels; write one number."
         )
-    _long_enough(s, "delay", s.delay[0] or 0.0, 0.0 if s.actuator_delay is not None else s.dt / 2, where)
-    if s.actuator_delay is not None:
-        _long_enough(s, "actuator_delay", s.actuator_delay, s.dt / 2, where)
+    _long_enough(s, "delay", measured.delay[0] or 0.0, 0.0 if actuator_delay is not None else s.dt / 2, where)
+    if actuator_delay is not None:
+        _long_enough(s, "actuator_delay", actuator_delay, s.dt / 2, where)
 
 
 def _long_enough(s: Scenario, name: str, mean: float, least: float, where: str) -> None:
     """Raise UserError where a delay of a loop, with its swing, falls below `least` [s]; one that is always 0 may."""
-    t = (np.arange(whole(s.horizon, s) + 1) + 0.5) * s.dt
-    lowest = mean + float(np.min(s.delay_swing[0] * np.sin(s.delay_swing[1] * t)))
-    if lowest < least - 1e-9 and (s.delay_swing[0] or mean):
+    (swing, pace), t = s.sampling.delay_swing, (np.arange(whole(s.horizon, s) + 1) + 0.5) * s.dt
+    lowest = mean + float(np.min(swing * np.sin(pace * t)))
+    if lowest < least - 1e-9 and (swing or mean):
         need = math.ceil((mean - lowest + least) / s.dt - 1e-6) * s.dt
         raise UserError(
             f"{where}: got {name} = {mean:g} s in {s.name}, which falls to {max(lowest, 0):g} s or less as it varies, expected "
             f"at least half a tick on the way to the plant, and never below 0; write at least {need:g}."
-            if s.delay_swing[0]
+            if swing
             else f"{where}: got {name} = {mean:g} s in {s.name}, expected 0 or at least half a tick; write {need:g}."
         )
 
@@ -108,30 +109,31 @@ def works_on(label: str, s: Scenario, where: str) -> None:
             f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} "
             f"out, or take one of {able}."
         )
-    if s.continuous and entry_of(label).observer.field is None:
+    if s.sampling.continuous and entry_of(label).observer.field is None:
         able = ", ".join(name for name, entry in OBSERVERS.items() if entry.observer.field)
         raise UserError(
             f"{where}: {label} in {s.name} got continuous measurements, expected samples: it is no vector field; leave {label} "
             f"out, take one of {able}, or a scenario that samples."
         )
-    takes, found = entry_of(label).takes, clocks(s)
-    follows = None in s.delay and (s.profile != "periodic" or s.jitter > 0)
-    if takes == "one constant delay" and (s.delay_jitter or follows):
-        varies = f"a delay jitter of {s.delay_jitter:g} s" if s.delay_jitter else "a delay of one varying interval"
+    takes, found, measured = entry_of(label).takes, clocks(s), s.sampling
+    follows = None in measured.delay and (measured.profile != "periodic" or measured.jitter > 0)
+    if takes == "one constant delay" and (measured.delay_jitter or follows):
+        spread = measured.delay_jitter
+        varies = f"a delay jitter of {spread:g} s" if spread else "a delay of one varying interval"
         raise UserError(
             f"{where}: {label} in {s.name} got {varies}, expected one constant delay: it does not use the age of a "
             f"sample; leave {label} out, or take pccebo, pco or dkf."
         )
-    if takes == "constant delays" and (s.delay_jitter or s.jitter or s.profile != "periodic"):
-        times = {"a delay_jitter of": s.delay_jitter, "a jitter of": s.jitter}
+    if takes == "constant delays" and (measured.delay_jitter or measured.jitter or measured.profile != "periodic"):
+        times = {"a delay_jitter of": measured.delay_jitter, "a jitter of": measured.jitter}
         unsteady = [f"{what} {v:g} s" for what, v in times.items() if v]
-        unsteady += [f"the profile {plain('profile', s.profile)}"] if s.profile != "periodic" else []
+        unsteady += [f"the profile {plain('profile', measured.profile)}"] if measured.profile != "periodic" else []
         raise UserError(
             f"{where}: {label} in {s.name} got {', '.join(unsteady)}, expected regular samples of constant ages: it works "
             f"sample by sample; leave {label} out, or take dkf."
         )
     if takes == "one clock" and len(found) > 1:
         raise UserError(
-            f"{where}: {label} in {s.name} got channels with periods {s.sampling_period} and delays {s.delay} s, expected one "
-            f"period and one delay for all; give equal ones, or take dkf."
+            f"{where}: {label} in {s.name} got channels with periods {measured.sampling_period} and delays {measured.delay} s, "
+            f"expected one period and one delay for all; give equal ones, or take dkf."
         )

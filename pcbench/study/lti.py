@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationInfo
 
 from pcbench.errors import UserError, short, shown, unknown
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import SIGNALS, SINGLE
 from pcbench.study import axes, limits
 
@@ -120,30 +120,30 @@ class Lti(BaseModel):
             source="the study",
             plant="lti",
             observers=tuple(self.observers),
-            sampling_period=(tick,) * q,
-            delay=(0.0,) * q,
-            noise_std=(0.0,) * q,
-            drift=0.0,
-            input=", ".join(signals),
-            x0=tuple(x0),
-            xhat0=tuple(xhat0),
-            prior_std=tuple(prior),
-            settle_band=tuple(_vector(self.settle_band, band, n + r, f"{where}.settle_band", "signal")),
-            bound=self.bound,
+            truth=Truth(x0=tuple(x0), unknown_input=", ".join(pushing)),
+            loop=Loop(input=", ".join(signals)),
+            sampling=Sampling(sampling_period=(tick,) * q, delay=(0.0,) * q, noise_std=(0.0,) * q),
+            belief=Belief(
+                xhat0=tuple(xhat0),
+                prior_std=tuple(prior),
+                model={key: getattr(self, key) for key in "ABCDE"} | {"discrete": self.dt is not None},
+                unknown_std=tuple(size),
+            ),
+            scoring=Scoring(
+                settle_band=tuple(_vector(self.settle_band, band, n + r, f"{where}.settle_band", "signal")),
+                bound=self.bound,
+                tail=round(tail / tick) * tick,
+                signals=states,
+                unknowns=unknowns,
+                headline=(states[0][0], *(name for name, _ in unknowns)) if r else (),
+            ),
             dt=tick,
             horizon=ticks * tick,
-            tail=round(tail / tick) * tick,
-            model={key: getattr(self, key) for key in "ABCDE"} | {"discrete": self.dt is not None},
-            signals=states,
-            unknowns=unknowns,
-            unknown_std=tuple(size),
-            headline=(states[0][0], *(name for name, _ in unknowns)) if r else (),
-            unknown_input=", ".join(pushing),
         )
-        if not 0 <= base.tail < base.horizon:
+        if not 0 <= base.scoring.tail < base.horizon:
             raise UserError(f"{where}.tail: got {tail:g} s, expected less than the horizon of {self.horizon:g} s.")
         given = {f: getattr(self, f) for f in axes.AXES if f in type(self).model_fields}
-        return base._replace(**{f: axes.point(f, v, base, f"{where}.{f}") for f, v in given.items()})
+        return base.having(**{f: axes.point(f, v, base, f"{where}.{f}") for f, v in given.items()})
 
 
 def _shapes(lti: Lti, where: str) -> tuple[int, int, int]:

@@ -25,7 +25,7 @@ class Times(NamedTuple):
 
 def times_of(s: Scenario) -> Times:
     """Return a scenario's times in ticks."""
-    return Times(whole(s.horizon, s), whole(s.tail, s), whole(s.assumed_delay_error, s), clocks(s))
+    return Times(whole(s.horizon, s), whole(s.scoring.tail, s), whole(s.belief.assumed_delay_error, s), clocks(s))
 
 
 def whole(seconds: float, s: Scenario) -> int:
@@ -35,19 +35,29 @@ def whole(seconds: float, s: Scenario) -> int:
 
 def clocks(s: Scenario) -> list[Clock]:
     """Return the sensors of a scenario in ticks: channels of equal period and delay are one."""
-    groups: dict[Any, list[int]] = {}
-    for j, times in enumerate(zip(s.sampling_period, s.delay, strict=True)):
+    measured, groups = s.sampling, dict[Any, list[int]]()
+    for j, times in enumerate(zip(measured.sampling_period, measured.delay, strict=True)):
         groups.setdefault(times, []).append(j)
-    profile = s.profile if isinstance(s.profile, str) else tuple(whole(v, s) for v in s.profile)
-    swing = (s.delay_swing[0] / s.dt, s.delay_swing[1] * s.dt)
-    rest = (profile, whole(s.jitter, s), whole(s.delay_jitter, s), s.loss, s.early, swing)
     return [
-        Clock(tuple(channels), whole(period, s), None if delay is None else whole(delay, s), *rest)
+        Clock(
+            channels=tuple(channels),
+            period=whole(period, s),
+            delay=None if delay is None else whole(delay, s),
+            profile=measured.profile
+            if isinstance(measured.profile, str)
+            else tuple(whole(v, s) for v in measured.profile),
+            jitter=whole(measured.jitter, s),
+            spread=whole(measured.delay_jitter, s),
+            loss=measured.loss,
+            early=measured.early,
+            swing=(measured.delay_swing[0] / s.dt, measured.delay_swing[1] * s.dt),
+        )
         for (period, delay), channels in groups.items()
     ]
 
 
 def actuator_delay(s: Scenario) -> Callable[[Any], Any]:
     """Return the delay from command to plant [s] as a function of time [s]."""
-    mean, (swing, pace) = s.delay[0] if s.actuator_delay is None else s.actuator_delay, s.delay_swing
+    mean = s.sampling.delay[0] if s.loop.actuator_delay is None else s.loop.actuator_delay
+    swing, pace = s.sampling.delay_swing
     return lambda t: (mean or 0.0) + swing * np.sin(pace * t)

@@ -68,8 +68,8 @@ class Setting(NamedTuple):
         return np.diag(np.square(self.process_std)) if self.process_std else np.zeros_like(self.P0)
 
     @property
-    def places(self) -> np.ndarray:
-        """Room for the samples that may be overtaken, [K]: its length tells an observer's memory its shape."""
+    def room(self) -> np.ndarray:
+        """Room [K] for the samples that may be overtaken (`protocols.Room`)."""
         return np.zeros(self.overtaking)
 
 

@@ -52,7 +52,7 @@ def closing(result: Result, console: Console, metric: str, signals: list[str] | 
     notes: dict[str, None] = {}
     for name, whole in ((str(name), rows) for name, rows in stats.groupby("scenario", sort=False)):
         there = list(dict.fromkeys(whole.signal))
-        chosen = (known[name].headline or there[:1]) if signals is None else signals or there
+        chosen = (known[name].scoring.headline or there[:1]) if signals is None else signals or there
         for signal in [s for s in chosen if s in there]:
             part = whole[whole.signal == signal]
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]

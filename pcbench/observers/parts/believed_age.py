@@ -14,11 +14,13 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float, Int
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.observers.parts import per_sample
-from pcbench.observers.parts.per_sample import Model, Place, known_input, read, ring, write
-from pcbench.protocols import Arrival, Leaf, Now, Observer
+from pcbench.observers.parts.feedthrough import known_input
+from pcbench.observers.parts.per_sample import Model, Place, read, ring, write
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Setting
 
 
@@ -26,32 +28,32 @@ class Gains(NamedTuple):
     """n states, q outputs."""
 
     model: Model
-    step: Leaf  # [n, n]
-    every: Leaf  # samples
-    ages: Leaf  # [q] samples, as believed
-    here: Leaf  # [n, q] corrects the estimate an error is found at
-    next: Leaf  # [n, q] corrects the one after
-    first: Leaf  # samples: no correction before
-    room: Leaf  # [rows] its length is how many samples back it must look
+    step: Float[Leaf, "n n"]
+    every: Int[Leaf, ""]  # samples
+    ages: Int[Leaf, " q"]  # samples, as believed
+    here: Float[Leaf, "n q"]  # corrects the estimate an error is found at
+    next: Float[Leaf, "n q"]  # corrects the one after
+    first: Int[Leaf, ""]  # samples: no correction before
+    room: Room  # for as many samples as it must look back
 
 
 class Memory(NamedTuple):
     """What stands between ticks."""
 
     place: Place
-    alone: Array  # [ring, n] the model alone at past samples
-    past: Array  # [ring, n] z at past samples
-    z: Array  # [n] at the last sample
-    push: Array  # [n] what the next one is corrected by
+    alone: Float[Array, "ring n"]  # the model alone at past samples
+    past: Float[Array, "ring n"]  # z at past samples
+    z: Float[Array, " n"]  # at the last sample
+    push: Float[Array, " n"]  # what the next one is corrected by
 
 
-def init(gains: Gains, xhat0: Array) -> Memory:
-    """Start from xhat(0) [n]."""
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start from xhat(0)."""
     none = jnp.zeros_like(xhat0)
     return Memory(per_sample.start(xhat0), ring(gains.room, xhat0), ring(gains.room, none), none, none)
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Array:
+def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
     """Note nothing: the age is believed, not known."""
     return jnp.zeros(0)
 
@@ -59,7 +61,7 @@ def note(gains: Gains, memory: Memory, now: Now) -> Array:
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Correct by what arrives, each channel against its believed age."""
     ages, C, k = gains.ages, gains.model.C, memory.place.sample
-    known = known_input(gains.model, now, ages * gains.model.period)
+    known = known_input(gains.model.D, now, ages * gains.model.period)
     expected = []
     for j in range(C.shape[0]):
         then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
@@ -84,8 +86,8 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     )
 
 
-def estimate(gains: Gains, memory: Memory) -> Array:
-    """Return xhat of now, [n]."""
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
+    """Return xhat of now."""
     return memory.place.xbar + memory.place.carried @ memory.z
 
 

@@ -12,10 +12,11 @@ from typing import Annotated, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
+from jaxtyping import Bool, Float, Int, Shaped
 from pydantic import AfterValidator
 
 from pcbench.dynamics import linear
-from pcbench.protocols import Leaf, Now
+from pcbench.protocols import Leaf, Now, Room
 from pcbench.synthesis.certificate import Setting
 
 
@@ -31,20 +32,20 @@ Pole = Annotated[float, AfterValidator(_inside)]  # of an observer's error, per 
 class Model(NamedTuple):
     """A model of one tick, and the sampling it is seen by; n states, m inputs, q outputs."""
 
-    Phi: Leaf  # [n, n]
-    Gamma: Leaf  # [n, m]
-    C: Leaf  # [q, n]
-    D: Leaf  # [q, m]
-    period: Leaf  # ticks between samples
+    Phi: Float[Leaf, "n n"]
+    Gamma: Float[Leaf, "n m"]
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    period: Int[Leaf, ""]  # ticks between samples
 
 
 class Place(NamedTuple):
     """Where a run stands between two samples; the same for all runs."""
 
-    tick: Array
-    sample: Array  # number of the last one, from 0
-    xbar: Array  # [n] the model alone, now
-    carried: Array  # [n, n] e^{A t}
+    tick: Int[Array, ""]
+    sample: Int[Array, ""]  # number of the last one, from 0
+    xbar: Float[Array, " n"]  # the model alone, now
+    carried: Float[Array, "n n"]  # e^{A t}
 
 
 def model_of(setting: Setting) -> Model:
@@ -53,12 +54,12 @@ def model_of(setting: Setting) -> Model:
     return Model(Phi, Gamma, setting.model.C, setting.model.feedthrough, np.asarray(setting.period[0]))
 
 
-def start(xhat0: Array) -> Place:
+def start(xhat0: Float[Array, " n"]) -> Place:
     """Stand at the first sample, with xbar = xhat(0)."""
     return Place(jnp.asarray(0), jnp.asarray(0), xhat0, jnp.eye(xhat0.shape[0]))
 
 
-def flow(model: Model, place: Place, now: Now) -> tuple[Place, Array]:
+def flow(model: Model, place: Place, now: Now) -> tuple[Place, Bool[Array, ""]]:
     """Go one tick on; say whether a sample is due there."""
     tick = place.tick + 1
     due = tick % model.period == 0
@@ -66,22 +67,19 @@ def flow(model: Model, place: Place, now: Now) -> tuple[Place, Array]:
     return Place(tick, tick // model.period, model.Phi @ place.xbar + model.Gamma @ now.u, carried), due
 
 
-def known_input(model: Model, now: Now, age: Array) -> Array:
-    """D u at each channel's own `age` [q] in ticks: [q]."""
-    return jnp.stack([model.D[j] @ now.past_u(age[j]) for j in range(model.D.shape[0])])
-
-
-def ring(room: Leaf, entry: Array) -> Array:
-    """Return a ring that holds `entry` for every sample as far back as `room` is long; its last row is for what is not kept."""
+def ring(room: Room, entry: Shaped[Array, "..."]) -> Shaped[Array, "rows ..."]:
+    """Return a ring that holds `entry` for every sample there is room for; its last row is for what is not kept."""
     return jnp.broadcast_to(entry, (room.shape[0] + 2, *entry.shape))
 
 
-def read(ring: Array, sample: Array) -> Array:
+def read(ring: Shaped[Array, "rows ..."], sample: Int[Array, ""]) -> Shaped[Array, "..."]:
     """Return what a ring holds for a sample; the number may be traced, and below 0."""
     return lax.dynamic_index_in_dim(ring, sample % (ring.shape[0] - 1), 0, False)
 
 
-def write(ring: Array, sample: Array, entry: Array, when: Array) -> Array:
+def write(
+    ring: Shaped[Array, "rows ..."], sample: Int[Array, ""], entry: Shaped[Array, "..."], when: Bool[Array, ""]
+) -> Shaped[Array, "rows ..."]:
     """Put an entry in a sample's place, where `when` is true; without copying the ring."""
     last = ring.shape[0] - 1
     return lax.dynamic_update_index_in_dim(ring, entry, jnp.where(when, sample % last, last), 0)

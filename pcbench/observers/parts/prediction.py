@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
+from jaxtyping import Float, Int
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after
 from pcbench.observers.parts import reordering
 from pcbench.observers.parts.reordering import Line, Sample
-from pcbench.protocols import Arrival, Leaf, Now
+from pcbench.protocols import Arrival, Leaf, Now, Room
 from pcbench.synthesis.certificate import Setting
 
 Update = Callable[[Any, Any, Sample], Any]
@@ -27,38 +28,38 @@ Update = Callable[[Any, Any, Sample], Any]
 class Motion(NamedTuple):
     """A model's motion over a tick under a held input, and over any number of ticks without one."""
 
-    Phi: Leaf  # [n, n]
-    Gamma: Leaf  # [n, m]
-    powers: Leaf  # [2, R, n, n] e^{A h i R^level}
+    Phi: Float[Leaf, "n n"]
+    Gamma: Float[Leaf, "n m"]
+    powers: Float[Leaf, "2 R n n"]  # e^{A h i R^level}
 
 
 class Point(NamedTuple):
     """An estimate at the time of a sample."""
 
-    free: Array  # [n] xhat - g there
-    taken: Array  # tick
+    free: Float[Array, " n"]  # xhat - g there
+    taken: Int[Array, ""]  # tick
 
 
 class Memory(NamedTuple):
     """The estimate of now and what it came from: every observer of this family keeps these."""
 
-    g: Array  # [n] input response from zero state
-    xhat: Array  # [n] estimate of now
+    g: Float[Array, " n"]  # input response from zero state
+    xhat: Float[Array, " n"]  # estimate of now
     line: Line  # the recursion's state at the newest samples used
 
 
-def start(xhat0: Array, state: Any, places: Leaf, outputs: int) -> Memory:
+def start(xhat0: Float[Array, " n"], state: Any, room: Room, outputs: int) -> Memory:
     """Start from xhat(0), as if a sample had been used at tick 0."""
-    return Memory(jnp.zeros_like(xhat0), xhat0, reordering.start(state, places, outputs, xhat0.shape[0]))
+    return Memory(jnp.zeros_like(xhat0), xhat0, reordering.start(state, room, outputs, xhat0.shape[0]))
 
 
-def origin(xhat0: Array) -> Point:
+def origin(xhat0: Float[Array, " n"]) -> Point:
     """Return xhat(0) as an estimate at the time of a sample."""
     return Point(xhat0, jnp.asarray(0))
 
 
-def note(gains: Any, memory: Memory, now: Now) -> Array:
-    """Note the input response at the sample's time, [n]."""
+def note(gains: Any, memory: Memory, now: Now) -> Float[Array, " n"]:
+    """Note the input response at the sample's time."""
     return memory.g
 
 
@@ -69,7 +70,7 @@ def flow(gains: Any, memory: Memory, now: Now) -> Memory:
     return memory._replace(g=motion.Phi @ memory.g + pushed, xhat=motion.Phi @ memory.xhat + pushed)
 
 
-def at(motion: Motion, point: Point, tick: Array) -> Array:
+def at(motion: Motion, point: Point, tick: Int[Array, ""]) -> Float[Array, " n"]:
     """Return `free` carried on to a tick: the estimate there is g + this."""
     return after(motion.powers, tick - point.taken, point.free)
 

@@ -13,41 +13,42 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import Bool, Float, Int
 
-from pcbench.protocols import Arrival, Leaf, Now
+from pcbench.observers.parts.feedthrough import known_input
+from pcbench.protocols import Arrival, Leaf, Now, Room
 
 
 class Sample(NamedTuple):
-    """What arrived of one sampling instant; q outputs, r numbers noted."""
+    """What arrived of one sampling instant; q outputs. In a line, with a leading axis [K]."""
 
-    taken: Array  # tick at which the observer believes it was taken
-    value: Array  # [q] with the plant's feedthrough D u removed
-    fresh: Array  # [q] bool
-    note: Array  # [r]
+    taken: Int[Array, "..."]  # tick at which the observer believes it was taken
+    value: Float[Array, "... q"]  # with the plant's feedthrough D u removed
+    fresh: Bool[Array, "... q"]
+    note: Float[Array, "... noted"]
 
 
 class Line(NamedTuple):
     """The newest K samples by the tick they were taken, oldest first, and the state before them."""
 
     before: Any
-    samples: Sample  # each entry with a leading axis [K]; a place not yet filled is not fresh
+    samples: Sample  # [K]; a place not yet filled is not fresh
 
 
 Update = Callable[[Any, Sample], Any]  # (state, sample) -> state at the sample's tick
 
 
-def start(state: Any, places: Leaf, outputs: int, noted: int) -> Line:
-    """Return a line with nothing in it, room for len(`places`) samples."""
-    K = places.shape[0]
+def start(state: Any, room: Room, outputs: int, noted: int) -> Line:
+    """Return a line with nothing in it, with room for K samples."""
+    K = room.shape[0]
     empty = Sample(jnp.full(K, -1), jnp.zeros((K, outputs)), jnp.zeros((K, outputs), bool), jnp.zeros((K, noted)))
     return Line(state, empty)
 
 
-def sample_of(now: Now, arrival: Arrival, D: Leaf) -> Sample:
-    """Return what arrives as a sample; D[q, m] u at the sample's tick is taken off its value."""
-    known = jnp.stack([D[j] @ now.past_u(arrival.age[j]) for j in range(D.shape[0])])
+def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Sample:
+    """Return what arrives as a sample; D u at the sample's tick is taken off its value."""
     age = jnp.max(jnp.where(arrival.fresh, arrival.age, 0))  # the channels that come together were taken together
-    return Sample(now.tick - age, arrival.value - known, arrival.fresh, arrival.note)
+    return Sample(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.fresh, arrival.note)
 
 
 def replay(update: Update, line: Line, arrived: Sample) -> tuple[Line, Any]:

@@ -24,12 +24,14 @@ from typing import Any, Literal, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
+from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import way
 from pcbench.protocols import Arrival, Leaf, Now, Observer
 from pcbench.synthesis.certificate import Setting
@@ -43,30 +45,30 @@ class Gains(NamedTuple):
     """n states, m inputs, p outputs, r unknown inputs."""
 
     law: Any  # the numbers of v
-    F: Leaf  # [n + p, n + p] of [xd; y]: [A - Gx C, Gx; C A, 0], its last rows 0 where y is held
-    H: Leaf  # [n + p, m] of u(t - d): [B; C B], likewise
-    S: Leaf  # [p, n + p] s = S [xd; y] = Tp (y - C xd)
-    Lx: Leaf  # [n, p]
-    C: Leaf  # [p, n]
-    D: Leaf  # [p, m]
-    pick: Leaf  # [r, p] fhat = pick v
+    Lx: Float[Leaf, "n p"]
+    C: Float[Leaf, "p n"]
+    D: Float[Leaf, "p m"]
+    F: Float[Leaf, "n+p n+p"]  # of [xd; y]: [A - Gx C, Gx; C A, 0], its last rows 0 where y is held
+    H: Float[Leaf, "n+p m"]  # of u(t - d): [B; C B], likewise
+    S: Float[Leaf, "p n+p"]  # s = S [xd; y] = Tp (y - C xd)
+    pick: Float[Leaf, "r p"]  # fhat = pick v
     known: Any  # x[n] -> [r] the known part of f, or None
-    lag: Leaf  # [ticks] d
-    Phi: Leaf  # [n, n] one tick
-    Gamma: Leaf  # [n, m]
-    push: Leaf  # [n, r] of fhat, where the prediction carries it; else 0
+    lag: Int[Leaf, ""]  # [ticks] d
+    Phi: Float[Leaf, "n n"]  # one tick
+    Gamma: Float[Leaf, "n m"]
+    push: Float[Leaf, "n r"]  # of fhat, where the prediction carries it; else 0
 
 
 class Memory(NamedTuple):
     """What stands between ticks; `ahead` and `pushed` are the same in all runs."""
 
-    xd: Array  # [n] the estimate of d ago
-    w: Array  # [p] integral of the law
-    y: Array  # [p] of d ago, as far as it is known
-    f: Array  # [r] the unknown input found, of d ago: kept because every estimate needs it
-    response: Array  # [n] to the input of the last d
-    ahead: Array  # [n, n] e^{A min(t, d)}
-    pushed: Array  # [n, r] int_0^min(t, d) e^{A s} ds E
+    xd: Float[Array, " n"]  # the estimate of d ago
+    w: Float[Array, " p"]  # integral of the law
+    y: Float[Array, " p"]  # of d ago, as far as it is known
+    f: Float[Array, " r"]  # the unknown input found, of d ago: kept because every estimate needs it
+    response: Float[Array, " n"]  # to the input of the last d
+    ahead: Float[Array, "n n"]  # e^{A min(t, d)}
+    pushed: Float[Array, "n r"]  # int_0^min(t, d) e^{A s} ds E
 
 
 class Options(BaseModel):
@@ -81,27 +83,26 @@ class Options(BaseModel):
 def observer(law: Law) -> Observer:
     """Return the observer that injects v by a law."""
 
-    def init(gains: Gains, xhat0: Array) -> Memory:
-        """Start from xhat(0) [n], as if its output had been measured."""
+    def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+        """Start from xhat(0), as if its output had been measured."""
         n, none = xhat0.shape[0], jnp.zeros(gains.C.shape[0])
         f = jnp.zeros(gains.push.shape[1])
         return Memory(xhat0, none, gains.C @ xhat0, f, jnp.zeros(n), jnp.eye(n), jnp.zeros_like(gains.push))
 
-    def note(gains: Gains, memory: Memory, now: Now) -> Array:
+    def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
         """Note nothing."""
         return jnp.zeros(0)
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         """Take what arrived for y of d ago."""
-        known = jnp.stack([gains.D[j] @ now.past_u(arrival.age[j]) for j in range(gains.D.shape[0])])
-        y = jnp.where(arrival.fresh, arrival.value - known, memory.y)
+        y = jnp.where(arrival.fresh, arrival.value - known_input(gains.D, now, arrival.age), memory.y)
         return memory._replace(y=y, f=found(gains, memory.xd, memory.w, y))
 
-    def found(gains: Gains, xd: Array, w: Array, y: Array) -> Array:
+    def found(gains: Gains, xd: Float[Array, " n"], w: Float[Array, " p"], y: Float[Array, " p"]) -> Float[Array, " r"]:
         v, _ = law(gains.law, gains.S @ jnp.append(xd, y), w)
         return gains.pick @ v
 
-    def field(gains: Gains, memory: Memory, now: Now, y: Array) -> Memory:
+    def field(gains: Gains, memory: Memory, now: Now, y: Float[Array, " p"]) -> Memory:
         """Return d memory/dt with y measured, less D u; what the tick moves exactly stands still."""
         z, n = jnp.append(memory.xd, y), memory.xd.shape[0]
         v, w_rate = law(gains.law, gains.S @ z, memory.w)
@@ -120,8 +121,8 @@ def observer(law: Law) -> Observer:
         pushed = jnp.where(started, memory.pushed, gains.Phi @ memory.pushed + gains.push)
         return Memory(xd, w, y, found(gains, xd, w, y), response, ahead, pushed)
 
-    def estimate(gains: Gains, memory: Memory) -> Array:
-        """Return xhat of now, and the unknown inputs, [n + r]."""
+    def estimate(gains: Gains, memory: Memory) -> Float[Array, " n+r"]:
+        """Return xhat of now, and the unknown inputs."""
         xhat = memory.ahead @ memory.xd + memory.response + memory.pushed @ memory.f
         return jnp.append(xhat, memory.f - gains.known(xhat) if gains.known else memory.f)
 
@@ -140,7 +141,8 @@ def gains_of(setting: Setting, split: Split, injection: tuple[Matrix, Matrix], l
     Phi, Gamma = linear.one_tick(model, setting.dt)
     push = linear.one_tick(model._replace(B=np.asarray(model.E)), setting.dt)[1] * options.reconstruct
     lag = np.asarray(setting.delay[0])
-    return Gains(law, F, H, S, Lx, C, model.feedthrough, pick, model.known, lag, Phi, Gamma, push)
+    matrices = {"Lx": Lx, "C": C, "D": model.feedthrough, "F": F, "H": H, "S": S, "pick": pick}
+    return Gains(law=law, **matrices, known=model.known, lag=lag, Phi=Phi, Gamma=Gamma, push=push)
 
 
 def carries(setting: Setting, options: Options) -> bool | None:

@@ -54,16 +54,16 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
         row[: len(instants)] = instants
     clock_of = [next(i for i, c in enumerate(clocks) if j in c.channels) for j in range(channels)]
     return Times(
-        due,
-        np.array([low for low, _ in limits]),
-        np.array([high for _, high in limits]),
-        np.array([-1 if c.delay is None else c.delay for c in clocks]),
-        np.array([c.jitter for c in clocks]),
-        np.array([c.spread for c in clocks]),
-        np.array([c.loss for c in clocks], float),
-        np.array([c.channels[0] for c in clocks]),
-        np.array(clock_of),
-        np.asarray(error),
+        due=due,
+        low=np.array([low for low, _ in limits]),
+        high=np.array([high for _, high in limits]),
+        delay=np.array([-1 if c.delay is None else c.delay for c in clocks]),
+        jitter=np.array([c.jitter for c in clocks]),
+        spread=np.array([c.spread for c in clocks]),
+        loss=np.array([c.loss for c in clocks], float),
+        channel=np.array([c.channels[0] for c in clocks]),
+        clock_of=np.array(clock_of),
+        error=np.asarray(error),
     )
 
 

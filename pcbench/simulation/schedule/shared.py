@@ -22,11 +22,9 @@ class Schedule(NamedTuple):
     """N + 1 ticks, q channels, S arrival slots a tick; -1 means nothing."""
 
     sense: Ints  # [N+1] the packet taken at this tick
-    sampled: Bools  # [N+1, q] the channels in it
-    sample: Ints  # [N+1, q] which sample of its channel, from 0
+    sample: Ints  # [N+1, q] which sample of its channel, from 0; -1 of a channel that is not in it
     note: Ints  # [N+1] the packet for which observers note what they will need
     arrive: Ints  # [N+1, S] the packets that arrive
-    sent: Ints  # [N+1, S] the tick at which each was taken; below 0 where measuring began earlier
     believed: Ints  # [N+1, S] the tick at which the observers believe it was taken
     fresh: Bools  # [N+1, S, q] the channels that arrive with it
     number: Ints  # [N+1, S, q] which sample of its channel
@@ -89,11 +87,9 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     n, q = ticks + 1, channels
     out = Schedule(
         sense=np.full(n, -1, np.int32),
-        sampled=np.zeros((n, q), bool),
         sample=np.full((n, q), -1, np.int32),
         note=np.full(n, -1, np.int32),
         arrive=np.full((n, slots), -1, np.int32),
-        sent=np.zeros((n, slots), np.int32),
         believed=np.zeros((n, slots), np.int32),
         fresh=np.zeros((n, slots, q), bool),
         number=np.full((n, slots, q), -1, np.int32),
@@ -107,7 +103,6 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
             out.early[packet[s.taken], s.channel] = s.number
         elif s.taken <= ticks:
             out.sense[s.taken] = packet[s.taken]
-            out.sampled[s.taken, s.channel] = True
             out.sample[s.taken, s.channel] = s.number
         if s.taken <= ticks and 0 <= s.taken - error <= ticks:
             out.note[s.taken - error] = packet[s.taken]
@@ -115,7 +110,6 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     for tick in sorted(by_arrival):
         for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
             out.arrive[tick, slot] = packet[taken]
-            out.sent[tick, slot] = taken
             out.believed[tick, slot] = max(taken - error, 0)
             out.since[tick, slot] = tick - last
             for s in group:
@@ -137,10 +131,19 @@ def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
 def at_every_tick(ticks: int, channels: int) -> Schedule:
     """Take all channels at every tick and hand them over at once: `schedule` of period 1 and delay 0, without its loops."""
     k = np.arange(ticks + 1, dtype=np.int32)
-    row, each, yes = k[:, None], np.repeat(k[:, None], channels, 1), np.ones((ticks + 1, channels), bool)
-    since = np.minimum(row, 1)
+    row, each = k[:, None], np.repeat(k[:, None], channels, 1)
     return Schedule(
-        k, yes, each, k, row, row, row, yes[:, None], each[:, None], since, yes[:, 0], k + np.int32(1), each[:0]
+        sense=k,
+        sample=each,
+        note=k,
+        arrive=row,
+        believed=row,
+        fresh=np.ones((ticks + 1, 1, channels), bool),
+        number=each[:, None],
+        since=np.minimum(row, 1),
+        event=np.ones(ticks + 1, bool),
+        next_event=k + np.int32(1),
+        early=each[:0],
     )
 
 
@@ -174,7 +177,6 @@ def pad_slots(plan: Schedule, slots: int) -> Schedule:
 
     return plan._replace(
         arrive=wider(plan.arrive, -1),
-        sent=wider(plan.sent, 0),
         believed=wider(plan.believed, 0),
         fresh=wider(plan.fresh, 0),
         number=wider(plan.number, -1),

@@ -1,0 +1,33 @@
+"""The Kalman filter's update by one channel, y = c'x + v with v ~ N(0, r); P of x in Joseph's form, which keeps it >= 0.
+
+    K = P c (c'P c + r)^-1,   x <- x + K (y - c'x),   P <- (I - K c') P (I - K c')' + K r K'
+
+With independent noise one channel after the other is the joint update.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float, Int
+
+
+class Posterior(NamedTuple):
+    """Mean and covariance at the time of a sample, after it was used."""
+
+    mean: Float[Array, " n"]
+    P: Float[Array, "n n"]
+    taken: Int[Array, ""]  # tick
+
+
+def gain(Pc: Float[Array, " n"], variance: Float[Array, ""], fresh: Bool[Array, ""]) -> Float[Array, " n"]:
+    """Return K of a channel whose innovation has this variance; 0 where the channel did not arrive."""
+    return jnp.where(fresh, Pc / variance, 0.0)
+
+
+def covariance(
+    P: Float[Array, "n n"], K: Float[Array, " n"], c: Float[Array, " n"], r: Float[Array, ""]
+) -> Float[Array, "n n"]:
+    """Return P after a channel was used with the gain K."""
+    keep = jnp.eye(c.shape[0]) - jnp.outer(K, c)
+    return keep @ P @ keep.T + r * jnp.outer(K, K)

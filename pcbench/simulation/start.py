@@ -1,0 +1,96 @@
+"""The state before tick 0: start, memories, what a run draws for itself; with whatever will differ between lanes spread."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from pcbench.simulation import draws, lanes, metrics, steps
+from pcbench.simulation.closed_loop import before
+from pcbench.simulation.lanes import table
+from pcbench.simulation.lanes.entrywise import over
+from pcbench.simulation.problem import Layout, Packet, PerLane, Problem, State
+from pcbench.simulation.schedule.per_lane import Times
+from pcbench.simulation.steps import Row
+
+
+def process_noise(p: Problem, root_seed: Array, seeds: Array) -> Callable[[Array], PerLane]:
+    """Return what draws the process noise of tick k, a standard normal for each state; nothing where there is none."""
+    keys = draws.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
+    return lambda k: lanes.split(draws.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
+
+
+def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
+    """Return the state before tick 0 of one lane for each of seeds[L].
+
+    `flight` is one packet, what the start would put on the network: events make rings of it.
+    """
+    k = jnp.asarray(0)
+    memories = _memories(layout, p, root_seed, seeds)
+    commands, tracking = before(layout, p, memories)
+    state = State(
+        x=_plant(layout, p, root_seed, seeds),
+        drawn=_drawn(layout, root_seed, seeds),
+        memories=memories,
+        flight=(),
+        streams={},
+        watches={},
+        commands=commands,
+        tracking=tracking,
+    )
+    size = {label: found.shape[0] for label, found in steps.estimates(layout, p, state).items()}
+    state = state._replace(
+        flight=Packet(jnp.zeros(p.noise_std.shape[0]), steps.note(layout, p, k, state)),
+        streams={label: metrics.start(many) for label, many in size.items()},
+        watches={label: metrics.start_watch(many) for label, many in size.items()} if layout.watch else {},
+    )
+    ready = jax.tree.map(lambda x: x if lanes.is_lanes(x) else jnp.asarray(x), state, is_leaf=lanes.is_lanes)
+    w, happen = process_noise(p, root_seed, seeds)(k), _everything(layout, p)
+    ready = ready._replace(commands=table(ready.commands))
+    return lanes.settle(lambda state: steps.tick(layout, p, k, state, w, happen)[0], ready, layout.width)
+
+
+def _plant(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:
+    """x(0) [n], random about x0 where the layout says so."""
+    if not layout.random_start:
+        return p.x0
+    n = p.x0.shape[0]
+    normal = draws.normals(draws.run_keys(root_seed, seeds, "initial", n), jnp.zeros(n, int))
+    return over(lambda v: p.x0 + p.spread0 @ v)(lanes.split(normal))
+
+
+def _drawn(layout: Layout, root_seed: Array, seeds: Array) -> Any:
+    """The uniform numbers that each run draws for its plant; (): none."""
+    if not layout.drifting:
+        return ()
+    return lanes.split(draws.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, layout.plant.drawn)[0])
+
+
+def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any:
+    """The observers' memories of xhat(0), random in a box where the layout says so."""
+    xhat0: Any = p.xhat0
+    if layout.scattered:
+        n = p.x0.shape[0]
+        uniform = lanes.split(draws.uniforms(root_seed, seeds, "initial", jnp.asarray(0), 1, n)[0])
+        xhat0 = over(lambda v: p.xhat0 + p.scatter * (2 * v - 1))(uniform)
+    return over(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
+
+
+def _everything(layout: Layout, p: Problem) -> steps.Happen:
+    """All that can happen at a tick, at once: what it makes different between lanes is to be kept per lane."""
+    q = p.noise_std.shape[0]
+    noise = lanes.split(jnp.zeros((q, layout.width)))
+    random = isinstance(p.schedule, Times)
+    row: Any = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
+    row = jax.tree.map(lambda a: lanes.spread(a, layout.width), row) if random else row
+
+    def happen(k: Array, state: State) -> State:
+        packet = Packet(steps.measure(layout, p, k, state, noise), steps.note(layout, p, k, state))
+        memories = steps.jump(layout, p, k, state, row, packet)
+        if random:  # what a jump changes at all, it changes in some lanes only
+            memories = lanes.unless_same(memories, state.memories, layout.width)
+        return state._replace(memories=memories, flight=packet)
+
+    return happen

@@ -1,0 +1,49 @@
+"""A study with all that decides its numbers, as TOML and as a digest."""
+
+import hashlib
+import json
+from typing import Any
+
+import tomli_w
+
+from pcbench.study import Study, choices_of, scenarios_of
+from pcbench.study import axes as axis
+from pcbench.study.cells import Cell, numbering
+
+
+def resolved(study: Study, every: list[Cell]) -> dict[str, Any]:
+    """Return everything that decides the numbers, for `study.toml` and its hash."""
+    known = scenarios_of(study)
+    options: dict[str, Any] = {"scenario": choices_of(study).model_dump(exclude_none=True)}
+    for cell in every:
+        if (name := cell.scenario.name) not in options:
+            options[name] = {o: given.model_dump(exclude_none=True) for o, given in cell.options.items()}
+    scenarios = {s: _without_null(json.loads(json.dumps(known[s].flat(), default=dict))) for s in study.scenarios}
+    ran_by = {s: list(options[s]) for s in study.scenarios}
+    said = {"options": options, "scenarios": scenarios, "observers": ran_by, "cells": numbering(every)}
+    return as_dict(study) | {"resolved": said}
+
+
+def as_dict(study: Study) -> dict[str, Any]:
+    """Return a study as it can be run again; its tuning is left out, by now its gains are options like any others."""
+    return study.model_dump(exclude_none=True, exclude={"tuning", "tune"})
+
+
+def _without_null(scenario: dict[str, Any]) -> dict[str, Any]:
+    """A scenario without what TOML has no word for: a delay of one interval is written so, nothing left out."""
+    delay = [axis.INTERVAL if d is None else d for d in scenario["delay"]]
+    model = {k: v for k, v in scenario["model"].items() if v is not None}
+    said = {k: v for k, v in scenario.items() if v is not None}
+    return said | {"delay": delay, "model": model}
+
+
+def to_toml(study: Study, every: list[Cell]) -> str:
+    """Return the resolved study as TOML; the part under `[resolved]` is for readers, the rest can be run again."""
+    return tomli_w.dumps(resolved(study, every))
+
+
+def digest(study: Study, every: list[Cell]) -> str:
+    """Return the hash of the resolved study, whatever its cells' numbers: equal for equal numbers."""
+    said = resolved(study, every)
+    del said["resolved"]["cells"]
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,131 @@
+"""A study as it is written: a dict from a name, a TOML file or Python, with changes put in; its values are not yet checked."""
+
+import tomllib
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+from pcbench.errors import UserError, short, unknown
+from pcbench.observers import OBSERVERS
+from pcbench.plants import PLANTS, parameters_of
+from pcbench.scenarios import SCENARIOS
+from pcbench.study import STUDIES, Choices, Study, underscored
+from pcbench.study import axes as axis
+
+Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
+NOT_TOML = (ValueError, RecursionError)  # what tomllib raises: also of numbers too long, and of lists too deep
+
+
+def raw_of(what: Described, overrides: list[str]) -> dict[str, Any]:
+    """Return a study as a dict, with `key=value` overrides put in, keys as Python names them; nothing else is checked."""
+    if isinstance(what, Study):
+        raw = deepcopy(what.model_dump(exclude_none=True))
+    elif not isinstance(what, str | Path):
+        raw = deepcopy(dict(what))
+    elif (name := str(what)) in STUDIES:
+        raw = STUDIES[name].model_dump(exclude_none=True)
+    elif name in SCENARIOS:
+        raw = {"name": name, "scenarios": [name]}
+    elif name.endswith(".toml") or _is_file(name):
+        raw = _read(Path(name))
+    else:
+        raise unknown("study", "study, scenario or TOML file", name, [*STUDIES, *SCENARIOS])
+    for text in overrides:
+        override(raw, text)
+    return named(raw, where_of(what, raw))
+
+
+def where_of(what: Described, raw: dict[str, Any]) -> str:
+    """Return what a sentence calls a study: the word or file it was asked by, or else its name."""
+    return str(what) if isinstance(what, str | Path) else str(raw.get("name", "study"))
+
+
+def named(raw: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return a raw study with keys as Python names them, `plant` under axes as axes, a single value of an axis as a list."""
+    axes = raw.get("axes")
+    if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # `plant.lam = [...]` is a table to TOML
+        nested = {f"plant.{name}": values for name, values in axes["plant"].items()}
+        for key in nested:
+            if key in axes:
+                raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
+        raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
+    raw = underscored(raw, where)
+    for table in ("lti", "tune"):
+        if isinstance(raw.get(table), dict):
+            raw[table] = underscored(raw[table], f"{where}: {table}")
+    if isinstance(raw.get("axes"), dict):
+        raw["axes"] = {
+            k: v if isinstance(v, list) else [v]
+            for k, v in underscored(raw["axes"], f"{where}: axes", "plant.").items()
+        }
+    return raw
+
+
+def override(raw: dict[str, Any], change: str) -> None:
+    """Put one `KEY=VALUE` into a raw study; VALUE is TOML, or a plain word."""
+    key, equals, text = change.partition("=")
+    _meant(key.strip(), change)
+    path = [part.strip() for part in key.split(".", 1 if key.strip().startswith("axes.") else -1)]
+    if not equals or not all(path):
+        raise UserError(f"--set {short(change)}: expected KEY=VALUE, such as axes.noise_std=0.1 or options.kfbo.R=0.3.")
+    try:
+        found = tomllib.loads(f"value = {text}")
+        value = found["value"] if len(found) == 1 else text.strip()
+    except NOT_TOML:
+        value = text.strip()
+    if path[0] == "axes" and len(path) > 1 and not isinstance(value, list):
+        value = [value]
+    for part in path[:-1]:
+        raw = raw.setdefault(part, {})
+        if not isinstance(raw, dict):
+            raise UserError(
+                f"--set {short(change)}: {short(part)} holds a value, not a table; expected KEY=VALUE below a table."
+            )
+    raw[path[-1]] = value
+
+
+def _meant(key: str, change: str) -> None:
+    """Raise UserError for the name of an axis, or of an option, that stands without its table."""
+    if "." in key or key.replace("-", "_") in Study.model_fields:
+        return
+    name, found = key.replace("-", "_"), []
+    if name in axis.AXES:
+        found = [f"axes.{name}"]
+    elif name in Choices.model_fields:
+        found = [f"options.scenario.{name}"]
+    else:
+        found = [f"options.{o}.{name}" for o, entry in OBSERVERS.items() if name in entry.options.model_fields]
+        found += [f"axes.plant.{name}" for plant in PLANTS if name in parameters_of(plant)][:1]
+    if found:
+        raise UserError(f"--set {short(change)}: '{short(key)}' is no key of a study; write {' or '.join(found)}.")
+    if change.partition("=")[1]:
+        raise unknown(
+            f"--set {short(change)}", "key of a study", key, [*Study.model_fields, "axes.AXIS", "options.OBSERVER.KEY"]
+        )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        if path.exists() and not path.is_file():  # a folder; or a pipe, for which one would wait
+            raise OSError(0, "it is no file")
+        text = path.read_text(encoding="utf-8-sig")  # with a mark of the byte order or without
+    except (OSError, ValueError) as error:  # ValueError: no UTF-8, or a name that cannot be one
+        reason = getattr(error, "strerror", None) or error
+        raise UserError(
+            f"{short(str(path))}: cannot be read ({reason}); expected a TOML file that describes a study."
+        ) from None
+    try:
+        raw = tomllib.loads(text)
+    except NOT_TOML as error:
+        raise UserError(
+            f"{path}: got what is not valid TOML ({short(str(error))}), expected a study; mend that line."
+        ) from None
+    raw.pop("resolved", None)
+    return {"name": path.stem} | raw
+
+
+def _is_file(what: str) -> bool:
+    try:
+        return Path(what).is_file()
+    except OSError:  # a name too long to be one
+        return False

@@ -1,0 +1,62 @@
+"""What there is, as data: every name with what is said of it, numbers with their units."""
+
+import pytest
+
+from pcbench.cli import catalogue
+from pcbench.cli.catalogue import CATALOGUE, found
+from pcbench.observers import OBSERVERS
+from pcbench.plants import PLANTS
+from pcbench.scenarios import SCENARIOS
+from pcbench.study import STUDIES
+
+
+def test_everything_that_there_is_is_listed():
+    for kind, known in (("plants", PLANTS), ("observers", OBSERVERS), ("scenarios", SCENARIOS), ("studies", STUDIES)):
+        assert list(found(kind)) == list(known)
+    for kind in CATALOGUE:
+        assert all(said["summary"] for said in found(kind).values())
+
+
+def test_plants_have_their_signals_with_units_and_their_parameters_with_values():
+    said = catalogue.plant("cart")
+    assert said["signals"] == [{"name": "position", "unit": "m"}, {"name": "velocity", "unit": "m/s"}]
+    assert said["parameters"] == {"lam": 122, "b": 355, "input_bias": 0}
+    assert said["unknown"] == []
+    assert catalogue.plant("helicopter")["unknown"][-1] == {"name": "yaw_viscosity", "unit": "N m s/rad"}
+
+
+def test_scenarios_have_their_times_and_bands_in_their_units():
+    said = catalogue.scenario("csth/10s")
+    assert [(s["name"], s["unit"], s["settled_within"], s["diverged_beyond"]) for s in said["signals"]] == [
+        ("volume", "L", 0.025, 5e5),
+        ("enthalpy", "J", 1000.0, 2e10),
+        ("jacket_temperature", "degC", 0.25, 5e6),
+    ]
+    assert (said["tick"], said["horizon"], said["tail"]) == (
+        10.0,
+        SCENARIOS["csth/10s"].horizon,
+        SCENARIOS["csth/10s"].scoring.tail,
+    )
+    assert found("scenarios", "arm/sampled")["arm/sampled"]["delay"] == list(SCENARIOS["arm/sampled"].sampling.delay)
+    assert catalogue.scenario("cart/white")["axes"][-3:] == ["plant.lam", "plant.b", "plant.input_bias"]
+
+
+def test_observers_say_what_they_know_and_take():
+    kfbo, dkf = catalogue.observer("kfbo"), catalogue.observer("dkf")
+    assert (kfbo["knows_schedule"], kfbo["samples"]) == (False, "of one constant age")
+    assert (dkf["knows_schedule"], dkf["samples"]) == (True, "of any age, in any order, from clocks of their own")
+    assert catalogue.observer("open-loop")["options"] == {}
+
+
+@pytest.mark.parametrize(
+    ("schema", "said"),
+    [
+        ({"type": "number", "exclusiveMinimum": 0}, ("number", "> 0")),
+        ({"type": "number", "minimum": 0, "maximum": 2}, ("number", ">= 0 and <= 2")),
+        ({"type": "array", "items": {"type": "array"}}, ("matrix", None)),
+        ({"anyOf": [{"type": "null"}, {"type": "integer"}]}, ("whole number", None)),
+    ],
+)
+def test_an_option_says_its_type_and_range(schema, said):
+    kind = catalogue._kind(schema)
+    assert (kind["type"], kind["range"]) == said

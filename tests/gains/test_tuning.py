@@ -1,0 +1,216 @@
+"""Tuning: free parameters, ways down, going on after a stop, judged on other seeds, one sentence for every mistake."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from commands import call
+from hypothesis import given
+from hypothesis import strategies as st
+from interruptions import stop_tuning_at
+
+import pcbench
+from pcbench.dataset.seeds import counted
+from pcbench.errors import UserError
+from pcbench.gains import gradient, minimise, parameters, tune
+from pcbench.gains.held_out import against
+from pcbench.gains.history import Judgement
+from pcbench.gains.objective import Objective
+from pcbench.observers import OBSERVERS, entry_of
+
+SMALL = {"budget": 6, "training": (0, 16), "judges": (100, 140), "objective": "tail_rmse"}
+START = {"pccebo": {"L": [[0.9], [0.0]]}, "pco": {"Kp": -3.0}, "pi-pco": {"Kp": -3.0, "Ki": 0.5}}
+
+
+def options(observer):
+    return entry_of(observer).options.model_validate(START.get(observer, {}))
+
+
+@pytest.mark.parametrize("observer", [name for name in OBSERVERS if parameters.tunable(name) and name != "open-loop"])
+@given(data=st.data())
+def test_every_vector_of_numbers_is_an_option(observer, data):
+    numbers = {"R": 0.3, "q": 0.0}
+    found, at = parameters.start(observer, options(observer), numbers, None, "test")
+    there = np.array(data.draw(st.lists(st.floats(-20, 20), min_size=len(at), max_size=len(at))))
+    made = parameters.put(options(observer), found, there)
+    again, back = parameters.start(observer, made, numbers, [f.name for f in found], "test")
+    for f, g in zip(found, again, strict=True):
+        mine, its = there[f.first : f.first + f.size], back[g.first : g.first + g.size]
+        if f.kind == "real":
+            np.testing.assert_allclose(its * g.scale, mine * f.scale, rtol=1e-12, atol=1e-14 * f.scale)
+        else:
+            np.testing.assert_allclose(its, mine, rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("metric", ["rmse", "pooled_rmse", "tail_pooled_rmse"])
+def test_a_goals_slope_is_its_derivative_and_a_lost_run_has_no_number(metric):
+    goal, runs, lost = Objective(metric, 0, "x", "m"), np.array([4.0, 9.0, 1.0]), np.zeros(3, bool)
+    assert goal.slope(2.0) == pytest.approx((goal.of(2.0 + 1e-6) - goal.of(2.0 - 1e-6)) / 2e-6, rel=1e-8)
+    assert goal.over(runs, lost) == goal.of(14 / 3)
+    assert goal.over(runs, np.array([False, True, False])) == np.inf
+
+
+def test_a_slope_beside_what_is_refused_is_taken_from_the_middle():
+    def design(at):
+        if at[0] > most:
+            raise UserError("mine: got too much, expected less; take less.")
+        return {"L": np.array([3 * at[0] + at[1], at[1]]), "room": np.arange(2)}
+
+    slopes, at, most = [np.array([1.0, 10.0])], np.array([1.0, 0.0]), 2.0
+    for most in (2.0, 1.0):
+        np.testing.assert_allclose(gradient.chain(slopes, design, at), [3.0, 11.0], rtol=1e-9)
+
+
+JUDGED = Judgement("judging", counted(100, 64), 2.0, 0.1, 1.0, 0.1, -1.0, 0.1, (0, 0))
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({}, ""),
+        ({"difference": 0.19}, ""),  # less than two standard errors
+        ({"difference": 0.21}, "worse than its start on the judging runs by 0.21"),
+        ({"diverged": (3, 2)}, ""),
+        ({"diverged": (2, 3)}, "3 of 64 judging runs diverge, 2 with the start"),
+        ({"difference": np.nan, "diverged": (64, 64)}, "64 of 64 judging runs diverge, as with the start"),
+    ],
+)
+def test_what_is_found_is_used_where_the_judging_runs_do_not_speak_against_it(changes, why):
+    said = against([JUDGED._replace(what="training"), JUDGED._replace(**changes)])
+    assert said.startswith(why)
+    assert bool(said) == bool(why)
+
+
+def bowl(at):
+    """A long valley with its least at (1, 2), refused beyond 3."""
+    gap = at - np.array([1.0, 2.0])
+    value = gap[0] ** 2 + 100 * (gap[1] - gap[0]) ** 2
+    slope = np.array([2 * gap[0] - 200 * (gap[1] - gap[0]), 200 * (gap[1] - gap[0])])
+    return (np.inf, np.full(2, np.nan)) if at.max() > 3 else (value, slope)
+
+
+def asked(way, start, budget, value_only=False):
+    """The points that a way asks for, with their values."""
+    points = []
+
+    def ask(at):
+        value, slope = bowl(at)
+        points.append((at.copy(), value))
+        return value if value_only else (value, slope)
+
+    way(ask, np.array(start), budget)
+    return points
+
+
+@pytest.mark.parametrize(
+    "start", [(2.9, -4.0), *(pytest.param(p, marks=pytest.mark.slow) for p in ((0.0, 0.0), (-3.0, 2.9)))]
+)
+def test_both_ways_go_down_past_what_is_refused_and_keep_to_their_budget(start):
+    for way, alone, budget in ((minimise.descent, False, 60), (minimise.search, True, 150)):
+        points = asked(way, start, budget, alone)
+        assert len(points) <= budget
+        assert min(value for _, value in points) < 1e-5, way
+        assert len(asked(way, start, 5, alone)) <= 5
+        for (a, x), (b, y) in zip(points, asked(way, start, budget, alone), strict=True):
+            assert (a == b).all(), "the same again"
+            assert x == y
+
+
+@pytest.mark.slow
+def test_a_tuning_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
+    whole = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "whole", **SMALL)
+    count = stop_tuning_at(4, monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
+    again = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
+    assert count[0] == 4 + len(whole.points) - 3, "three points were not asked for again"
+    assert [p[:3] for p in again.points] == [p[:3] for p in whole.points]
+    assert again.found == whole.found
+    for name in ("tuned.toml",):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
+    history = pd.read_parquet(tmp_path / "out" / "history.parquet")
+    assert list(history.columns) == [
+        "point",
+        "free.L[0]",
+        "free.L[1]",
+        "objective",
+        "slope.L[0]",
+        "slope.L[1]",
+        "seconds",
+    ]
+    assert history.objective.min() == min(p.value for p in whole.points)
+    with pytest.raises(UserError, match="holds another tuning"):
+        pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL | {"objective": "mae"})
+    (tmp_path / "out" / "history.parquet").write_bytes(b"PAR1")
+    with pytest.raises(UserError, match="is damaged"):
+        pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
+
+
+@pytest.mark.slow
+def test_what_is_found_runs_as_a_study_and_gives_the_numbers_it_was_judged_by(tmp_path):
+    found = pcbench.tune("cart/gaussian", "pccebo", out=tmp_path / "out", **SMALL)
+    (training, judging) = found.judged
+    assert training.tuned == pytest.approx(min(p.value for p in found.points), rel=1e-12)
+    assert training.start == pytest.approx(found.points[0].value, rel=1e-12)
+    result = pcbench.run(tmp_path / "out" / "tuned.toml", seeds=40, first_seed=100)
+    (row,) = result.stats.query("signal == 'position' and metric == 'tail_rmse'").to_dict("records")
+    assert row["mean"] == pytest.approx(judging.tuned, rel=1e-12)
+    assert not found.kept_start
+    assert judging.tuned < 0.8 * judging.start
+
+
+@pytest.mark.slow
+def test_a_start_that_cannot_be_bettered_is_kept_and_said(monkeypatch, tmp_path):
+    """What was found is made worse than it is: nothing that is worse on other seeds is handed out."""
+    real = tune.judge
+    monkeypatch.setattr(tune, "judge", lambda study, o, found, *how: real(study, o, {"L": [[1.9], [0.0]]}, *how))
+    found = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
+    assert "worse than its start on the judging runs" in found.kept_start
+    assert "L" not in (tmp_path / "out" / "tuned.toml").read_text().partition("options")[2]
+
+
+@pytest.mark.slow
+def test_an_observer_without_slopes_is_searched():
+    given = SMALL | {"training": (0, 4), "judges": (10, 14), "budget": 5}
+    found = pcbench.tune("cart/slow", "pccebo", **given | {"objective": "settling_time"})
+    assert found.method == "search"
+    assert len(found.points) == 5
+
+
+MISTAKES = {
+    ("cart/slow", "open-loop"): "without free parameters",
+    ("cart/slow", "pccebo", "--objective", "beauty"): "'beauty' is no metric to tune for",
+    ("cart/slow", "pccebo", "--budget", "0"): "--budget: got 0, expected 1 or more",
+    ("cart/slow", "pccebo", "--train", "0:64", "--judge", "63:99"): "which overlap",
+    ("cart/slow", "pccebo", "--train", "5"): "expected FIRST:END",
+    ("cart/slow", "pccebo", "--train", "0:1"): "two seeds or more",
+    ("cart/slow", "pccebo", "--signal", "speed"): "'speed' is no signal",
+    ("cart/slow", "pccebo", "--only", "gain"): "got 'gain' to tune, expected L",
+    ("cart/slow", "pccebo", "--method", "prayer"): "expected descent or search",
+    ("cart/slow", "pccebo", "--objective", "settling_time", "--method", "descent"): "settling_time has no gradient",
+    ("cart/slow", "pccebo", "--set", "options.pccebo.L=[[2.5],[0.0]]"): "is not certified",
+    ("cart/slow", "pccebo", "--set", "options.pccebo.L=[[2.5]]"): "expected a matrix of shape [2, 1]",
+    ("cart/slow", "nobody"): "'nobody' is no observer",
+    ("variable-sampling", "pco"): "expected one here",
+}
+
+
+@pytest.mark.parametrize("words", MISTAKES, ids=" ".join)
+def test_mistakes_are_one_sentence(words, tmp_path):
+    done = call("tune", *words, cwd=tmp_path)
+    assert done.returncode == 2, done.stderr
+    assert MISTAKES[words] in done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+def test_the_command_says_what_it_found(tmp_path):
+    words = ["cart/slow", "pccebo", "--budget", "2", "--train", "0:4", "--judge", "4:8", "--out", str(tmp_path / "out")]
+    done = call("tune", *words)
+    assert "tuned - start" in done.stdout, done.stderr
+    assert "can be run: pcbench run" in done.stdout
+    again = json.loads(call("tune", *words, "--json").stdout)
+    assert again["points"] == 2
+    assert again["goal"] == {"metric": "rmse", "signal": "position", "unit": "m"}

@@ -1,0 +1,181 @@
+"""Studies whose gains come about in several ways: which versions there are, on which seeds, and what stands in the table."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from commands import call
+from interruptions import stop_tuning_at
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.gains import tune, versions
+from pcbench.machine import process
+from pcbench.observers import OBSERVERS, entry_of
+from pcbench.study import STUDIES, TUNINGS, observers_of, read
+
+README = (Path(__file__).parents[2] / "README.md").read_text()
+FAIR = {
+    "name": "little",
+    "scenarios": ["cart/gaussian"],
+    "observers": ["pccebo", "open-loop"],
+    "seeds": 24,
+    "options": {"scenario": {"random_start": True}},
+    "tuning": ["paper", "design", "tuned"],
+    "tune": {"objective": "tail_pooled_rmse", "budget": 3, "training": 16},
+}
+
+
+def prepared(**changes):
+    with process.float64():
+        return versions.prepare(read.grid_of(FAIR | changes, {}, []), None, False)
+
+
+def test_paper_is_what_stands_there():
+    grid = read.grid_of(FAIR | {"tuning": "paper"}, {}, [])
+    assert versions.prepare(grid, None, False) == (grid, [], None)
+
+
+def test_two_versions_of_every_observer_that_has_a_design_of_its_own():
+    names = ["pccebo", "kfbo", "pco", "pi-pco", "dkf", "open-loop"]
+    made = prepared(
+        observers=names, scenarios=["cart/white"], tuning=["paper", "design"], options={"pco": {"decay": 0.1}}
+    )
+    labels = [v.label for v in made.versions]
+    assert labels == [f"{o}-{t}" for o in names for t in ("paper", "design") if t == "paper" or entry_of(o).designed]
+    assert made.study.observers == labels
+    assert made.study.tunings == ["paper"]
+    assert made.study.options["pco-paper"] == {"Kp": -61.0, "decay": 0.1}
+    assert made.study.options["pco-design"] == {"Kp": "lmi", "decay": 0.1}
+    assert made.study.options["kfbo-design"]["R"] == "noise"
+    assert made.study.options["open-loop-paper"] == {}
+
+
+def test_a_design_alone_keeps_names_and_takes_any_scenarios():
+    made = prepared(tuning="design", scenarios=["cart/white", "cart/variable"], observers=["pccebo", "pco", "dkf"])
+    assert made.study.observers == ["pccebo", "pco", "dkf"]
+    assert made.study.options["pccebo"] == {"gain": "riccati"}
+    assert made.study.options["pco"] == {"Kp": "lmi"}
+    assert "dkf" not in made.study.options
+    assert not made.versions
+
+
+@pytest.mark.parametrize("observer", [o for o in OBSERVERS if entry_of(o).designed])
+def test_a_design_of_its_own_is_made_of_options_that_there_are(observer):
+    assert entry_of(observer).options.model_validate(dict(entry_of(observer).designed))
+
+
+def test_kfbo_by_design_has_the_noise_of_the_scenario():
+    with process.float64():
+        numbers = pcbench.design("cart/white", "kfbo", overrides=["options.kfbo.R=noise"]).certificate.numbers
+    assert numbers["R"] == pytest.approx(0.07, rel=1e-12)  # power: variance of a sample times the period
+
+
+MISTAKES = [
+    ({"tuning": "luck"}, "tuning: got 'luck', expected 'paper', 'design', 'tuned', or a list of them"),
+    ({"tuning": ["paper", "paper"]}, "expected each of them once"),
+    ({"tuning": []}, "or a list of them"),
+    ({"scenarios": ["cart/white", "cart/gaussian"]}, "for 2 scenarios, expected one"),
+    ({"first_seed": 3_000_000_010}, "on which gains are tuned"),
+    ({"tune": {"objective": "beauty"}}, "'beauty' is no metric to tune for"),
+    ({"tune": {"signal": "speed"}}, "'speed' is no signal"),
+    ({"tune": {"budget": 0}}, "tune.budget: got 0"),
+    ({"tune": {"effort": 3}}, "tune: 'effort' is no key here"),
+]
+
+
+@pytest.mark.parametrize(("changes", "sentence"), MISTAKES, ids=[s for _, s in MISTAKES])
+def test_mistakes_are_one_sentence_and_write_nothing(changes, sentence, tmp_path):
+    with pytest.raises(UserError) as caught:
+        pcbench.run(FAIR | changes, out=tmp_path / "out")
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_is_another_studys_is_left_alone(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(UserError, match=r"holds other files \(notes.txt\)"):
+        pcbench.run(FAIR, out=tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
+
+
+def test_versions_are_compared_on_two_ranges_of_seeds_and_against_the_bound(tmp_path):
+    result = pcbench.run(FAIR | {"tuning": ["paper", "design"]}, out=tmp_path / "out")
+    fair = result.fair.set_index("label")
+    assert list(fair.index) == ["pccebo-paper", "pccebo-design", "open-loop-paper"]
+    metric = "signal == 'position' and metric == 'tail_pooled_rmse'"
+    held = result.stats.query(metric).set_index("observer")["mean"]
+    there = pd.read_parquet(tmp_path / "out" / "training" / "stats.parquet")
+    trained = there.query(metric).set_index("observer")["mean"]
+    for label in fair.index:
+        assert fair.held_out[label] == held[label]
+        assert fair.training[label] == trained[label]
+        assert fair.gap[label] == held[label] - trained[label]
+    runs = pd.read_parquet(tmp_path / "out" / "training" / "runs")
+    assert set(runs.seed) == set(range(tune.TRAINING[0], tune.TRAINING[0] + 16))
+    assert fair.efficiency["pccebo-paper"] > 3 * fair.efficiency["open-loop-paper"] > 0
+    stored = pd.read_parquet(tmp_path / "out" / "fair.parquet")
+    pd.testing.assert_frame_equal(stored, result.fair)
+
+
+@pytest.mark.slow
+def test_a_fair_study_goes_on_where_it_was_stopped_and_is_a_dataset_like_any_other(tmp_path, monkeypatch):
+    whole = pcbench.run(FAIR, out=tmp_path / "whole")
+    (tuned,) = whole.fair[whole.fair.tuning == "tuned"].to_dict("records")
+    assert tuned["observer"] == "pccebo"
+    count = stop_tuning_at(2, monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        pcbench.run(FAIR, out=tmp_path / "out")
+    assert not (tmp_path / "out" / "study.toml").exists()
+    again = pcbench.run(FAIR, out=tmp_path / "out")
+    pd.testing.assert_frame_equal(again.fair, whole.fair)
+    counted = count[0]
+    once_more = pcbench.run(FAIR, out=tmp_path / "out")
+    assert count[0] == counted, "a finished tuning is read, not done again"
+    assert once_more.cost.runs == 0
+    pd.testing.assert_frame_equal(once_more.fair, whole.fair)
+    done = call("verify", str(tmp_path / "out"), "--all")
+    assert done.returncode == 0, done.stdout
+    with pytest.raises(UserError, match="another study"):
+        pcbench.run(FAIR | {"tune": FAIR["tune"] | {"budget": 4}}, out=tmp_path / "out")
+    fresh = pcbench.run(FAIR | {"tune": FAIR["tune"] | {"budget": 4}}, out=tmp_path / "out", fresh=True)
+    assert set(fresh.fair.tuning) == set(TUNINGS)
+
+
+@pytest.mark.slow
+def test_the_command_prints_all_versions_and_their_gap(tmp_path):
+    words = ["--set", "tune.budget=2", "--set", "tune.training=16", "--seeds", "16", "--observers", "pccebo,dkf"]
+    done = call("run", "fair", *words, "--out", str(tmp_path / "out"))
+    assert "of the bound" in done.stdout, done.stderr
+    assert all(word in done.stdout for word in ("paper", "design", "tuned", "held out", "gap"))
+    said = json.loads(call("run", "fair", *words, "--out", str(tmp_path / "out"), "--json").stdout)
+    assert {row["tuning"] for row in said["fair"]} == set(TUNINGS)
+
+
+@pytest.mark.slow
+def test_nothing_beats_the_bound_and_tuned_is_not_worse_than_its_start():
+    """The study as it stands: every version, on 1024 runs that none was tuned on."""
+    study = STUDIES["fair"]
+    table = pcbench.run("fair").fair
+    assert set(table.observer) == set(observers_of(study, "cart/gaussian"))
+    assert (table.efficiency_low < 1).all()
+    by = table.set_index(["observer", "tuning"])
+    assert by.efficiency["dkf", "paper"] > 0.95
+    for observer in ("pccebo", "kfbo", "dkf"):
+        start = min(by.held_out[observer][t] for t in ("paper", "design") if t in by.held_out[observer])
+        se = np.hypot(by.held_out_se[observer, "tuned"], by.held_out_se[observer, "paper"])
+        assert by.held_out[observer, "tuned"] <= start + 2 * se
+    rows = re.findall(
+        r"^\| (as printed|by design|tuned) \| (\d+) % \| (\d+) % \| (?:(\d+) %|as printed) \|$", README, re.M
+    )
+    assert len(rows) == 3
+    for (_, *said), tuning in zip(rows, TUNINGS, strict=True):
+        for observer, share in zip(("pccebo", "kfbo", "dkf"), said, strict=True):
+            assert not share or abs(100 * by.efficiency[observer, tuning] - int(share)) < 1, (observer, tuning)
+    assert (100 * (by.efficiency_high - by.efficiency_low) / 2).max() < 4
+    printed, tuned = (by.held_out["kfbo", t] / by.held_out["pccebo", t] for t in ("paper", "tuned"))
+    assert (round(printed, 1), round(tuned, 1)) == (2.6, 2.2)

@@ -1,0 +1,79 @@
+"""What CONTRIBUTING.md says is there is there: files, layers, commands, words; and the reference builds without a warning."""
+
+import importlib.util
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from commands import call
+
+import pcbench
+from pcbench.observers import OBSERVERS, Entry
+from pcbench.observers.parts import options
+from pcbench.protocols import Observer
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "CONTRIBUTING.md").read_text()
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+PATHS = sorted(set(re.findall(r"`((?:pcbench|tests|\.ci)/[\w./-]+|[A-Z]+\.md)`", TEXT)))
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_every_file_that_is_named_exists(path):
+    assert (ROOT / path).exists()
+
+
+def test_files_are_named_at_all():
+    assert len(PATHS) > 25
+
+
+def test_every_command_that_is_quoted_exists():
+    (block,) = re.findall(r"^```text\n(.*?)^```$", TEXT, re.S | re.M)
+    tools = set(re.findall(r"\.venv/bin/([\w]+)", block))
+    assert tools == {"pip", "python", "ruff", "mypy"}
+    asked = re.search(r'pip install -e "\.\[([\w,]+)\]"', block)[1].split(",")
+    assert set(asked) <= set(PROJECT["project"]["optional-dependencies"])
+    for script in (".ci/run", ".ci/docs"):
+        assert script in block
+        assert (ROOT / script).stat().st_mode & 0o100
+    for command in set(re.findall(r"`pcbench (\w+)", TEXT)):
+        assert call(command, "--help").returncode == 0
+
+
+def test_the_words_of_the_protocols_are_those_of_the_code():
+    for word in ("init", "note", "jump", "flow", "estimate"):
+        assert word in Observer._fields
+    for word in ("note", "jump", "flow"):
+        assert f"`{word}`" in TEXT or f"**{word}**" in TEXT
+    assert "knows_schedule" in Entry._fields
+    assert callable(options.tunable)
+    assert callable(options.way)
+    for name in ("Gains", "Options", "design", "OBSERVER"):
+        assert hasattr(sys.modules[OBSERVERS["open-loop"].design.__module__], name)
+
+
+def test_ci_builds_the_reference():
+    assert ".ci/docs" in (ROOT / ".ci" / "run").read_text()
+
+
+def test_it_names_nothing_outside_the_repository():
+    assert not re.findall(r"(?<![\w.`])/(?:\w+/)+\w*", TEXT)
+    assert "http" not in TEXT
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("pdoc") is None, reason="the extra docs is not installed")
+def test_the_reference_has_a_page_for_every_module_and_no_warning(tmp_path):
+    done = subprocess.run(
+        [sys.executable, ROOT / ".ci" / "docs", tmp_path], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    pages = {p.relative_to(tmp_path).with_suffix("").as_posix() for p in tmp_path.rglob("*.html")}
+    modules = {p.relative_to(ROOT).with_suffix("").as_posix() for p in Path(pcbench.__file__).parent.rglob("*.py")}
+    modules = {m.removesuffix("/__init__") for m in modules if not m.endswith("__main__")}
+    assert modules <= pages
+    assert (tmp_path / "pcbench.html").stat().st_size > 10_000

@@ -1,0 +1,165 @@
+"""The README claims only what runs: its Python, its study, its observer and its two commands are executed as they stand."""
+
+import re
+import subprocess
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import call
+from harness import CART, Case, trace
+
+import pcbench
+from pcbench.observers import OBSERVERS
+from pcbench.scenarios import SCENARIOS
+from pcbench.statistics import wording
+from pcbench.study import cells, read
+
+RANKED = "scenario == 'cart/white' and signal == 'position' and metric == 'tail_rmse'"
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+
+
+def blocks(language):
+    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.S | re.M)
+
+
+def test_there_are_two_shell_commands_and_ci_runs_exactly_those():
+    commands = blocks("sh")
+    assert len(commands) == 2
+    assert all(len(c.strip().splitlines()) == 1 for c in commands)
+    assert commands[0].strip().endswith("pcbench run quick")
+    assert commands[1].strip().endswith("pytest")
+    assert "readme_command" in (ROOT / ".ci" / "run").read_text()
+
+
+@pytest.mark.slow
+def test_the_study_runs_as_written(tmp_path):
+    (text,) = [b for b in blocks("toml") if "noise-map" in b]
+    path = tmp_path / "noise-map.toml"
+    path.write_text(text)
+    found = read.load(str(path))
+    assert len(pcbench.run(str(path), seeds=2).stats.cell.unique()) == 16
+    assert len(cells.cells(found, "cart/gaussian")) == 16
+    assert tomllib.loads(text)["name"] == "noise-map"
+
+
+@pytest.mark.slow
+def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
+    (text,) = [b for b in blocks("toml") if '"motor"' in b]
+    path = tmp_path / "motor.toml"
+    path.write_text(text)
+    stats = pcbench.run(str(path), seeds=16).stats.query("signal == 'angle' and metric == 'tail_pooled_rmse'")
+    rms = stats.set_index(["plant.input_bias", "observer"])["mean"]
+    assert rms[0.2, "dkf"] > 1000 * rms[0.2, "dkf-load"]
+    assert 1.5 < rms[0.0, "dkf-load"] / rms[0.0, "dkf"] < 2.5
+
+
+@pytest.mark.slow
+def test_the_pushed_cart_runs_as_written_and_its_push_is_found(tmp_path):
+    (text,) = [b for b in blocks("toml") if '"pushed"' in b]
+    path = tmp_path / "pushed.toml"
+    path.write_text(text)
+    stats = pcbench.run(str(path), seeds=8).stats.query("metric == 'tail_pooled_rmse'")
+    rms = stats.set_index(["signal", "observer"])["mean"]
+    assert set(rms["input"].index) == {"smo", "pio", "dkf"}
+    assert max(rms["input"]) < 0.5  # of a push of size 1
+    assert rms["position"].idxmax() == "open-loop"
+
+
+@pytest.mark.parametrize(
+    "first_line",
+    ["import pcbench", "from typing import Any, NamedTuple", pytest.param("import control", marks=pytest.mark.slow)],
+)
+def test_python_examples_run(first_line, capsys):
+    (example,) = [b for b in blocks("python") if b.startswith(first_line)]
+    try:
+        exec(compile(example.replace("pcbench.setup()", ""), "README.md", "exec"), {})
+        shown = capsys.readouterr().out
+        assert "dkf" in shown or "pccebo" in shown
+    finally:
+        OBSERVERS.pop("nudge", None)
+
+
+def test_the_observer_example_is_short_and_knows_its_schedule():
+    """At most 30 lines of code, and perfect start holds: it is an observer, not a decoration."""
+    (example,) = [b for b in blocks("python") if "OBSERVERS[" in b]
+    assert len([line for line in example.splitlines() if line.strip()]) <= 30
+    space = {}
+    try:
+        exec(compile(example.rsplit("print(", 1)[0], "README.md", "exec"), space)
+        start = [5.0, 10.0]
+        got = trace(Case(CART, 40, 80, ticks=400, x0=start, xhat0=start), {"nudge": {}})
+        assert np.abs(got.x - got.estimates["nudge"]).max() < 1e-12
+    finally:
+        OBSERVERS.pop("nudge", None)
+
+
+def test_the_table_shown_is_the_one_that_comes_out():
+    result = pcbench.run("quick")
+    stats = result.stats.query("scenario == 'cart/white' and signal == 'position'").set_index(["observer", "metric"])
+    (shown,) = [b for b in blocks("text") if b.startswith("cart/white")]
+    rows = shown.split("─\n")[1].splitlines()
+    assert len(rows) == 4
+    for line in rows:
+        observer = line.split()[0]
+        for metric in ("tail_rmse", "efficiency"):
+            assert f" {wording.interval(stats.loc[(observer, metric)])}" in line, (observer, metric)
+        best = wording.difference(result.pairs.query(RANKED), observer, "dkf") if observer != "dkf" else ""
+        assert best in line
+        assert observer == "dkf" or best.startswith("+")
+
+
+def test_every_observer_and_command_is_named():
+    for name in OBSERVERS:
+        assert f"`{name}`" in README
+    for command in ("list", "run", "trace", "design", "reproduce", "compare"):
+        assert f"pcbench {command}" in README
+    assert set(re.findall(r"(?:cart|arm|csth|helicopter)/[\w-]+", README)) <= set(SCENARIOS)
+
+
+ROW = re.compile(r"^\| .*? \| .*? \| (`.*?) \| `([a-z0-9/-]+)` (\w+) \[.*?\] \|$", re.M)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("errors", "scenario", "signal"), ROW.findall(README))
+def test_the_decision_table_is_what_comes_out(errors, scenario, signal):
+    said = {name: float(value) for name, value in re.findall(r"`([a-z-]+)` ([\d.]+)", errors)}
+    stats = pcbench.run(scenario, observers=list(said), seeds=256).stats
+    rms = stats[(stats.metric == "tail_rmse") & (stats.signal == signal)].set_index("observer")["mean"]
+    for name, value in said.items():
+        assert rms[name] == pytest.approx(value, rel=0.06, abs=1e-9), name
+    assert list(said.values()) == sorted(said.values())
+
+
+def test_the_decision_table_names_the_scenarios_it_is_drawn_from():
+    assert len(ROW.findall(README)) == 8
+
+
+def test_the_top_level_is_as_promised():
+    allowed = {"pyproject.toml", "pcbench", "benchmarks", "notebooks", "tests", "README.md", "LICENSE", "CHANGELOG.md",
+               "CITATION.cff", "CONTRIBUTING.md", "REPRODUCTION.md"}  # fmt: skip
+    tracked = subprocess.run(["git", "-C", str(ROOT), "ls-files"], capture_output=True, text=True, check=False).stdout
+    top = {line.split("/")[0] for line in tracked.splitlines()}
+    assert {name for name in top if not name.startswith(".")} <= allowed
+
+
+def test_every_option_that_the_readme_names_exists():
+    said = set(re.findall(r"(?<![\w-])(--[a-z][a-z-]+)", "\n".join(blocks("text"))))
+    there = set()
+    for command in (
+        "run",
+        "status",
+        "verify",
+        "merge",
+        "compare",
+        "trace",
+        "design",
+        "tune",
+        "reproduce",
+        "report",
+        "check",
+    ):
+        there |= set(re.findall(r"--[a-z][a-z-]+", call(command, "--help").stdout))
+    assert said <= there, said - there

@@ -1,0 +1,114 @@
+"""A run has the same bits alone, in a block, in another block, on one device or two, and with other observers present."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pcbench
+from pcbench import planning
+from pcbench.planning import in_memory
+from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import batch
+from pcbench.simulation.draws import measurement_noise, normals, run_keys
+from pcbench.study import read
+
+EVERYONE = ["pccebo", "kfbo", "dkf", "open-loop"]
+SEVEN = np.array([7])
+
+
+def results(seeds, observers=EVERYONE, scenarios=("cart/gaussian-fast",), devices=2, random_start=True, axes=None):
+    raw = {"name": "bits", "scenarios": list(scenarios), "observers": observers, "axes": axes or {}}
+    chosen = read.parse(raw | {"options": {"scenario": {"random_start": random_start}}}, "bits")
+    done = list(in_memory.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
+    return {d.planned.cell.scenario.name + str(d.planned.cell.number): d.results for d in done}
+
+
+def same(a, b, place, observers=EVERYONE):
+    """Every metric of the only run in a equals, bit for bit, the run at `place` in b."""
+    for observer in observers:
+        for metric, values in a[observer].items():
+            np.testing.assert_array_equal(
+                values[..., 0], b[observer][metric][..., place], err_msg=f"{observer} {metric}"
+            )
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return results(SEVEN)["cart/gaussian-fast0"]
+
+
+def test_alone_equals_in_a_block(alone):
+    same(alone, results(np.arange(20))["cart/gaussian-fast0"], 7)
+
+
+def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
+    block = results(np.concatenate([np.arange(100, 100 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"]
+    same(alone, block, batch.WIDTH)
+    same(alone, results(np.concatenate([np.arange(100, 99 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"], -1)
+
+
+def test_one_device_equals_two(alone):
+    same(alone, results(SEVEN, devices=1)["cart/gaussian-fast0"], 0)
+
+
+EACH = [["dkf"]]
+MORE = [pytest.param(["kfbo", "pccebo"], marks=pytest.mark.slow)]
+MORE += [pytest.param([name], marks=pytest.mark.slow) for name in ("pccebo", "kfbo", "open-loop")]
+
+
+@pytest.mark.parametrize("observers", [*EACH, *MORE], ids=str)
+def test_alone_equals_without_the_other_observers(alone, observers):
+    only = results(SEVEN, observers=observers)["cart/gaussian-fast0"]
+    same(only, alone, 0, observers)
+
+
+@pytest.mark.slow
+def test_alone_equals_among_other_cells_and_scenarios(alone):
+    """Other cells make the network's ring larger: another program, the same bits."""
+    many = results(SEVEN, scenarios=("cart/nominal", "cart/gaussian-fast"), axes={"delay": [0.6, 3.0]})
+    same(alone, many["cart/gaussian-fast0"], 0)
+
+
+@pytest.mark.slow
+def test_on_the_arm_with_drift_too(monkeypatch):
+    """Each run's own stiffness, a heavy plant's narrower calls, unknown inputs."""
+    arm, three = SCENARIOS["arm/sampled"], ["smo", "pio", "dkf"]
+    monkeypatch.setitem(SCENARIOS, "arm/sampled", arm.having(horizon=0.5, tail=0.25))
+
+    def found(seeds, devices=2):
+        return results(seeds, three, ("arm/sampled",), devices, False, {"drift": [0.05]})["arm/sampled0"]
+
+    alone, width = found(SEVEN), batch.HEAVY
+    same(alone, found(np.arange(20)), 7, three)
+    same(alone, found(np.concatenate([np.arange(100, 100 + width), SEVEN])), width, three)
+    same(alone, found(SEVEN, devices=1), 0, three)
+
+
+def test_other_seeds_and_root_seeds_draw_other_noise():
+    a, b, c = (np.asarray(measurement_noise(root, seed, 5)) for root, seed in ((0, 0), (0, 1), (1, 0)))
+    assert len({a.tobytes(), b.tobytes(), c.tobytes()}) == 3
+    long, several = np.asarray(measurement_noise(0, 0, 9)), np.asarray(measurement_noise(0, 0, 5, channels=3))
+    np.testing.assert_array_equal(long[:, :5], a)
+    np.testing.assert_array_equal(several[:1], a)
+    assert len(np.unique(several)) == 15
+
+
+def test_a_run_uses_the_studys_root_seed():
+    raw = {"name": "roots", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 1}
+    zero, one = (pcbench.run(raw | {"root_seed": root}).runs.mae[0] for root in (0, 1))
+    assert zero != one
+    trace = pcbench.trace("cart/white", "pccebo", overrides=["root_seed=1"])
+    assert (trace["position"] - trace["pccebo.position"]).abs()[:-1].mean() == pytest.approx(one, rel=1e-12)
+
+
+def test_streams_are_not_each_other():
+    seeds = jnp.arange(4096)
+    a, b = (normals(run_keys(jnp.asarray(0), seeds, s, 1), jnp.zeros(1, int))[0] for s in ("initial", "measurement"))
+    assert abs(np.corrcoef(a, b)[0, 1]) < 4 / np.sqrt(4096)
+
+
+def test_draws_are_standard_normal():
+    """Over 20,000 draws: mean within four standard errors of 0, variance within four of 1."""
+    draws = np.asarray(measurement_noise(3, 0, 20_000)).ravel()
+    assert abs(draws.mean()) < 4 / np.sqrt(20_000)
+    assert abs(draws.var() - 1) < 4 * np.sqrt(2 / 20_000)

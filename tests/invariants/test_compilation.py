@@ -1,0 +1,90 @@
+"""One compilation for a whole axis of periods, delays, noises and drifts; lanes minor in the loop, nothing transposed."""
+
+import re
+
+import numpy as np
+import pytest
+
+from pcbench import planning
+from pcbench.planning import in_memory
+from pcbench.simulation import batch
+from pcbench.study import read
+
+AXES = {"sampling_period": [0.1, 0.25], "delay": [0.0, 0.2, 0.7], "noise_std": [0.0, 0.5], "drift": [0.0, 1.0]}
+
+
+def planned(**axes):
+    raw = {"name": "axes", "scenarios": ["cart/white"], "axes": axes, "seeds": 3}
+    chosen = read.parse(raw, "axes")
+    return chosen, planning.plan(chosen)
+
+
+def test_one_compilation_for_every_period_delay_noise_and_drift():
+    before = batch.compilations()
+    chosen, cells = planned(**AXES)
+    done = list(in_memory.execute(chosen, cells))
+    assert len(done) == 24
+    assert batch.compilations() - before == 1
+    mae = [d.results["kfbo"]["mae"][0, 0] for d in done]
+    assert len(set(mae)) == 24, "every cell has its own numbers"
+
+
+def test_gains_are_traced():
+    """Other weights, the same program."""
+    counts = []
+    for R in (0.1, 3.0):
+        raw = {"name": "gains", "scenarios": ["cart/white"], "options": {"kfbo": {"R": R}}, "seeds": 2}
+        chosen = read.parse(raw, "gains")
+        list(in_memory.execute(chosen, planning.plan(chosen)))
+        counts.append(batch.compilations())
+    assert counts[0] == counts[1]
+
+
+@pytest.fixture(
+    scope="module", params=[False, pytest.param(True, marks=pytest.mark.slow)], ids=["fixed start", "random start"]
+)
+def loops(request):
+    """The text of every computation that the compiled loops run."""
+    _, (cell,) = planned()
+    layout = cell.layout._replace(random_start=request.param)
+    made = batch.program(layout, batch.Job(cell.problem, 0, np.arange(2)))
+    text = made.compiled.as_text()
+    bodies = set(re.findall(r"body=%?([\w.]+)", text))
+    blocks = re.split(r"\n(?=%|ENTRY)", text)
+    return [b for b in blocks if b.lstrip("%").split(" ", 1)[0] in bodies and wide(b)]
+
+
+def wide(body):
+    """(dimensions, layout) of every array of floats that holds lanes."""
+    shapes = re.findall(r"f64\[([\d,]+)\]\{([\d,]+)\}", body)
+    return [(d.split(","), order.split(",")) for d, order in shapes if str(batch.WIDTH) in d.split(",")]
+
+
+def test_the_loop_carries_lanes_minor(loops):
+    assert len(loops) >= 4, "windows, segments, pairs of ticks, single ticks"
+    for body in loops:
+        for dims, order in wide(body):
+            assert dims[-1] == str(batch.WIDTH), f"lanes are not the last axis of {dims}"
+            assert order[0] == str(len(dims) - 1), f"lanes are not minor in {dims} {order}"
+
+
+def test_the_loop_transposes_nothing(loops):
+    for body in loops:
+        assert not re.search(rf"f64\[[\d,]*{batch.WIDTH}[\d,]*\]\S* transpose\(", body)
+
+
+def test_lanes_differ_only_where_they_must():
+    """With a fixed start the plant, and what only the input drives, is computed once for all lanes."""
+    import jax
+    import jax.numpy as jnp
+
+    from pcbench.simulation import lanes, start
+
+    _, (cell,) = planned()
+    layout = cell.layout._replace(width=4)
+    state = jax.eval_shape(lambda p: start.begin(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem)
+    assert not lanes.is_lanes(state.x)
+    assert not lanes.is_lanes(state.memories["pccebo"].g)
+    assert not lanes.is_lanes(state.memories["open-loop"])
+    assert lanes.is_lanes(state.memories["pccebo"].xhat)
+    assert lanes.is_lanes(state.memories["kfbo"].z)

@@ -1,0 +1,181 @@
+"""Variable intervals, jitter, loss and disorder: numbers known beforehand, and every observer against the NumPy reference."""
+
+import jax
+import numpy as np
+import pytest
+from harness import CART, ODD, Case, inputs, noise, problem, recorder, setting, starts
+from reference import irregular as reference
+from reference import linear
+
+import pcbench
+from pcbench import planning
+from pcbench.dynamics import linear as synthesis
+from pcbench.errors import UserError
+from pcbench.machine import process
+from pcbench.observers import OBSERVERS
+from pcbench.planning import in_memory
+from pcbench.simulation.schedule import per_lane, sampling, shared
+from pcbench.simulation.schedule.sampling import Clock
+from pcbench.study import read
+
+PAGE = {  # t: (x1, pco, pi-pco), noise off
+    500: (6.0888233710, 6.0068561578, 6.0068561578),
+    1000: (6.3035122430, 6.2830204397, 6.2912171610),
+    2000: (5.8901399136, 5.8899798204, 5.9035638808),
+    10000: (6.2752057436, 6.2752057436, 6.2752051793),
+}
+WILD = {  # ticks
+    "sine": Clock((0,), 60, None, "sine"),
+    "uniform": Clock((0,), 60, None, "uniform"),
+    "jitter": Clock((0,), 50, 80, "periodic", 20, 0, 0.0),
+    "loss": Clock((0,), 50, 30, "periodic", 0, 0, 0.4),
+    "disorder": Clock((0,), 30, 40, "periodic", 10, 120, 0.2),
+}
+CHOICES = {
+    "pccebo": [{}],
+    "pco": [{"Kp": -61.0}],
+    "pi-pco": [{"Kp": -61.0, "Ki": 12.2}],
+    "dkf": [{}, {"bias_variance": 1.0}],
+}
+
+
+@pytest.fixture(scope="module")
+def quiet():
+    return pcbench.trace("cart/variable", ["pco", "pi-pco"], overrides=["axes.noise_std=0"])
+
+
+@pytest.mark.parametrize("tick", PAGE)
+def test_the_worked_positions_come_out(quiet, tick):
+    got = [quiet[name][tick] for name in ("position", "pco.position", "pi-pco.position")]
+    np.testing.assert_allclose(got, PAGE[tick], rtol=0, atol=6e-11)
+
+
+def test_the_worked_metrics_come_out(quiet):
+    for name, mae, rmse in (("pco", 0.134557440785, 0.812830903051), ("pi-pco", 0.136476736960, 0.812845680813)):
+        e = (quiet["position"] - quiet[f"{name}.position"])[:-1]
+        assert e.abs().mean() == pytest.approx(mae, abs=1e-12)
+        assert (e**2).mean() ** 0.5 == pytest.approx(rmse, abs=1e-12)
+
+
+def wild(case, clock, observer, options):
+    """Layout and problem of a case on one run's draw of a clock, with the reference's times of that run."""
+    channels = len(case.model.C)
+    clock = clock._replace(channels=tuple(range(channels)))
+    with process.float64():
+        samples = per_lane.realised([clock], case.ticks, channels, 0, case.seed)
+    plan = shared.pad_slots(shared.schedule(samples, case.ticks, channels), 4 if clock.spread else 1)
+    known = setting(case)._replace(
+        overtaking=per_lane.overtaking([clock], case.ticks), intervals=tuple(sampling.intervals(clock, case.ticks))
+    )
+    design = OBSERVERS[observer].design(known, OBSERVERS[observer].options(**options))
+    layout, p = problem(case, {})
+    layout = layout._replace(observers=((observer, OBSERVERS[observer].observer),))
+    times = [
+        [(s.taken, s.arrives if s.arrives < shared.NEVER else None) for s in samples if s.channel == j]
+        for j in range(channels)
+    ]
+    return layout, jax.tree.map(np.asarray, p._replace(schedule=plan, gains={observer: design.gains})), design, times
+
+
+def expected(observer, options, model, u, samples, xhat0, design, case):
+    if observer == "pccebo":
+        return reference.pccebo(model, u, samples, xhat0, design.gains.L)
+    if observer == "dkf":
+        W = case.input_intensity * case.model.B @ case.model.B.T
+        return reference.dkf(
+            model, u, samples, xhat0, setting(case).P0, design.gains.R, W, options.get("bias_variance")
+        )
+    Ki = design.gains.Ki if observer == "pi-pco" else None
+    return reference.pco(model, u, samples, xhat0, design.gains.T, design.gains.Kp, Ki)
+
+
+FAST = {("pccebo", "loss")}  # on the cart; `test_events_per_lane` has more
+EVERY = [
+    pytest.param(plant, o, options, clock, marks=[] if plant == "cart" and (o, clock) in FAST else pytest.mark.slow)
+    for plant in ("cart", "odd")
+    for o, choices in CHOICES.items()
+    for options in choices
+    for clock in WILD
+]
+
+
+@pytest.mark.parametrize(("plant", "observer", "options", "clock"), EVERY, ids=str)
+def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, observer, options, clock):
+    if plant == "cart":
+        case = Case(CART, 50, 60, ticks=700, noise_std=0.3, seed=2, x0=[5.0, 10.0])
+    else:
+        case = Case(ODD, 50, 60, ticks=400, h=0.01, noise_std=0.2, seed=3, xhat0=[0.5, -1.0, 2.0], input_intensity=0.05)
+        options = {k: v for k, v in options.items() if k not in ("Kp", "Ki")}
+    layout, p, design, times = wild(case, WILD[clock], observer, options)
+    got = jax.tree.map(np.asarray, recorder()(layout, p, np.asarray(0), np.asarray(case.seed)))
+    u, (x0, xhat0) = inputs(case), starts(case)
+    model = linear.Model(case.model.A, case.model.B, case.model.C, case.h)
+    draws = noise(case._replace(te=1))
+    x, samples = reference.simulate(model, u, x0, times, draws)
+    size = np.abs(x).max()
+    np.testing.assert_allclose(got.x, x, rtol=0, atol=1e-10 * size)
+    want = expected(observer, options, model, u, samples, xhat0, design, case)
+    np.testing.assert_allclose(got.estimates[observer], want, rtol=0, atol=1e-10 * max(size, np.abs(want).max()))
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        {"profile": ["uniform"]},
+        {"profile": ["periodic"], "delay": [0.3], "jitter": [0.05], "delay_jitter": [0.5], "loss": [0.3]},
+        {"profile": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [0.07]},
+        {"profile": ["periodic"], "delay": [0.1], "loss": [0.3], "assumed_delay_error": [-0.07]},
+    ],
+    ids=["uniform", "disorder", "believed older", "believed younger"],
+)
+@pytest.mark.slow
+def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
+    """`events_per_lane` against `events_shared` through the recorded run on that seed's schedule."""
+    names = ["pccebo", "pi-pco", "dkf", "dkf-bias"]
+    with process.float64():
+        chosen = read.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,
+                              "options": {"dkf-bias": {"bias_variance": 1.0}}}, "t")  # fmt: skip
+        (planned,) = planning.plan(chosen)
+        (done,) = in_memory.execute(chosen, [planned], np.arange(3), 1)
+        for seed in range(3):
+            p = planning.alone(planned, 0, seed)
+            out = recorder()(p.layout, jax.tree.map(np.asarray, p.problem), np.asarray(0), np.asarray(seed))
+            for name in names:
+                e = np.asarray(out.x - out.estimates[name])
+                got = {metric: values[:, seed] for metric, values in done.results[name].items() if values.ndim == 2}
+                np.testing.assert_allclose(got["mae"], np.abs(e[:-1]).mean(0), rtol=1e-10, atol=1e-13)
+                np.testing.assert_allclose(got["tail_rmse"], np.sqrt((e[3000:-1] ** 2).mean(0)), rtol=1e-10, atol=1e-13)
+                np.testing.assert_allclose(got["peak"], np.abs(e[:-1]).max(0), rtol=1e-10)
+                np.testing.assert_allclose(got["final"], e[-2], rtol=1e-9, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("axes", "sentence"),
+    [
+        ({"jitter": [0.2]}, "at most 0.049"),
+        ({"jitter": [0.0005]}, "whole number of ticks"),
+        ({"loss": [1.5]}, "probability from 0 to 1"),
+        ({"loss": [-0.1]}, "at least 0"),
+        ({"profile": ["sinus"]}, "did you mean 'sine'"),
+        ({"profile": [[0.1, 0.0]]}, "at least one tick"),
+        ({"delay": ["intervall"]}, "'interval'"),
+        ({"assumed_delay_error": [-0.2]}, "write at least -0.1"),
+    ],
+    ids=str,
+)
+def test_times_that_do_not_fit_are_one_sentence(axes, sentence):
+    with pytest.raises(UserError, match=sentence):
+        read.parse({"name": "t", "scenarios": ["cart/variable"], "axes": axes}, "t")
+
+
+def test_an_observer_that_needs_a_constant_delay_is_refused_where_it_varies():
+    with pytest.raises(UserError, match="kfbo in cart/variable got a delay of one varying interval"):
+        read.parse({"name": "t", "scenarios": ["cart/variable"], "observers": ["kfbo"]}, "t")
+    read.parse({"name": "t", "scenarios": ["cart/white"], "observers": ["kfbo"], "axes": {"loss": [0.2]}}, "t")
+
+
+@pytest.mark.parametrize("observer", ["dkf", "pccebo", "pco"])
+def test_a_mode_that_no_output_shows_is_named(observer):
+    blind = synthesis.Model(np.diag([1.0, -1.0]), np.ones((2, 1)), np.array([[0.0, 1.0]]))
+    with pytest.raises(UserError, match=r"mode 1 is un(detectable|observable)"):
+        OBSERVERS[observer].design(setting(Case(blind, 10, 10)), OBSERVERS[observer].options())

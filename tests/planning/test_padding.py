@@ -1,0 +1,70 @@
+"""Cells of one shape: each has the room that the largest needs, and its own numbers in it."""
+
+import jax
+import numpy as np
+import pytest
+
+from pcbench import planning
+from pcbench.machine import process
+from pcbench.planning import padding
+from pcbench.scenarios import SCENARIOS
+from pcbench.simulation.schedule import per_lane, shared
+from pcbench.study import read
+from pcbench.study.cells import cell_of, cells_of
+
+
+def drafts(axes, observers=("pccebo", "dkf"), scenario="cart/white"):
+    raw = {"name": "t", "scenarios": [scenario], "observers": list(observers), "axes": axes}
+    study = read.parse(raw, "t")
+    with process.float64():
+        return list(planning.drafts(cells_of(study)))
+
+
+@pytest.mark.parametrize(
+    "axes",
+    [
+        {"delay": [3.0, 0.2, 1.2], "sampling_period": [0.1, 0.4]},
+        {"sampling_period": [0.05, 0.2], "delay": ["interval", 0.6], "profile": ["sine"]},
+        {"drift": [0.0, 1.0], "delay": [0.0, 0.35]},
+    ],
+    ids=str,
+)
+def test_every_cell_of_a_study_has_room_for_its_own_packets_and_the_shape_of_all(axes):
+    before = drafts(axes, ("dkf", "open-loop"))
+    after = padding.fit(before)
+    assert len({(p.layout, *map(np.shape, jax.tree.leaves(p.problem))) for p in after}) == 1
+    for small, p in zip(before, after, strict=True):
+        assert p.layout.ring >= shared.in_flight(p.problem.schedule)
+        slots = small.problem.schedule.arrive.shape[1]
+        np.testing.assert_array_equal(p.problem.schedule.arrive[:, :slots], small.problem.schedule.arrive)
+        assert (p.problem.schedule.arrive[:, slots:] == -1).all()
+        for a, b in zip(jax.tree.leaves(small.problem.params), jax.tree.leaves(p.problem.params), strict=True):
+            np.testing.assert_array_equal(b, np.broadcast_to(a, np.shape(b)))
+
+
+def test_cells_whose_runs_have_times_of_their_own_have_room_for_the_most_samples():
+    before = drafts({"loss": [0.1], "sampling_period": [0.1, 0.4], "delay_jitter": [0.0, 0.3]}, ("open-loop",))
+    after = padding.fit(before)
+    assert len({p.problem.schedule.due.shape for p in after}) == 1
+    for small, p in zip(before, after, strict=True):
+        many = small.problem.schedule.due.shape[1]
+        np.testing.assert_array_equal(p.problem.schedule.due[:, :many], small.problem.schedule.due)
+        assert (p.problem.schedule.due[:, many:] == shared.NEVER).all()
+        assert p.layout.ring >= per_lane.room(p.cell.times.clocks, p.cell.times.ticks, 0)
+
+
+def test_falls_of_an_unknown_input_that_fill_a_list_never_come():
+    """A square falls or rises every second, a sine never: in the tail from 1 s on, at 1, 2 and 3 s."""
+    arm = SCENARIOS["arm/sampled"].having(horizon=3.5, tail=1.0, input="zero")
+    cells = [cell_of(arm.having(unknown_input=name)) for name in ("square", "arm-sine")]
+    square, sine = padding.fit([planning.draft(cell, {}) for cell in cells])
+    assert square.problem.jumps.tolist() == [2000, 4000, 6000]
+    assert sine.problem.jumps.tolist() == [shared.NEVER] * 3
+
+
+def test_room_is_the_larger_of_each():
+    a = padding.Room(1, 20, 3, 4, 50, 6, 7, ((("cart", 0), 1), (("arm", 1), 9)))
+    b = padding.Room(2, 10, 8, 1, 60, 5, 0, ((("cart", 0), 5),))
+    for one in (padding.larger(a, b), padding.larger(b, a)):
+        assert one[:-1] == (2, 20, 8, 4, 60, 6, 7)
+        assert dict(one.rows) == {("cart", 0): 5, ("arm", 1): 9}

@@ -1,0 +1,45 @@
+"""A scenario's fields are changed and read by name, whatever record has them, and digests do not see the records."""
+
+from collections import Counter
+
+import pytest
+
+from pcbench.scenarios import SCENARIOS, Scenario
+from pcbench.scenarios.scenario import RECORDS
+from pcbench.study import Study
+from pcbench.study.cells import cells, identity
+
+ARM = SCENARIOS["arm/sampled"]
+
+
+def test_no_two_records_have_a_field_of_the_same_name():
+    names = [*Scenario._fields, *(field for fields in RECORDS.values() for field in fields)]
+    assert max(Counter(names).values()) == 1
+    assert set(ARM.flat()) == set(names) - set(RECORDS)
+
+
+def test_fields_are_changed_in_the_record_that_has_them_and_nowhere_else():
+    changed = ARM.having(delay=(0.1, 0.1), noise_std=(1.0, 1.0), drift=0.5, horizon=3.0)
+    assert (changed.sampling.delay, changed.sampling.noise_std) == ((0.1, 0.1), (1.0, 1.0))
+    assert (changed.truth.drift, changed.horizon) == (0.5, 3.0)
+    different = {name for name, value in changed.flat().items() if value != ARM.value(name)}
+    assert different == {"delay", "noise_std", "drift", "horizon"}
+
+
+@pytest.mark.parametrize("name", ["delays", "sampling", "truth"])
+def test_a_name_that_is_no_field_is_refused(name):
+    with pytest.raises(TypeError, match=f"no field '{name}'"):
+        ARM.having(**{name: 1.0})
+
+
+@pytest.mark.parametrize(
+    ("scenario", "digest"),
+    [
+        ("cart/nominal", "728a21b962fd4b70"),
+        ("helicopter/constant", "ee54dd4e1509cf10"),
+        ("arm/sampled", "1b1cb641b2450405"),
+    ],
+)
+def test_folders_of_earlier_releases_know_their_cells_again(scenario, digest):
+    (cell,) = cells(Study(name="t", scenarios=[scenario]), scenario)
+    assert identity(cell, 0) == digest

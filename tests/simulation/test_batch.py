@@ -1,0 +1,60 @@
+"""Calls of one width: every seed once, every outcome with its own job, in the order in which they were given."""
+
+import numpy as np
+import pytest
+from harness import ODD, Case, problem
+
+from pcbench import planning
+from pcbench.machine import process
+from pcbench.planning import in_memory
+from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import batch, metrics
+from pcbench.simulation.problem import Outcome
+from pcbench.study.cells import cell_of
+
+
+@pytest.mark.parametrize("many", [1, 1023, 1024, 1025, 2500])
+def test_every_seed_is_in_one_job(many):
+    p = planning.draft(cell_of(SCENARIOS["cart/nominal"]), {})
+    jobs = list(in_memory.jobs(p, 7, np.arange(100, 100 + many)))
+    np.testing.assert_array_equal(np.concatenate([job.seeds for job in jobs]), np.arange(100, 100 + many))
+    assert max(len(job.seeds) for job in jobs) <= p.layout.width
+    assert {job.root_seed for job in jobs} == {7}
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_jobs_come_back_in_order_with_what_is_theirs(count):
+    """Nine jobs of one run to three, each from a start of its own: the model alone keeps how far off it starts."""
+    layout, p = problem(Case(ODD, 20, 5, ticks=40, h=0.01), {"open-loop": {}})
+    layout, jobs = layout._replace(width=3), []
+    for i in range(9):
+        seeds = np.arange(i, i + 1 + i % 3)
+        jobs.append(batch.Job(p._replace(x0=p.xhat0 + np.array([i, 0.0, 0.0])), 0, seeds))
+    with process.float64():
+        done = list(batch.run(layout, jobs, count))
+    assert [job is given for (job, _), given in zip(done, jobs, strict=True)] == [True] * 9
+    first = done[1][1].final["open-loop"][0, 0]
+    for i, (job, out) in enumerate(done):
+        assert out.final["open-loop"].shape == (3, len(job.seeds))
+        np.testing.assert_allclose(out.final["open-loop"][0], i * first, rtol=1e-12)
+
+
+def outcome(size):
+    """What a job would leave in which every error is `size`, over windows of 2, 1 and 1 ticks; one lane."""
+    sums = [np.array([2.0, 1.0, 1.0])[:, None, None] * each for each in (size, size**2)]
+    stream = metrics.Stream(*sums, np.full((3, 1, 1), size))
+    watch = metrics.Watch(np.full((1, 1), 2.0), np.full((1, 1), 3.0), np.array([-1.0]))
+    return Outcome({"o": stream}, {"o": watch}, {"o": np.full((1, 1), size)})
+
+
+@pytest.mark.parametrize("falls", [[], [2], [2**30]])
+def test_recovery_is_a_metric_where_something_jumps_within_the_horizon(falls):
+    cell = cell_of(SCENARIOS["cart/nominal"].having(horizon=0.004, tail=0.002))
+    p = planning.draft(cell, {})
+    p = p._replace(problem=p.problem._replace(jumps=np.array(falls, int)), labels=("mine",))
+    p = p._replace(layout=p.layout._replace(observers=(("o", None),)))
+    found = in_memory.results(p, [(None, outcome(2.0)), (None, outcome(3.0))])["mine"]
+    assert ("recovery_time" in found) == (falls == [2])
+    np.testing.assert_allclose(found["mae"], [[2.0, 3.0]])
+    np.testing.assert_allclose(found["tail_mse"], [[4.0, 9.0]])
+    np.testing.assert_allclose(found["settling_time"], [[0.002, 0.002]])

@@ -1,0 +1,444 @@
+"""Random sampling against loops over the same draws: who is taken, lost, late, together; and what is claimed of all draws.
+
+Any one or two clocks: every profile, delays of their own or of one interval, jitter below half the shortest interval, jitter
+of the delay, loss, and a delay that observers misjudge. Everything is whole ticks, so every comparison is exact.
+"""
+
+from collections import Counter
+from functools import partial
+from itertools import pairwise
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from pcbench.errors import UserError
+from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import draws
+from pcbench.simulation.schedule import per_lane, sampling, shared
+from pcbench.simulation.schedule.sampling import Clock
+from pcbench.simulation.schedule.shared import NEVER, Sample
+from pcbench.study import fits
+
+ROOM = 128  # samples a clock: one shape for every example
+SEEDS = 8
+LONGEST = 100  # ticks
+QUICK = {"xla_backend_optimization_level": 0}  # whole numbers come out the same, compiled five times as fast
+AGENDA = jax.jit(per_lane.agenda, compiler_options=QUICK)
+CLOCK_TIMES = jax.jit(per_lane.clock_times, compiler_options=QUICK)
+TIMES = per_lane.times
+
+
+def roomy(*given):
+    """`per_lane.times` in one shape for every horizon and period; that it changes nothing is tested below."""
+    return per_lane.padded(TIMES(*given), ROOM + 1)
+
+
+def realised(clocks, ticks, seed, root=0, times=roomy):
+    """`per_lane.realised`, compiled once for each number of clocks and channels."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(per_lane, "times", times)
+        patch.setattr(per_lane, "clock_times", CLOCK_TIMES)
+        return per_lane.realised(clocks, ticks, width(clocks), root, seed)
+
+
+def width(clocks):
+    return sum(len(clock.channels) for clock in clocks)
+
+
+# the oracle: a clock's own words, sample by sample
+
+
+@partial(jax.jit, compiler_options=QUICK)
+def uniform_numbers(root, seed, channel):
+    """Interval, instant, delay, loss of each sample [ROOM + 1, 4]: the address of a draw written out."""
+    run = jax.random.fold_in(jax.random.key(root), seed)
+
+    def numbers(stream, many, i):
+        key = jax.random.fold_in(jax.random.fold_in(run, draws.STREAMS[stream]), channel)
+        return jax.random.uniform(jax.random.fold_in(key, i), (many,), dtype=jnp.float64)
+
+    return jax.vmap(lambda i: jnp.append(numbers("jitter", 3, i), numbers("loss", 1, i)))(jnp.arange(ROOM + 1))
+
+
+def shortest(clock):
+    """The shortest interval before jitter, over any horizon."""
+    if isinstance(clock.profile, tuple):
+        return min(clock.profile)
+    if clock.profile == "sine":
+        return min(sampling.interval(clock, i) for i in range(1, ROOM + 1))
+    return max(1, (clock.period + 1) // 2) if clock.profile == "uniform" else clock.period
+
+
+def one_clock(clock, ticks, root, seed):
+    """(taken, arrives) of every sample taken at tick 0 .. `ticks`."""
+    u = np.asarray(uniform_numbers(root, seed, clock.channels[0])).tolist()
+    due, taken, out = 0, [0], []
+    for i in range(1, ROOM + 1):
+        if clock.profile == "uniform":
+            low, high = shortest(clock), max(shortest(clock), 3 * clock.period // 2)
+            due += low + int(u[i][0] * (high - low + 1))
+        elif clock.profile == "sine":
+            due += max(1, round(clock.period * (1 + 0.5 * np.sin(0.6 * i))))
+        else:
+            due += clock.period if clock.profile == "periodic" else clock.profile[(i - 1) % len(clock.profile)]
+        taken.append(due + int(u[i][1] * (2 * clock.jitter + 1)) - clock.jitter)
+    for i in range(ROOM):
+        late = int(u[i][2] * (clock.spread + 1))
+        arrives = (taken[i + 1] if clock.delay is None else taken[i] + clock.delay) + late
+        if taken[i] <= ticks:
+            out.append((taken[i], NEVER if u[i][3] < clock.loss else arrives))
+    return out
+
+
+def every_sample(clocks, ticks, root, seed):
+    return [
+        Sample(j, i, taken, arrives)
+        for clock in clocks
+        for i, (taken, arrives) in enumerate(one_clock(clock, ticks, root, seed))
+        for j in clock.channels
+    ]
+
+
+@st.composite
+def any_clock(draw, channels):
+    profile = draw(st.sampled_from(["periodic", "sine", "uniform", "list"]))
+    each = st.integers(1, 30)
+    period = draw(each)
+    if profile == "list":
+        profile = tuple(draw(st.lists(each, min_size=1, max_size=4)))
+    delay = draw(st.none() | st.integers(0, 40))
+    clock = Clock(channels, period, delay, profile)
+    return clock._replace(
+        jitter=draw(st.integers(0, (shortest(clock) - 1) // 2)),
+        spread=draw(st.sampled_from([0, 0, 1, 7, 30])),
+        loss=draw(st.sampled_from([0.0, 0.0, 0.3, 0.9, 1.0])),
+    )
+
+
+@st.composite
+def any_clocks(draw):
+    return [
+        draw(any_clock(channels))
+        for channels in draw(st.sampled_from([[(0,)], [(0, 1)], [(0,), (1,)], [(0, 2), (1,)]]))
+    ]
+
+
+def misjudged(data, clocks):
+    """A delay error that leaves every age at 0 or more."""
+    youngest = min(shortest(c) - 2 * c.jitter if c.delay is None else c.delay for c in clocks)
+    return data.draw(st.sampled_from([0, 0, -youngest, 1, 25]))
+
+
+ticks_of = st.integers(1, LONGEST)
+seed_of = st.integers(0, 2**31 - 1)
+
+
+# one run: its samples, and its schedule
+
+
+@settings(max_examples=60)
+@given(clocks=any_clocks(), ticks=ticks_of, root=st.integers(0, 5), seed=seed_of)
+def test_a_runs_samples_are_those_its_draws_say(clocks, ticks, root, seed):
+    assert realised(clocks, ticks, seed, root) == every_sample(clocks, ticks, root, seed)
+
+
+@settings(max_examples=60)
+@given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
+def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(data, clocks, ticks, seed):
+    q, error = width(clocks), misjudged(data, clocks)
+    found = every_sample(clocks, ticks, 0, seed)
+    plan = shared.schedule(realised(clocks, ticks, seed), ticks, q, error)
+    instants = sorted({s.taken for s in found})
+    coming = {(s.arrives, s.taken) for s in found if s.arrives <= ticks}
+    slots = plan.arrive.shape[1]
+    assert slots == max([1, *Counter(tick for tick, _ in coming).values()])
+    last, seen = 0, []
+    for k in range(ticks + 1):
+        here = {s.channel: s.number for s in found if s.taken == k}
+        assert plan.sense[k] == (instants.index(k) if here else -1)
+        assert {j: plan.sample[k, j] for j in np.flatnonzero(plan.sample[k] >= 0)} == here
+        assert plan.note[k] == (instants.index(k + error) if k + error in instants else -1)
+        oldest_first = sorted(taken for tick, taken in coming if tick == k)
+        for slot in range(slots):
+            if slot >= len(oldest_first):
+                assert plan.arrive[k, slot] == -1
+                assert not plan.fresh[k, slot].any()
+                continue
+            taken = oldest_first[slot]
+            assert plan.arrive[k, slot] == instants.index(taken)
+            assert plan.believed[k, slot] == max(taken - error, 0)
+            assert plan.since[k, slot] == k - last
+            seen += [(k, taken, int(j), int(plan.number[k, slot, j])) for j in np.flatnonzero(plan.fresh[k, slot])]
+        last = k if oldest_first else last
+        assert plan.event[k] == bool(here or oldest_first or plan.note[k] >= 0)
+        later = [t for t in range(k + 1, ticks + 1) if plan.event[t]]
+        assert plan.next_event[k] == (later[0] if later else ticks + 1)
+    assert sorted(seen) == sorted((s.arrives, s.taken, s.channel, s.number) for s in found if s.arrives <= ticks)
+
+
+# what is claimed of every draw
+
+
+def packets(clocks, ticks, seed):
+    """(taken, clock, number, arrives) of every packet of a run, as `per_lane` counts them: one for each clock."""
+    each = [
+        (c, i, *times) for c, clock in enumerate(clocks) for i, times in enumerate(one_clock(clock, ticks, 0, seed))
+    ]
+    return sorted((taken, c, i, arrives) for c, i, taken, arrives in each)
+
+
+@settings(max_examples=60)
+@given(clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
+@example(clocks=[Clock((0,), 20, None, (20, 20, 3), 1)], ticks=39, seed=2)  # the third is taken at 39, not at 40
+def test_intervals_and_ages_are_whole_ticks_in_the_ranges_that_are_claimed(clocks, ticks, seed):
+    for clock in clocks:
+        claimed = sampling.intervals(clock, ticks)
+        assert claimed == sorted(set(claimed))
+        assert claimed[0] >= 1
+        least, most = sampling.ages(clock, ticks)
+        found = one_clock(clock, ticks, 0, seed)
+        beyond = one_clock(clock, ticks + 100, 0, seed)
+        assert {b - a for (a, _), (b, _) in pairwise(beyond) if a <= ticks} <= set(claimed)
+        assert all(least <= arrives - taken <= most for taken, arrives in found if arrives <= ticks)
+
+
+@pytest.mark.parametrize(
+    "clock",
+    [
+        Clock((0,), 4, None, "uniform", 0, 3),
+        Clock((0,), 6, None, "uniform", 1, 0),
+        Clock((0,), 6, None, "periodic", 2, 2),
+        Clock((0,), 6, 5, "sine", 1, 4),
+        Clock((0,), 6, None, (4, 7), 1, 1),
+        Clock((0,), 6, None, "sine"),
+    ],
+    ids=str,
+)
+def test_every_claimed_interval_and_both_ends_of_the_ages_occur(clock):
+    """The rarest has a probability of about 1/75 a sample; 40 runs of fixed seeds have some 600 samples or more."""
+    ticks = LONGEST if clock.random else 3 * LONGEST
+    runs = [one_clock(clock, ticks, 0, seed) for seed in range(40)]
+    gaps = {b - a for run in runs for (a, _), (b, _) in pairwise(run)}
+    assert gaps == set(sampling.intervals(clock, ticks))
+    ages = {arrives - taken for run in runs for taken, arrives in run if arrives < NEVER}
+    assert (min(ages), max(ages)) == sampling.ages(clock, ticks)
+
+
+@settings(max_examples=60)
+@given(clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
+def test_overtaking_is_counted_and_never_more_than_is_claimed_beforehand(clocks, ticks, seed):
+    found = every_sample(clocks, ticks, 0, seed)
+    arriving = {(s.taken, s.arrives) for s in found if s.arrives < NEVER}
+    assert shared.overtaking(found) == most_ahead(arriving)
+    each = [(taken, arrives) for taken, _, _, arrives in packets(clocks, ticks, seed) if arrives <= ticks]
+    assert most_ahead(each) <= per_lane.overtaking(clocks, ticks)
+
+
+def most_ahead(times):
+    return max((sum(b > taken and late < arrives for b, late in times) for taken, arrives in times), default=0)
+
+
+def overwritten(rows, size, ticks, error):
+    """Whether a packet is overwritten in a ring of this size before it arrives: (taken, arrives) by row.
+
+    A value is written when it is taken, a note `error` ticks earlier; what is believed to be from before tick 0 has the note
+    of the start, which is there from the beginning (None).
+    """
+    values, notes = {}, {}
+    for k in range(ticks + 1):
+        for row, (taken, _) in enumerate(rows):
+            if taken == k:
+                values[row % size] = row
+            if taken - error == k:
+                notes[row % size] = row
+        for row, (taken, arrives) in enumerate(rows):
+            if arrives == k and (values[row % size], notes.get(row % size)) != (row, row if taken >= error else None):
+                return True
+    return False
+
+
+@settings(max_examples=60)
+@given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
+def test_no_packet_is_overwritten_in_the_room_that_is_claimed_beforehand(data, clocks, ticks, seed):
+    """Notes may be due for samples beyond the horizon: random intervals go on there, the others end."""
+    error = misjudged(data, clocks)
+    noted = packets(clocks, ticks + max(error, 0), seed)
+    rows = [(a, b) for a, c, _, b in noted if a <= ticks or clocks[c].profile == "uniform"]
+    assert not overwritten(rows, per_lane.room(clocks, ticks, error), ticks, error)
+
+
+@pytest.mark.parametrize(
+    ("clocks", "most"),
+    [
+        ([Clock((0,), 4, 2, "periodic", 0, 12)], 2),
+        ([Clock((0,), 4, 2, "periodic", 0, 13)], 3),
+        ([Clock((0,), 21, 10), Clock((1,), 4, 0)], 3),
+    ],
+    ids=["the fourth together", "four ahead", "two clocks"],
+)
+def test_the_overtaking_that_is_claimed_beforehand_occurs(clocks, most):
+    runs = [[(a, b) for a, _, _, b in packets(clocks, LONGEST, seed)] for seed in range(40)]
+    assert max(map(most_ahead, runs)) == per_lane.overtaking(clocks, LONGEST) == most
+
+
+@pytest.mark.parametrize("error", [0, 9])
+def test_the_room_that_is_claimed_beforehand_is_needed(error):
+    clock = Clock((0,), 4, 2, "periodic", 0, 13)
+    room = per_lane.room([clock], LONGEST, error)
+    runs = [[(a, b) for a, _, _, b in packets([clock], LONGEST, seed)] for seed in range(40)]
+    assert any(overwritten(rows, room - 1, LONGEST, error) for rows in runs)
+    assert not any(overwritten(rows, room, LONGEST, error) for rows in runs)
+
+
+@settings(max_examples=60)
+@given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
+def test_a_schedule_says_the_least_room_in_which_no_packet_is_overwritten(data, clocks, ticks, seed):
+    error, q = misjudged(data, clocks), width(clocks)
+    plan = shared.schedule(every_sample(clocks, ticks, 0, seed), ticks, q, error)
+    size = shared.in_flight(plan)
+    assert not loses_a_packet(plan, size)
+    assert size == 1 or loses_a_packet(plan, size - 1)
+
+
+def loses_a_packet(plan, size):
+    values, notes = {}, {}
+    for k in range(len(plan.sense)):
+        for ring, number in ((values, plan.sense[k]), (notes, plan.note[k])):
+            if number >= 0:
+                ring[number % size] = number
+        for number in plan.arrive[k][plan.arrive[k] >= 0]:
+            if values[number % size] != number or notes.get(number % size, number) != number:
+                return True
+    return False
+
+
+# many runs at once
+
+
+def agenda_of(clocks, seeds, ticks=LONGEST):
+    """The agenda of some runs, as NumPy arrays; C clocks and L seeds fix the shape."""
+    t = roomy(clocks, ticks, width(clocks), 0)._replace(clock_of=np.zeros(1, int))
+    plan = AGENDA(jax.tree.map(jnp.asarray, t), jnp.asarray(0), jnp.asarray(seeds))
+    return jax.tree.map(np.asarray, plan)
+
+
+@settings(max_examples=20)
+@given(clocks=any_clocks(), ticks=ticks_of, first=st.integers(0, 2**20))
+def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
+    seeds = np.arange(first, first + SEEDS)
+    plan = agenda_of(clocks, seeds, ticks)
+    for lane, seed in enumerate(seeds):
+        rows = packets(clocks, ticks, seed)
+        taken, clock, number = plan.samples[:, :, lane]
+        assert list(zip(taken, clock, number, strict=True))[: len(rows)] == [row[:3] for row in rows]
+        assert (taken[len(rows) :] > ticks).all()
+        assert sorted(plan.which[:, lane]) == list(range(len(taken)))
+        last, slot, count = (0, 0), 0, 0
+        for arrives, row in sorted((row[3], i) for i, row in enumerate(rows) if row[3] <= ticks):
+            last, slot = (last, slot + 1) if count and arrives == last[1] else ((last[1], arrives), 0)
+            got = (plan.arrives[count, lane], plan.which[count, lane], plan.slot[count, lane], plan.since[count, lane])
+            assert got == (arrives, row, slot, arrives - last[0])
+            count += 1
+        assert (plan.arrives[count:, lane] > ticks).all()
+
+
+PAIR = [Clock((0, 2), 9, None, "uniform", 1, 12, 0.3), Clock((1,), 7, 5, "sine", 1, 20, 0.5)]
+
+
+def test_a_runs_agenda_does_not_depend_on_the_other_runs():
+    together = agenda_of(PAIR, np.arange(SEEDS))
+    alone, backwards = agenda_of(PAIR, np.full(SEEDS, 3)), agenda_of(PAIR, np.arange(SEEDS)[::-1])
+    for a, b, c in zip(together, alone, backwards, strict=True):
+        np.testing.assert_array_equal(np.broadcast_to(a[..., 3:4], a.shape), b)
+        np.testing.assert_array_equal(a, c[..., ::-1])
+    assert len({together.samples[..., lane].tobytes() for lane in range(SEEDS)}) == SEEDS
+
+
+def times_of(clocks, seeds=range(SEEDS), root=0):
+    """(taken, arrives) [ROOM, L] of each clock."""
+    t = jax.tree.map(jnp.asarray, roomy(clocks, LONGEST, width(clocks), 0))
+    address = jnp.asarray(root), jnp.asarray(seeds)
+    return [jax.tree.map(np.asarray, CLOCK_TIMES(t, jnp.asarray(c), *address)) for c in range(len(clocks))]
+
+
+def changed(**change):
+    return [clock._replace(**change) for clock in PAIR]
+
+
+def test_a_run_alone_has_the_draws_it_has_among_others():
+    for (a, b), (taken, arrives) in zip(times_of(PAIR), times_of(PAIR, [3]), strict=True):
+        np.testing.assert_array_equal(a[:, 3:4], taken)
+        np.testing.assert_array_equal(b[:, 3:4], arrives)
+
+
+def test_losses_do_not_move_the_times():
+    base = times_of(PAIR)
+    for loss in (0.0, 0.1, 0.9):
+        for (taken, arrives), (same, later) in zip(base, times_of(changed(loss=loss)), strict=True):
+            np.testing.assert_array_equal(taken, same)
+            both = (arrives < NEVER) & (later < NEVER)
+            assert both.any()
+            np.testing.assert_array_equal(arrives[both], later[both])
+            lost = set(map(tuple, np.argwhere(arrives == NEVER))), set(map(tuple, np.argwhere(later == NEVER)))
+            assert lost[0] < lost[1] if loss == 0.9 else lost[0] > lost[1], "who is lost stays lost where more are"
+
+
+@pytest.mark.parametrize(
+    "change", [{"jitter": 0}, {"spread": 0}, {"profile": "periodic"}, {"period": 20}, {"delay": 3}]
+)
+def test_times_do_not_move_the_losses(change):
+    known = slice(0, 4)  # taken within every horizon
+    for (_, arrives), (_, later) in zip(times_of(PAIR), times_of(changed(**change)), strict=True):
+        np.testing.assert_array_equal(arrives[known] == NEVER, later[known] == NEVER)
+        assert (arrives[known] == NEVER).any()
+
+
+def test_jitters_leave_alone_what_they_are_not_of():
+    base = times_of(PAIR)
+    for change in ({"spread": 0}, {"delay": 40}):
+        for (taken, _), (same, _) in zip(base, times_of(changed(**change)), strict=True):
+            np.testing.assert_array_equal(taken, same)
+    for (taken, _), (due, _) in zip(base, times_of(changed(jitter=0)), strict=True):
+        assert set((taken - due)[1:][due[1:] <= LONGEST]) == {-1, 0, 1}
+        assert not taken[0].any(), "the first sample is taken at tick 0"
+
+
+def test_clocks_runs_and_studies_have_draws_of_their_own_under_the_first_channel():
+    twins = [Clock((j,), 9, None, "uniform", 1, 12, 0.3) for j in range(2)]
+    a, b = times_of(twins)
+    taken = [a[0], b[0], times_of(twins, root=1)[0][0], times_of(twins, root=1)[1][0]]
+    assert len({column.tobytes() for each in taken for column in each.T}) == 4 * SEEDS
+    for got, want in zip(times_of(twins[::-1]), (b, a), strict=True):
+        np.testing.assert_array_equal(got, want)
+    np.testing.assert_array_equal(times_of([twins[0], twins[1]._replace(loss=1.0, profile="sine")])[0], a)
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.25, 1.0])
+def test_as_many_are_lost_as_the_probability_says(loss):
+    """Within four standard errors."""
+    lost = times_of([Clock((0, 1), 1, 3, loss=loss)])[0][1][:LONGEST] == NEVER
+    assert abs(lost.mean() - loss) <= 4 * np.sqrt(loss * (1 - loss) / lost.size)
+
+
+@pytest.mark.parametrize("clocks", [PAIR, [Clock((0, 1), 5, 0, (3, 11, 4), 1)]], ids=["two", "one"])
+def test_the_room_for_samples_changes_nothing(clocks):
+    for seed in range(4):
+        assert realised(clocks, 63, seed, times=TIMES) == realised(clocks, 63, seed)
+
+
+def test_every_sample_within_the_horizon_is_taken_also_where_random_intervals_are_jittered():
+    clock = Clock((0,), 5, 0, "uniform", 1)
+    for seed in range(60):
+        assert realised([clock], 5, seed, times=TIMES) == realised([clock], 5, seed)
+
+
+def test_jitter_is_bounded_by_a_short_interval_that_it_brings_into_the_horizon():
+    """Due at 5, 10.001 and 10.011 s: with a jitter of 1 s the last two may be swapped before the end at 10 s."""
+    scenario = SCENARIOS["cart/variable"].having(profile=(5.0, 5.001, 0.01), jitter=1.0)
+    with pytest.raises(UserError, match=r"intervals down to 0\.01 s"):
+        fits.fits(scenario, "here")
+    fits.fits(scenario.having(jitter=0.004), "here")

@@ -1,0 +1,92 @@
+"""The helicopter for tests: one run traced tick by tick at one compiled shape, beside the independent reference."""
+
+from typing import Any
+
+import jax
+import numpy as np
+from reference import helicopter as reference
+from reference import helicopter_ekf, high_gain
+
+from pcbench import planning
+from pcbench.observers import entry_of
+from pcbench.planning import controller, padding
+from pcbench.planning.padding import Planned
+from pcbench.scenarios import SCENARIOS
+from pcbench.simulation import draws, trace
+from pcbench.simulation.schedule import shared
+from pcbench.study import Choices, Study, options_of
+from pcbench.study.cells import cell_of
+
+REACH = controller.Reach(1024, 256)  # room for every test's delays and periods
+EARLY, SLOTS = 64, 2
+TRUTH = (0.8, 0.318)
+OBSERVERS = {
+    "high-gain": high_gain.high_gain(),
+    "high-gain-robust": high_gain.high_gain(high_gain.Tuning(robust=True)),
+    "ekf": helicopter_ekf.ekf(),
+}
+
+
+def planned(
+    observer: str, seconds: float, *, name="constant", choices=None, parameters=None, **changes: Any
+) -> Planned:
+    """Return a scenario with its fields changed, cut to so many seconds."""
+    s = SCENARIOS["helicopter/" + name].having(horizon=seconds, tail=seconds / 2)
+    s = s.having(**{k: (v,) * 2 if k in ("delay", "sampling_period", "noise_std") else v for k, v in changes.items()})
+    study = Study(name="t", scenarios=[s.name], seeds=1)
+    cell = cell_of(s, 0, {}, parameters or {}, Choices(**(choices or {})))
+    (p,) = padding.fit([planning.draft(cell, {observer: options_of(study, s, observer)})])
+    law, line = controller.close(cell, REACH, cell.times.ticks)
+    plan = shared.pad_early(shared.pad_slots(p.problem.schedule, SLOTS), EARLY)
+    layout = p.layout._replace(ring=EARLY, commands=REACH.back)
+    return p._replace(problem=p.problem._replace(control=law, line=line, schedule=plan), layout=layout)
+
+
+def record(p: Planned, seed: int = 0) -> trace.Recording:
+    """Run one seed; arrays [N+1, ...]."""
+    return jax.tree.map(np.asarray, trace.compiled()(p.layout, p.problem, np.asarray(0), np.asarray(seed)))
+
+
+def estimate(got: trace.Recording) -> np.ndarray:
+    """Return what the loop's one observer estimated, [N+1, 6]."""
+    return next(iter(got.estimates.values()))
+
+
+def expected(p: Planned, observer: Any = None, seed: int = 0) -> reference.Trace:
+    """Return the reference's run of the same case, [N+1, 4], [N+1, 6], [N+1, 2]."""
+    s, choices, N = p.cell.scenario, p.cell.choices, p.cell.times.ticks
+    delay, (swing, pace), a = s.sampling.delay[0], s.sampling.delay_swing, s.truth.drift
+    period = round(s.sampling.sampling_period[0] / s.dt)
+    case = reference.Scenario(
+        lambda t: np.full(np.shape(t), delay) + swing * np.sin(pace * np.asarray(t)),
+        period,
+        reference.circle,
+        bool(choices.feedforward),
+        bool(choices.predictor),
+        lambda t: np.full(2, 1 + a * np.sin(2 * np.pi * t / 20)),
+    )
+    (label,) = p.labels
+    samples = N // period + 1
+    noise = s.sampling.noise_std[0] * np.asarray(draws.measurement_noise(0, seed, samples, 2)).T[:, None]
+    z0 = np.concatenate([s.belief.xhat0, s.belief.unknown0 or (0.0, 0.0)])[None]
+    run = reference.simulate(observer or of(label, s), N, case, np.array(s.truth.x0)[None], z0, noise)
+    return reference.Trace(*(a[:, 0] for a in run))
+
+
+def of(label: str, s: Any) -> Any:
+    """Return the reference's observer, knowing the noise."""
+    if label == "ekf":
+        return helicopter_ekf.ekf(helicopter_ekf.Noise(R=s.sampling.noise_std[0] ** 2 or 1e-8))
+    return OBSERVERS[label]
+
+
+def gap(p: Planned, observer: Any = None) -> float:
+    """Return the largest difference between a run and the reference: states, estimates, and inputs."""
+    got, want = record(p), expected(p, observer)
+    pairs = ((got.x[:, :4], want.x), (estimate(got), want.z), (got.u, want.u))
+    return max(float(np.abs(a - b).max()) for a, b in pairs)
+
+
+def suited(label: str) -> bool:
+    """Say whether an observer works on the helicopter."""
+    return entry_of(label).nonlinear
