@@ -39,7 +39,7 @@ def observed(
 def rows_of(
     target: store.Target, study: str, cell: Cell, found: dict[str, ObserverRuns], within: Seeds | None = None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the rows of stats and of pairs of one cell, over the seeds `within` a range where it is given."""
+    """Return the rows of stats and of pairs of one cell, over all seeds or those `within` a range."""
     s, signals = cell.scenario, signals_of(cell.scenario)
     names, units = [name for name, _ in signals], dict(signals)
     head = columns.keys(study, cell) | {"plant": s.plant}
@@ -62,7 +62,7 @@ def rows_of(
 
 
 def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
-    """The bound where it is one: below a part of the prior it is zero for every purpose."""
+    """The bound, NaN where it is so small a part of the prior that it is zero for every purpose."""
     if bound is None:
         return None
     return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])

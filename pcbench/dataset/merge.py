@@ -1,4 +1,4 @@
-"""Several datasets of one study made one: other seeds, other machines. What two of them hold must be equal, row by row."""
+"""Several datasets of one study, of other seeds or machines, made one. What two of them hold must be equal, row by row."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -70,7 +70,7 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
 
 
 def _parts(targets: list[store.Target], holdings: list[Owned]) -> dict[tuple[str, int, str], list[Part]]:
-    """Return the blocks of all datasets by what they will be part of; numbers of cells are those of the first."""
+    """Return the blocks of all datasets by scenario, cell and observer; cells are numbered as in the first."""
     first = holdings[0]
     numbers = {(s, digest): number for (s, number), digest in ownership.digests(first).items()}
     out: dict[tuple[str, int, str], list[Part]] = {}
@@ -91,7 +91,7 @@ def _parts(targets: list[store.Target], holdings: list[Owned]) -> dict[tuple[str
 
 
 def _pieces(parts: list[Part]) -> Iterator[tuple[str, pa.Buffer | None, int]]:
-    """Yield for each part of one observer and cell: a name, its bytes or None, and how many runs it held again."""
+    """Yield for each part of one observer and cell its name, its bytes (None: all held already) and its runs held twice."""
     kept: list[Part] = []
     for part in parts:
         mine = part.block.seeds
@@ -117,7 +117,7 @@ def _pieces(parts: list[Part]) -> Iterator[tuple[str, pa.Buffer | None, int]]:
 
 
 def cut(table: pa.Table, block: Block) -> pa.Table:
-    """Return the rows of a table that a block is to hold, with the block's number of the cell."""
+    """Return the rows of a table that a block is to hold, with the cell numbered as the block says."""
     said = block_files.about(table)
     many = len(table) // (said["last"] - said["first"])
     rows = table.slice((block.seeds.first - said["first"]) * many, block.seeds.many * many)

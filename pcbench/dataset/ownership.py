@@ -35,9 +35,9 @@ class Owned(NamedTuple):
 
 
 def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
-    """Return the study with its cells as numbered in a target; raise UserError where that belongs to another. Writes nothing.
+    """Return the study with its cells numbered as in a target; raise UserError where that holds another study. Writes nothing.
 
-    With `fresh` a study of pcbench's own that stands there is to go.
+    With `fresh` a study that stands there is to be removed.
     """
     study, every = grid
     said = store.text(target, TEXT)
@@ -133,7 +133,7 @@ def _said(there: dict[str, Any]) -> dict[str, Any]:
 
 
 def _only_what_stands(there: dict[str, Any], blocks: list[block_files.Block]) -> None:
-    """Take the seeds of a study that have no block for not yet asked: a run with more that was stopped binds nobody."""
+    """Leave out the seeds that have no block: those of a run that was stopped bind nobody."""
     if blocks:
         standing = Seeds(min(b.seeds.first for b in blocks), max(b.seeds.stop for b in blocks))
         left = common(counted(there["first_seed"], there["seeds"]), standing)
@@ -206,7 +206,7 @@ def changes(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
 
 
 def _lost(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
-    """Yield the axes that have lost a value or come anew where cells were lost."""
+    """Yield, where cells were lost, the axes that lost a value or are new."""
     old, new = there["resolved"].get("cells", {}), here["resolved"].get("cells", {})
     if any(set(old[s]) - set(new.get(s, [])) or len(set(new.get(s, []))) < len(old[s]) for s in old):
         axes, found = (there.get("axes", {}), here.get("axes", {})), []

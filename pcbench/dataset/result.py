@@ -1,4 +1,4 @@
-"""What a study gave: its tables as pandas frames, read from where they stand."""
+"""A study's results: its tables as pandas frames, read from where they stand."""
 
 from functools import cached_property
 from pathlib import Path
@@ -36,9 +36,9 @@ def opened(out: str | Path) -> "Result":
 
 
 class Result:
-    """What a study gave: three tables as pandas frames (see `columns.MEANING`), and its provenance.
+    """A study's results: three tables as pandas frames (see `columns.MEANING`), and its provenance.
 
-    Without a folder of its own it stands in a temporary one, which goes when the result does.
+    Without a folder of its own it keeps a temporary one, which is removed with it.
     """
 
     def __init__(

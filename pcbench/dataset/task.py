@@ -51,7 +51,7 @@ class Task(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What a task tells when its files stand."""
+    """What a task reports once its files stand."""
 
     runs: int
     program: tuple[str, int]  # which one computed it, of which process
@@ -61,7 +61,7 @@ class Report(NamedTuple):
 
 
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
-    """Do a task: simulate its seeds while holding a device, then put its blocks; raise UserError where that cannot be."""
+    """Do a task: simulate its seeds while holding a device, then write its blocks; raise UserError where that fails."""
     with hold() as device:
         p, results, made = simulated(work, task, device)
     start, target = perf_counter(), store.target(work.out)
@@ -124,7 +124,7 @@ def block(work: Work, p: Planned, label: str, results: dict[str, Any], seeds: Se
 
 
 def tasks(parcel: bytes | Planned, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:
-    """Yield the tasks that fill the `missing` ranges of a cell, by observer: blocks as cut, as many as fill a call."""
+    """Yield the tasks that fill a cell's `missing` ranges (by observer): a block each range, as many of them as fill a call."""
     wanted: dict[Seeds, list[str]] = {}
     for label, ranges in missing.items():
         for each in ranges:

@@ -1,4 +1,4 @@
-"""Looking at a dataset that stands: what is done, whether it is whole, whether it comes out again. Nothing is written."""
+"""A look at a dataset: how far it is, whether it is whole, whether it comes out again. Nothing is written."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -124,7 +124,7 @@ def _again(target: store.Target, owned: Owned, chosen: list[Block], progress: Pr
 
 
 def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:
-    """Yield what computes blocks again: those of one cell and the same seeds together."""
+    """Yield the tasks that compute blocks again: those of one cell and the same seeds together."""
     by: dict[tuple[str, int], dict[Seeds, list[str]]] = {}
     for b in chosen:
         by.setdefault((b.scenario, b.cell), {}).setdefault(b.seeds, []).append(b.observer)

@@ -23,7 +23,7 @@ Evaluate = Callable[[Vector], tuple[float, Vector]]
 
 
 def check_estimates(p: Planned, aim: Objective, where: str) -> None:
-    """Raise UserError where the observer does not estimate the goal's signal."""
+    """Raise UserError where the observer does not estimate the objective's signal."""
     ((label, observer),) = p.layout.observers
     found = jax.eval_shape(
         lambda g, x: observer.estimate(g, observer.init(g, x)), p.problem.gains[label], p.problem.xhat0
@@ -36,7 +36,7 @@ def check_estimates(p: Planned, aim: Objective, where: str) -> None:
 
 
 def method_for(asked: str | None, aim: Objective, p: Planned, where: str) -> str:
-    """Return descent where there is a gradient, or else search; raise UserError where descent is asked for in vain."""
+    """Return descent where there is a gradient, or else search; raise UserError where descent is asked for without one."""
     if asked not in (None, *METHODS):
         raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
     against = {

@@ -1,7 +1,7 @@
 """The gradient of an objective by an observer's free parameters.
 
 Through the simulator it is exact, by reverse mode, with respect to every number among the gains. From the free parameters to
-the gains the way is the observer's own design, in NumPy: a few numbers, so central differences of it, good to 1e-9.
+the gains leads the observer's own design, in NumPy: of so few numbers central differences are enough, good to 1e-9.
 """
 
 from collections.abc import Callable
@@ -29,12 +29,12 @@ Slope = tuple[float, list[Any], bool]
 
 
 def numbers(gains: Any) -> list[Any]:
-    """Return the arrays of real numbers among gains: what may be differentiated by."""
+    """Return the arrays of real numbers among gains: those to differentiate by."""
     return [a for a in jax.tree.leaves(gains) if np.issubdtype(np.result_type(a), np.floating)]
 
 
 def backwards(p: Planned, goal: Objective, root_seed: int, seeds: NDArray[np.int64]) -> Callable[[Any], Slope]:
-    """Return what gives, for gains of a planned cell's one observer, the mean over runs and its derivatives."""
+    """Return a function of the gains of a planned cell's one observer: the mean over runs and its derivatives."""
     (label, _), *_ = p.layout.observers
     layout = p.layout._replace(width=min(LANES, len(seeds)))
     n, tail = p.cell.times.ticks, p.cell.times.tail
@@ -72,7 +72,7 @@ def backwards(p: Planned, goal: Objective, root_seed: int, seeds: NDArray[np.int
 
 
 def chain(slopes: list[Any], design: Callable[[Vector], Any], at: Vector) -> Vector:
-    """Return the derivative by free parameters from that by the gains that `design` makes of them."""
+    """Return the derivative by the free parameters, by the chain rule through `design`, from that by the gains."""
     out = np.zeros(len(at))
     for i, step in enumerate(STEP * np.eye(len(at))):
         sides = [(sign, found) for sign in (1, -1) if (found := _allowed(design, at + sign * step)) is not None]

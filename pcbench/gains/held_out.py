@@ -50,7 +50,7 @@ def judge(
 
 
 def against(judged: list[Judgement]) -> str:
-    """Return why what was found is not to be used, if it is not: worse than its start on the judging runs."""
+    """Return why what was found is not used (worse than its start on the judging runs); empty where it is."""
     (j,) = (each for each in judged if each.what == "judging")
     if j.diverged[1] > j.diverged[0]:
         return f"{j.diverged[1]} of {j.seeds.many} judging runs diverge, {j.diverged[0]} with the start"

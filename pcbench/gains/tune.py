@@ -1,4 +1,4 @@
-"""One tuning: an observer's free parameters in a scenario, within a budget, judged on other draws than it was tuned on."""
+"""One tuning: an observer's free parameters in a scenario, within a budget, judged on draws that it was not tuned on."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -121,7 +121,7 @@ def tune(
 def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple[Study, Cell, Design]:
     """The study and its cell with their observer's design; a decay is asked for a little slower.
 
-    A gain that was found for a rate stands at the edge of it, where another proof of the same rate may fail.
+    A gain found for a rate stands at its edge, where another proof of the same rate may fail.
     """
     options = cell.options[observer]
     designed = entry_of(observer).design(known, options)
