@@ -57,7 +57,18 @@ def run(
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     grid = grid_of(study, changes | {"first_seed": first_seed}, overrides or [])
     with process.float64():
-        how = run_study.How(fresh, until_se, max_seeds, devices, dask, workers, block, memory, progress, say).checked()
+        how = run_study.How(
+            fresh=fresh,
+            until_se=until_se,
+            max_seeds=max_seeds,
+            devices=devices,
+            dask=dask,
+            workers=workers,
+            block=block,
+            memory=memory,
+            progress=progress,
+            say=say,
+        ).checked()
         made = versions.prepare(grid, out, fresh, progress)
         return fair_table.report(made, run_study.execute(made.grid, out, how), out, how)
 

@@ -10,7 +10,7 @@ __all__ = ["main"]
 
 
 def main() -> None:
-    """Run the command line and exit: 0 done, 1 something is wrong that was asked about, 2 a mistake to mend, 130 stopped.
+    """Run the command line and exit: 0 done, 1 a check found something wrong, 2 a mistake to mend, 130 stopped.
 
     Everything is imported here, so that Ctrl-C is heard from the start.
     """

@@ -15,10 +15,10 @@ def list_(
             help="observers, scenarios, plants, studies, axes, metrics or choices [default: the first four]"
         ),
     ] = None,
-    name: Annotated[str | None, typer.Argument(help="one of them, to be told whole: with options and ranges")] = None,
+    name: Annotated[str | None, typer.Argument(help="one of them, in full: with options and ranges")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """List what there is, or tell one thing whole.
+    """List what there is, or one thing in full.
 
     Example: pcbench list observers pccebo
     """
@@ -35,7 +35,7 @@ def list_(
             listing.lines(TITLES.get(kind, kind), rows, console())
         kind = what or "observers"
         console().print(
-            f"One of them whole: pcbench list {kind} {next(iter(said[kind]))}", highlight=False, markup=False
+            f"One of them in full: pcbench list {kind} {next(iter(said[kind]))}", highlight=False, markup=False
         )
         if what is None:
             console().print("There are also: pcbench list axes, metrics, choices", highlight=False, markup=False)

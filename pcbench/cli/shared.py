@@ -1,4 +1,4 @@
-"""What commands share: the options that several take, and where they speak."""
+"""What commands share: the options that several take, and how they speak to the user."""
 
 import codecs
 import io
@@ -44,7 +44,7 @@ def out(text: str, *names: str) -> Any:
 
 
 def speak() -> None:
-    """Let output never fail for a letter that the terminal's encoding does not have: it stands for itself in ASCII."""
+    """Let no letter that the terminal's encoding lacks make output fail: it is written in ASCII."""
     codecs.register_error("pcbench", _in_ascii)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):

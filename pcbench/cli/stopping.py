@@ -36,7 +36,7 @@ def _loads_an_extension(frame: Any) -> bool:
 
 
 def unraisable(found: Any) -> None:
-    """Say what Python could not raise, as it does, but for a Ctrl-C: that is noted and raised later."""
+    """Report what Python could not raise, as Python does, except a Ctrl-C: that is noted and raised later."""
     if not issubclass(found.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(found)
 
@@ -53,7 +53,7 @@ def stop_if_asked() -> None:
 
 
 def stoppable(progress: Progress) -> Progress:
-    """Return what hears the same, and stops where that was asked for."""
+    """Return a Progress that hears the same, and stops where Ctrl-C was pressed."""
 
     def stopping(hear: Callable[..., None]) -> Callable[..., None]:
         def heard(*said: Any) -> None:

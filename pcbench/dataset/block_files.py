@@ -1,7 +1,7 @@
 """The blocks of a dataset: what is there, what is whole, what is missing. No jax.
 
 A block is the runs of one observer in one cell over a range of seeds: one file, whose name says which. Nothing else is
-remembered: what is done is what is on disk. Ranges need not be of one size: a gap is a gap, whoever cut the rest.
+remembered: what is on disk is done. Ranges need not be of one size: a gap is a gap, whoever cut the rest.
 """
 
 import hashlib
@@ -41,7 +41,7 @@ class Block(NamedTuple):
 
 
 def block_of(name: str) -> Block | None:
-    """Return the block that a file's name says; None where it is the name of no block that can be."""
+    """Return the block that a file's name describes; None where it describes none."""
     found = NAME.fullmatch(name)
     if not found:
         return None
@@ -52,7 +52,7 @@ def block_of(name: str) -> Block | None:
 
 
 def present(target: store.Target) -> list[Block]:
-    """Return the blocks that have a file, sorted; raise UserError for a table that is none."""
+    """Return the blocks that have a file, sorted; raise UserError for a file that is no block."""
     out = []
     for name in store.names(target, "runs"):
         block = block_of(name)
@@ -103,7 +103,7 @@ def _about(metadata: dict[bytes, bytes] | None) -> dict[str, Any]:
 
 
 def sealed(table: pa.Table, said: dict[str, Any]) -> pa.Table:
-    """Return rows with what they say of themselves, their digest with it."""
+    """Return rows with what they say of themselves and their digest as metadata."""
     said = {k: v for k, v in said.items() if k != "digest"} | {"rows": len(table)}
     said |= {"digest": digest(table, said)}
     return table.replace_schema_metadata(

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from pcbench import statistics
 from pcbench.dataset import block_files, columns, store
@@ -38,7 +39,7 @@ def observed(
 def rows_of(
     target: store.Target, study: str, cell: Cell, found: dict[str, ObserverRuns], within: Seeds | None = None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the rows of stats and of pairs of one cell, over the seeds `within` a range where it is given."""
+    """Return the rows of stats and of pairs of one cell, over all seeds or those `within` a range."""
     s, signals = cell.scenario, signals_of(cell.scenario)
     names, units = [name for name, _ in signals], dict(signals)
     head = columns.keys(study, cell) | {"plant": s.plant}
@@ -60,8 +61,8 @@ def rows_of(
     return stats, pairs
 
 
-def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> Any:
-    """The bound where it is one: below a part of the prior it is zero for every purpose."""
+def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
+    """The bound, NaN where it is so small a part of the prior that it is zero for every purpose."""
     if bound is None:
         return None
     return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])
@@ -114,7 +115,7 @@ def results_of(table: pa.Table) -> statistics.Results:
     said = block_files.about(table)
     runs = said["last"] - said["first"]
 
-    def square(name: str) -> Any:
+    def square(name: str) -> NDArray[Any]:
         return table[name].to_numpy().reshape(runs, -1).T
 
     out = {m: square(m)[:many] for m, many in said["metrics"].items()}

@@ -7,10 +7,11 @@ draws are others, means are compared by Welch's t (Biometrika 34 (1947), 28-35) 
     t = (b - a) / sqrt(va + vb),   df = (va + vb)^2 / (va^2 / (na - 1) + vb^2 / (nb - 1)),   v = se^2,
 
 with Holm's correction over all rows so tested. On the same draws the test is conservative: it takes them for independent. Where
-some seeds are common and others are not, rows are made anew over the common ones: Welch's t supposes that there are none.
+only some seeds are common, rows are made anew over those: Welch's t supposes that none are.
 A number without spread (no noise) has changed where it differs by more than rounding; one that exists on one side only, too.
 """
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,6 +26,7 @@ from pcbench.dataset.seeds import Seeds, common, joined
 from pcbench.dataset.verify import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
+from pcbench.statistics.moments import Values
 from pcbench.study.as_toml import to_toml
 from pcbench.study.cells import identity, rooted
 
@@ -63,10 +65,10 @@ class Comparison(NamedTuple):
         return float(np.max(self.rows.relative[self.rows.same_draws].to_numpy(), initial=0.0))
 
 
-def compare(a: Any, b: Any) -> Comparison:
-    """Compare two folders; raise UserError where they are of different studies, damaged, or one has no closing tables.
+def compare(a: str | Path, b: str | Path) -> Comparison:
+    """Compare two folders; raise UserError where they hold different studies, are damaged, or lack closing tables.
 
-    Blocks are looked at by their footers: `verify` reads them whole.
+    Of blocks only the footers are read: `verify` reads them whole.
     """
     targets = store.target(a), store.target(b)
     holdings = ownership.opened(targets[0]), ownership.opened(targets[1])
@@ -130,7 +132,7 @@ def _drawn(side: Side) -> Draws:
 
 
 def _shared(a: Side, b: Side) -> CommonSeeds:
-    """Return the seeds that two sides share where they do not hold the same: the longest range, by cell and observer."""
+    """Return by cell and observer, where two sides hold different seeds, the longest range that both hold."""
     if a.owned.study.root_seed != b.owned.study.root_seed:
         return {}
     out, here = {}, _drawn(b)
@@ -142,7 +144,7 @@ def _shared(a: Side, b: Side) -> CommonSeeds:
 
 
 def _stats(side: Side, shared: CommonSeeds) -> pd.DataFrame:
-    """The rows of stats with what tells a cell from others, and the draws they stand on; over the `shared` seeds, if any."""
+    """The rows of stats with their cells' digests and the draws they stand on; over the `shared` seeds, if any."""
     frame, drawn, root = columns.frame(_over(side, shared)), _drawn(side), side.owned.study.root_seed
     cells = {c.key: c for c in side.owned.cells}
     keys = list(zip(frame.scenario, frame.cell, strict=True))
@@ -200,7 +202,7 @@ def judged(both: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def welch(ma: Any, sa: Any, na: Any, mb: Any, sb: Any, nb: Any) -> Any:
+def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values) -> Values:
     """Return Welch's two-sided p-values; NaN where a side has fewer than two runs, or neither varies."""
     va, vb = sa**2, sb**2
     known = (na > 1) & (nb > 1) & (va + vb > 0)
@@ -210,7 +212,7 @@ def welch(ma: Any, sa: Any, na: Any, mb: Any, sb: Any, nb: Any) -> Any:
 
 
 def made_by(a: store.Target, b: store.Target) -> list[str]:
-    """Return what differs in what the provenances say of libraries and machines, a phrase each."""
+    """Return how two provenances differ in libraries and machines, a phrase each."""
     there, here = (summary.record(target) or {} for target in (a, b))
     old, new = (_flat({k: each.get(k) for k in MADE_BY}) for each in (there, here))
     keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]

@@ -28,9 +28,9 @@ PATIENCE = "20s"  # for a scheduler to answer
 
 
 def share(memory: str | int | None, address: str | None, workers: int | None, count: int | None) -> float:
-    """Return the bytes of results that one task may take, of all that are allowed: two are under way on each device.
+    """Return the bytes of results that one task may take: the allowed ones over two tasks a device.
 
-    Of workers elsewhere the memory is not known here: a stated share, unless `memory` says what each of them has.
+    The memory of workers elsewhere is not known here: SHARE, unless `memory` says what each of them has.
     """
     if workers is not None and address != "local":
         raise UserError(f"--workers: got {workers} without --dask local, expected both; leave --workers out.")

@@ -1,4 +1,4 @@
-"""From a study to its blocks: what is missing is planned, cut into tasks, done, and nothing else.
+"""From a study to its blocks: what is missing, and only that, is planned, cut into tasks and done.
 
 Gains are designed before anything is written; planned cells wait on disk, so that memory grows with none of a study's axes.
 """
@@ -60,7 +60,7 @@ def added(a: Cost, b: Cost) -> Cost:
 
 
 def everything(owned: Owned, there: list[Block]) -> SeedsOf:
-    """Return the seeds that a study names, and those that some observer of a cell has beyond: all of them are to have them."""
+    """Return the seeds that a study names and, of a cell, those that any observer has beyond them: all are to have the same."""
     named = counted(owned.study.first_seed, owned.study.seeds)
     stops: dict[tuple[str, int], int] = {}
     for b in there:
@@ -165,7 +165,7 @@ def fill(
 
 
 def _alike(report: task.Report) -> None:
-    """Raise UserError where a worker computes with other releases than this process: the last bits may differ."""
+    """Raise UserError where a worker has other releases than this process: the last bits may differ."""
     here = provenance.versions()
     if report.versions != here:
         theirs = ", ".join(f"{k} {v}" for k, v in report.versions.items() if here.get(k) != v)

@@ -1,7 +1,8 @@
-"""Several datasets of one study made one: other seeds, other machines. What two of them hold must be equal, row by row."""
+"""Several datasets of one study, of other seeds or machines, made one. What two of them hold must be equal, row by row."""
 
-from collections.abc import Iterator
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
 
 import pyarrow as pa
 
@@ -31,7 +32,7 @@ class MergeReport(NamedTuple):
     missing: int  # runs that no dataset held
 
 
-def merge(given: list[Any], out: Any, progress: Progress = SILENT) -> MergeReport:
+def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SILENT) -> MergeReport:
     """Copy the blocks of several datasets of one study into a new one and close it; raise UserError where they disagree.
 
     Nothing is written before every overlap has been found equal.
@@ -69,7 +70,7 @@ def merge(given: list[Any], out: Any, progress: Progress = SILENT) -> MergeRepor
 
 
 def _parts(targets: list[store.Target], holdings: list[Owned]) -> dict[tuple[str, int, str], list[Part]]:
-    """Return the blocks of all datasets by what they will be part of; numbers of cells are those of the first."""
+    """Return the blocks of all datasets by scenario, cell and observer; cells are numbered as in the first."""
     first = holdings[0]
     numbers = {(s, digest): number for (s, number), digest in ownership.digests(first).items()}
     out: dict[tuple[str, int, str], list[Part]] = {}
@@ -89,8 +90,8 @@ def _parts(targets: list[store.Target], holdings: list[Owned]) -> dict[tuple[str
     }
 
 
-def _pieces(parts: list[Part]) -> Iterator[tuple[str, Any, int]]:
-    """Yield for each part of one observer and cell: a name, its bytes or None, and how many runs it held again."""
+def _pieces(parts: list[Part]) -> Iterator[tuple[str, pa.Buffer | None, int]]:
+    """Yield for each part of one observer and cell its name, its bytes (None: all held already) and its runs held twice."""
     kept: list[Part] = []
     for part in parts:
         mine = part.block.seeds
@@ -116,7 +117,7 @@ def _pieces(parts: list[Part]) -> Iterator[tuple[str, Any, int]]:
 
 
 def cut(table: pa.Table, block: Block) -> pa.Table:
-    """Return the rows of a table that a block is to hold, with the block's number of the cell."""
+    """Return the rows of a table that a block is to hold, with the cell numbered as the block says."""
     said = block_files.about(table)
     many = len(table) // (said["last"] - said["first"])
     rows = table.slice((block.seeds.first - said["first"]) * many, block.seeds.many * many)

@@ -5,6 +5,7 @@ Cells keep their numbers; new ones follow. Where the study's text is lost or dam
 """
 
 import tomllib
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pcbench.dataset import block_files, repair, store
@@ -34,9 +35,9 @@ class Owned(NamedTuple):
 
 
 def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
-    """Return the study with its cells as numbered in a target; raise UserError where that belongs to another. Writes nothing.
+    """Return the study with its cells numbered as in a target; raise UserError where that holds another study. Writes nothing.
 
-    With `fresh` a study of pcbench's own that stands there is to go.
+    With `fresh` a study that stands there is to be removed.
     """
     study, every = grid
     said = store.text(target, TEXT)
@@ -132,14 +133,14 @@ def _said(there: dict[str, Any]) -> dict[str, Any]:
 
 
 def _only_what_stands(there: dict[str, Any], blocks: list[block_files.Block]) -> None:
-    """Take the seeds of a study that have no block for not yet asked: a run with more that was stopped binds nobody."""
+    """Leave out the seeds that have no block: those of a run that was stopped bind nobody."""
     if blocks:
         standing = Seeds(min(b.seeds.first for b in blocks), max(b.seeds.stop for b in blocks))
         left = common(counted(there["first_seed"], there["seeds"]), standing)
         there.update(first_seed=left.first, seeds=left.many)
 
 
-def _reshaped(target: store.Target, there: dict[str, Any], study: Study) -> Any:
+def _reshaped(target: store.Target, there: dict[str, Any], study: Study) -> Iterator[str]:
     """Yield the axes whose column would hold lists where it holds numbers, or the other way about."""
     for name in sorted(channels_apart(_study(target, there)) ^ channels_apart(study)):
         yield f"axes.{name}: a number for all channels, and a list with one for each, there and here"
@@ -182,7 +183,7 @@ def _parts(said: bytes) -> dict[str, Any]:
     return there
 
 
-def changes(there: dict[str, Any], here: dict[str, Any]) -> Any:
+def changes(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
     """Yield what differs between a study on disk and one that is to go on there, a phrase each."""
     for key in sorted((there.keys() | here.keys()) - set(GROWS)):
         if there.get(key) != here.get(key):
@@ -204,8 +205,8 @@ def changes(there: dict[str, Any], here: dict[str, Any]) -> Any:
     yield from _lost(there, here)
 
 
-def _lost(there: dict[str, Any], here: dict[str, Any]) -> Any:
-    """Yield the axes that have lost a value or come anew where cells were lost."""
+def _lost(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
+    """Yield, where cells were lost, the axes that lost a value or are new."""
     old, new = there["resolved"].get("cells", {}), here["resolved"].get("cells", {})
     if any(set(old[s]) - set(new.get(s, [])) or len(set(new.get(s, []))) < len(old[s]) for s in old):
         axes, found = (there.get("axes", {}), here.get("axes", {})), []
@@ -216,7 +217,7 @@ def _lost(there: dict[str, Any], here: dict[str, Any]) -> Any:
         yield from found or ["cells: some that stand there are not of this study"]
 
 
-def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Any:
+def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Iterator[str]:
     for key in sorted(names if names is not None else old.keys() | new.keys()):
         a, b = old.get(key), new.get(key)
         if isinstance(a, dict) and isinstance(b, dict):

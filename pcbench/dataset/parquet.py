@@ -1,4 +1,4 @@
-"""Tables that know what they were: Parquet as bytes, with a digest of what was written."""
+"""Tables that know whether they are as they were written: Parquet as bytes, with a digest."""
 
 import hashlib
 from typing import Any

@@ -15,7 +15,7 @@ from pcbench.plants import PLANTS
 
 
 def pack(p: Plan) -> bytes | Plan:
-    """Return a planned cell as bytes; as it is where its observers' numbers are of a kind that no other process can find."""
+    """Return a planned cell as bytes; unchanged where its observers' numbers are of a type that no other process knows."""
     plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
     proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
     layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
@@ -39,7 +39,7 @@ def unpack(parcel: bytes | Plan) -> Plan:
 
 
 def lay_aside(p: Plan, path: Path) -> Path | Plan:
-    """Return where a planned cell is laid aside: a file, or where it cannot be one, itself."""
+    """Write a planned cell to a file and return its path; return the cell itself where it cannot be written."""
     parcel = pack(p)
     if isinstance(parcel, Plan):
         return parcel
@@ -48,5 +48,5 @@ def lay_aside(p: Plan, path: Path) -> Path | Plan:
 
 
 def take_up(laid: Path | Plan) -> bytes | Plan:
-    """Return the parcel that was laid aside."""
+    """Return what was laid aside: bytes, or a planned cell."""
     return laid.read_bytes() if isinstance(laid, Path) else laid

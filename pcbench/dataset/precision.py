@@ -1,8 +1,7 @@
 """Seeds until a standard error is reached: which cells need more, and how many.
 
 The number of seeds is a function of the runs that are there, so the same command gives the same seeds again. A rule that
-stops on the data makes intervals a little too narrow: from 256 seeds on they cover within the band that all others do (a
-test).
+stops on the data makes intervals a little too narrow: from 256 seeds on they cover within the band of all others (a test).
 """
 
 from collections.abc import Callable, Iterator
@@ -35,7 +34,7 @@ class Precision(NamedTuple):
 
 
 def parse(text: str | None, most: int | None) -> Precision | None:
-    """Return the goal that METRIC=VALUE or METRIC.SIGNAL=VALUE states; raise UserError where it states none."""
+    """Return what METRIC=VALUE or METRIC.SIGNAL=VALUE asks for; raise UserError where it is not of that form."""
     if text is None:
         if most is not None:
             raise UserError(f"--max-seeds: got {most} without --until-se, expected both; leave --max-seeds out.")

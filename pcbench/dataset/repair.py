@@ -1,4 +1,4 @@
-"""A study's text that is lost or damaged, made anew: every block says which cell and which options it is of."""
+"""A study's lost or damaged text made anew: every block says of which cell and options it is."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +12,7 @@ from pcbench.study.cells import Cell, Grid, numbered
 
 
 def cells_of_blocks(target: store.Target, grid: Grid, blocks: list[Block]) -> list[Cell]:
-    """Return the cells of the study that blocks are of, numbered as their names say, and its other cells after them.
+    """Return the study's cells: those with blocks numbered as the blocks' names say, the others after them.
 
     Raises UserError where a block is of another study: of other options, or of a cell that the study does not have.
     """
@@ -52,6 +52,6 @@ def _apart(study: Study, here: dict[str, list[Cell]], b: Block, said: dict[str, 
 
 
 def _in_order(numbered: dict[int, str], every: list[str]) -> list[str]:
-    """The digests of cells in order of number, with those that have no block in the places that are free."""
+    """The digests of cells in order of number, with those that have no block under the numbers that are free."""
     rest = iter(digest for digest in every if digest not in numbered.values())
     return [numbered.get(i) or next(rest) for i in range(max(numbered) + 1)]

@@ -1,7 +1,8 @@
-"""What a study gave: its tables as pandas frames, read from where they stand."""
+"""A study's results: its tables as pandas frames, read from where they stand."""
 
 from functools import cached_property
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import pandas as pd
@@ -35,12 +36,19 @@ def opened(out: str | Path) -> "Result":
 
 
 class Result:
-    """What a study gave: three tables as pandas frames (see `columns.MEANING`), and its provenance.
+    """A study's results: three tables as pandas frames (see `columns.MEANING`), and its provenance.
 
-    Without a folder of its own it stands in a temporary one, which goes when the result does.
+    Without a folder of its own it keeps a temporary one, which is removed with it.
     """
 
-    def __init__(self, study: Study, target: store.Target, out: Path | str | None, cost: fill.Cost, keep: Any = None):
+    def __init__(
+        self,
+        study: Study,
+        target: store.Target,
+        out: Path | str | None,
+        cost: fill.Cost,
+        keep: TemporaryDirectory[str] | None = None,
+    ):
         self.study, self.out, self.cost, self._target, self._keep = study, out, cost, target, keep
         self.fair: pd.DataFrame | None = None  # of a study with several tunings: see `gains.versions`
         self.provenance: dict[str, Any] = summary.record(target) or {}

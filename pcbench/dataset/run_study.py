@@ -19,7 +19,7 @@ Say = Callable[[str], None]
 
 
 class How(NamedTuple):
-    """How a study is run; of no influence on any number but by how many runs there are. See `pcbench.run`."""
+    """How a study is run: no number depends on it but through how many runs there are. See `pcbench.run`."""
 
     fresh: bool = False
     until_se: str | None = None

@@ -59,7 +59,7 @@ def target(out: str | Path) -> Target:
 
 
 def _printable(root: str) -> None:
-    """Raise UserError for a path whose name this process cannot write: its encoding is not that of the file's name."""
+    """Raise UserError for a path that this process's encoding cannot write."""
     try:
         root.encode()
         os.fsencode(root)
@@ -82,7 +82,7 @@ def _reached(out: str) -> Target:
         ) from None
 
 
-def put(target: Target, name: str, content: Any) -> None:
+def put(target: Target, name: str, content: bytes | pa.Buffer) -> None:
     """Put bytes under a name below the target, whole or not at all; the target itself must be there."""
     path = f"{target.root}/{name}"
     with said(f"{target.name}/{name}"):
@@ -133,7 +133,7 @@ def get(target: Target, name: str) -> pa.Buffer | None:
 
 
 def text(target: Target, name: str) -> bytes | None:
-    """Return the same as Python's bytes."""
+    """Return what stands under a name as Python's bytes; None where nothing does."""
     found = get(target, name)
     return None if found is None else found.to_pybytes()
 
@@ -144,7 +144,7 @@ def names(target: Target, under: str = "") -> list[str]:
 
 
 def sizes(target: Target, under: str = "") -> dict[str, int]:
-    """Return the bytes of those files."""
+    """Return the sizes [bytes] of those files."""
     with said(target.name, "read"):
         base = f"{target.root}/{under}" if under else target.root
         found = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
@@ -152,7 +152,7 @@ def sizes(target: Target, under: str = "") -> dict[str, int]:
         return {name: size for name, size in each.items() if not any(part[0] in "._" for part in name.split("/"))}
 
 
-def footer(target: Target, name: str) -> Any:
+def footer(target: Target, name: str) -> pq.FileMetaData | None:
     """Return a Parquet file's metadata, without its rows; None where they cannot be read."""
     try:
         with target.fs.open_input_file(f"{target.root}/{name}") as file:

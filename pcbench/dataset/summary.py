@@ -26,7 +26,7 @@ FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it
 
 
 def close(target: store.Target, owned: Owned, there: list[Block], about: dict[str, Any]) -> None:
-    """Write stats.parquet and pairs.parquet of the blocks that are there, and provenance.json with what is said `about` it."""
+    """Write stats.parquet and pairs.parquet of these blocks, and provenance.json with what is said `about` the run."""
     stats, pairs, weakest = closing_tables(target, owned, there)
     store.put(target, "stats.parquet", stats)
     store.put(target, "pairs.parquet", pairs)
@@ -53,7 +53,7 @@ def _digest(said: dict[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-def digest_of(content: Any) -> str:
+def digest_of(content: pa.Buffer) -> str:
     """Return the digest of a file's bytes."""
     return hashlib.sha256(content).hexdigest()[:32]
 
@@ -87,7 +87,7 @@ def closing_tables(
 
 
 def fingerprint(there: list[Block]) -> bytes:
-    """Return the digest of which runs there are, however they are cut into blocks."""
+    """Return a digest of which runs there are, the same however they are cut into blocks."""
     ranges: dict[tuple[str, str, int], list[Seeds]] = {}
     for b in block_files.settled(there):
         ranges.setdefault(b[:3], []).append(b.seeds)
@@ -96,7 +96,7 @@ def fingerprint(there: list[Block]) -> bytes:
 
 
 def damaged(target: store.Target) -> list[str]:
-    """Return the closing files that stand and are not as they were written."""
+    """Return the closing files that are there, but not as they were written."""
     said = record(target)
     if said is None:
         return [PROVENANCE] if store.get(target, PROVENANCE) is not None else []
@@ -125,12 +125,12 @@ def table(target: store.Target, name: str) -> pa.Table | None:
 
 
 class GrowingTable:
-    """A table, at least one, whose rows come in parts."""
+    """A table whose rows come in parts, one part at least."""
 
     def __init__(self, about: dict[bytes, bytes]) -> None:
         self.about, self.sink = about, pa.BufferOutputStream()
         self.waiting: list[pa.Table] = []
-        self.writer: Any = None
+        self.writer: Any = None  # a pq.ParquetWriter, once there is a schema
 
     def add(self, table: pa.Table) -> None:
         """Add some rows."""

@@ -4,12 +4,13 @@ A pure function of its description: wherever and however often a task is done, i
 """
 
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from math import isfinite
 from time import perf_counter
 from typing import Any, NamedTuple
 
 import numpy as np
+import pyarrow as pa
 
 from pcbench.dataset import block_files, columns, store
 from pcbench.dataset.pickled import unpack
@@ -25,6 +26,7 @@ from pcbench.study import Study, observers_of
 from pcbench.study.cells import Cell
 
 ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
+Hold = Callable[[], AbstractContextManager[Any]]  # a device, held while it computes
 
 
 class Work(NamedTuple):
@@ -49,7 +51,7 @@ class Task(NamedTuple):
 
 
 class Report(NamedTuple):
-    """What a task tells when its files stand."""
+    """What a task reports once its files stand."""
 
     runs: int
     program: tuple[str, int]  # which one computed it, of which process
@@ -58,8 +60,8 @@ class Report(NamedTuple):
     versions: dict[str, str]  # of what computed it
 
 
-def compute(work: Work, task: Task, hold: Callable[[], Any] = nullcontext) -> Report:
-    """Do a task: simulate its seeds while holding a device, then put its blocks; raise UserError where that cannot be."""
+def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
+    """Do a task: simulate its seeds while holding a device, then write its blocks; raise UserError where that fails."""
     with hold() as device:
         p, results, made = simulated(work, task, device)
     start, target = perf_counter(), store.target(work.out)
@@ -70,7 +72,7 @@ def compute(work: Work, task: Task, hold: Callable[[], Any] = nullcontext) -> Re
     )
 
 
-def files(work: Work, task: Task, p: Plan, results: in_memory.Results) -> Iterator[tuple[str, Any]]:
+def files(work: Work, task: Task, p: Plan, results: in_memory.Results) -> Iterator[tuple[str, pa.Table]]:
     """Yield the blocks of a task, (name, rows) each."""
     at = 0
     for seeds, labels in task.pieces:
@@ -91,7 +93,7 @@ def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memo
         return p, in_memory.results(p, batch.serial(made, jobs)), made
 
 
-def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds) -> tuple[str, Any]:
+def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds) -> tuple[str, pa.Table]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
     c, signals = p.certificates[label], signals_of(p.cell.scenario)
     many = len(results["mae"])
@@ -122,7 +124,7 @@ def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds
 
 
 def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:
-    """Yield the tasks that fill the `missing` ranges of a cell, by observer: blocks as cut, as many as fill a call."""
+    """Yield the tasks that fill a cell's `missing` ranges (by observer): a block each range, as many of them as fill a call."""
     wanted: dict[Seeds, list[str]] = {}
     for label, ranges in missing.items():
         for each in ranges:

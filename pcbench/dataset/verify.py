@@ -1,8 +1,9 @@
-"""Looking at a dataset that stands: what is done, whether it is whole, whether it comes out again. Nothing is written."""
+"""A look at a dataset: how far it is, whether it is whole, whether it comes out again. Nothing is written."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -45,7 +46,7 @@ class Status(NamedTuple):
     closed: bool  # the closing tables stand, and are of these blocks
 
 
-def status(out: Any) -> Status:
+def status(out: str | Path) -> Status:
     """Return what stands in a dataset, from the blocks' names and footers; raise UserError where there is no study."""
     target = store.target(out)
     owned = ownership.opened(target)
@@ -66,10 +67,16 @@ def status(out: Any) -> Status:
             lacking = sum(seeds.many for ranges in gaps for seeds in ranges)
             blocks_there = len(by.get((scenario, observer), []))
             rows.append(Share(scenario, observer, len(mine), blocks_there, asked - lacking, asked))
-    sizes = store.sizes(target)
     damaged = [b.name for b in there if store.footer(target, b.name) is None] + summary.damaged(target)
-    left = [p.name for p in store.unfinished(target)]
-    return Status(study.name, rows, damaged, doubled, left, sum(sizes.values()), summary.is_closed(target, there))
+    return Status(
+        study=study.name,
+        shares=rows,
+        damaged=damaged,
+        doubled=doubled,
+        unfinished=[p.name for p in store.unfinished(target)],
+        bytes=sum(store.sizes(target).values()),
+        closed=summary.is_closed(target, there),
+    )
 
 
 class Verdict(NamedTuple):
@@ -81,7 +88,7 @@ class Verdict(NamedTuple):
     differing: list[str]  # a sentence each
 
 
-def verify(out: Any, sample: int | None, seed: int, progress: Progress = SILENT) -> Verdict:
+def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = SILENT) -> Verdict:
     """Check every file of a dataset, and compute `sample` blocks (None: all) again; compare bit for bit.
 
     Blocks are drawn with `seed`. The closing tables are made again and compared too.
@@ -117,7 +124,7 @@ def _again(target: store.Target, owned: Owned, chosen: list[Block], progress: Pr
 
 
 def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:
-    """Yield what computes blocks again: those of one cell and the same seeds together."""
+    """Yield the tasks that compute blocks again: those of one cell and the same seeds together."""
     by: dict[tuple[str, int], dict[Seeds, list[str]]] = {}
     for b in chosen:
         by.setdefault((b.scenario, b.cell), {}).setdefault(b.seeds, []).append(b.observer)
@@ -128,7 +135,7 @@ def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:
                 yield task.Task(padding.fitted(draft, room), ((seeds, labels),))
 
 
-def _compared(target: store.Target, work: task.Work, one: task.Task, hold: Callable[[], Any]) -> tuple[int, list[str]]:
+def _compared(target: store.Target, work: task.Work, one: task.Task, hold: task.Hold) -> tuple[int, list[str]]:
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
         p, results, _ = task.simulated(work, one, device)
@@ -200,8 +207,8 @@ def _others(target: store.Target, owned: Owned) -> Iterator[str]:
             yield f"{name}: is not as it was written; remove it to have it made anew."
 
 
-def _closing_differs(target: store.Target, owned: Owned, kept: list[Block]) -> Any:
-    """Yield a sentence for every closing table that does not follow from the blocks."""
+def _closing_differs(target: store.Target, owned: Owned, kept: list[Block]) -> list[str]:
+    """Return a sentence for every closing table that does not follow from the blocks."""
     if not summary.is_closed(target, kept):
         return ["stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."]
     stats, pairs, _ = summary.closing_tables(target, owned, kept)

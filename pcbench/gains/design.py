@@ -1,4 +1,4 @@
-"""Designing gains: one design with its certificate, as a study that can be run, and what a design trades for what."""
+"""Gains by design: one design with its certificate, the same as a study that can be run, and trade-offs."""
 
 from typing import Any, get_args
 
@@ -26,7 +26,7 @@ HIDDEN = ("P", "P1", "P2", "shared_P")  # what proves, not what is promised
 def design(
     scenario: Described, observer: str, *, method: str | None = None, overrides: list[str] | None = None
 ) -> tuple[Study, Cell, Design]:
-    """Return an observer's design in a scenario's one cell; `method` is a way of its own to find gains.
+    """Return an observer's design in a scenario's one cell; `method` is one of the observer's ways to find gains.
 
     Raises UserError for another word, DesignError where the gains are not certified.
     """
@@ -37,7 +37,7 @@ def design(
 
 
 def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str, Any]:
-    """Return what TOML writes of a design: a study of it with the gains as numbers where options can hold them.
+    """Return a design as a study, as TOML writes it: with the gains as numbers where options can hold them.
 
     Under [resolved.certificate] stands what proves them; a study that is read leaves it aside. What is returned has been
     designed anew from these options, so it can be run.
@@ -111,7 +111,7 @@ def _changed(study: Study, observer: str, options: dict[str, Any]) -> Study:
 
 
 def _way_of(observer: str) -> list[str]:
-    """The option that says in which way an observer's gains are found, if it has one."""
+    """The option that says how an observer's gains are found, if it has one."""
     return [name for name, field in entry_of(observer).options.model_fields.items() if extra(field).get(WAY)]
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import jax
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from pcbench.errors import UserError
@@ -22,7 +23,7 @@ Evaluate = Callable[[Vector], tuple[float, Vector]]
 
 
 def check_estimates(p: Plan, aim: Objective, where: str) -> None:
-    """Raise UserError where the observer does not estimate the goal's signal."""
+    """Raise UserError where the observer does not estimate the objective's signal."""
     ((label, observer),) = p.layout.observers
     found = jax.eval_shape(
         lambda g, x: observer.estimate(g, observer.init(g, x)), p.problem.gains[label], p.problem.xhat0
@@ -35,7 +36,7 @@ def check_estimates(p: Plan, aim: Objective, where: str) -> None:
 
 
 def method_for(asked: str | None, aim: Objective, p: Plan, where: str) -> str:
-    """Return descent where there is a gradient, or else search; raise UserError where descent is asked for in vain."""
+    """Return descent where there is a gradient, or else search; raise UserError where descent is asked for without one."""
     if asked not in (None, *METHODS):
         raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
     against = {
@@ -51,7 +52,7 @@ def method_for(asked: str | None, aim: Objective, p: Plan, where: str) -> str:
 
 
 def evaluator(
-    how: str, p: Plan, aim: Objective, root_seed: int, seeds: Any, design: Callable[[Vector], Any]
+    how: str, p: Plan, aim: Objective, root_seed: int, seeds: NDArray[np.int64], design: Callable[[Vector], Any]
 ) -> Evaluate:
     """Return what evaluates a point: infinite where its gains are refused or a run diverges."""
     (label, _), *_ = p.layout.observers

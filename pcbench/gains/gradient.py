@@ -1,7 +1,7 @@
 """The gradient of an objective by an observer's free parameters.
 
 Through the simulator it is exact, by reverse mode, with respect to every number among the gains. From the free parameters to
-the gains the way is the observer's own design, in NumPy: a few numbers, so central differences of it, good to 1e-9.
+the gains leads the observer's own design, in NumPy: of so few numbers central differences are enough, good to 1e-9.
 """
 
 from collections.abc import Callable
@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from pcbench.errors import UserError
@@ -19,27 +20,29 @@ from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.planning.padding import Plan
 from pcbench.simulation import batch, differentiable
+from pcbench.simulation.problem import Problem
 
 LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
 STEP = 1e-5  # of a free parameter
-Slope = tuple[
-    float, list[Any], bool
-]  # the mean of a goal's base over runs, its derivative by each array of gains, a run is lost
+# the mean of an objective's base over runs, its derivative by each array of gains, whether a run is lost
+Slope = tuple[float, list[Any], bool]
 
 
 def numbers(gains: Any) -> list[Any]:
-    """Return the arrays of real numbers among gains: what may be differentiated by."""
+    """Return the arrays of real numbers among gains: those to differentiate by."""
     return [a for a in jax.tree.leaves(gains) if np.issubdtype(np.result_type(a), np.floating)]
 
 
-def backwards(p: Plan, goal: Objective, root_seed: int, seeds: Any) -> Callable[[Any], Slope]:
-    """Return what gives, for gains of a planned cell's one observer, the mean over runs and its derivatives."""
+def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]) -> Callable[[Any], Slope]:
+    """Return a function of the gains of a planned cell's one observer: the mean over runs and its derivatives."""
     (label, _), *_ = p.layout.observers
     layout = p.layout._replace(width=min(LANES, len(seeds)))
     n, tail = p.cell.times.ticks, p.cell.times.tail
     tree = jax.tree.structure(p.problem.gains[label])
 
-    def mean(reals: list[Array], others: list[Any], problem: Any, seeds: Array, weights: Array) -> tuple[Array, Array]:
+    def mean(
+        reals: list[Array], others: list[Any], problem: Problem, seeds: Array, weights: Array
+    ) -> tuple[Array, Array]:
         left, right = iter(reals), iter(others)
         leaves = [next(left if real else right) for real in which]
         whole = problem._replace(gains={label: jax.tree.unflatten(tree, leaves)})
@@ -69,7 +72,7 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: Any) -> Callable[
 
 
 def chain(slopes: list[Any], design: Callable[[Vector], Any], at: Vector) -> Vector:
-    """Return the derivative by free parameters from that by the gains that `design` makes of them."""
+    """Return the derivative by the free parameters, by the chain rule through `design`, from that by the gains."""
     out = np.zeros(len(at))
     for i, step in enumerate(STEP * np.eye(len(at))):
         sides = [(sign, found) for sign in (1, -1) if (found := _allowed(design, at + sign * step)) is not None]
@@ -93,7 +96,7 @@ def _allowed(design: Callable[[Vector], Any], at: Vector) -> list[Any] | None:
         return None
 
 
-def _padded(seeds: Any, width: int, many: int) -> tuple[Any, Any]:
+def _padded(seeds: NDArray[np.int64], width: int, many: int) -> tuple[NDArray[np.int64], Vector]:
     weights = np.where(np.arange(width) < len(seeds), 1 / many, 0.0)
     return np.resize(seeds, width), weights
 

@@ -34,13 +34,23 @@ def judge(
         (pair,) = result.pairs[(result.pairs.signal == aim.name) & (result.pairs.metric == metric)].to_dict("records")
         sign = 1.0 if pair["observer_a"] == labels[1] else -1.0
         (a, a_se, bad), (b, b_se, worse) = stats.loc[list(labels), ["mean", "se", "diverged"]].to_numpy().tolist()
-        gap = sign * float(pair["mean_diff"]), float(pair["se"])
-        out.append(Judgement(what, each, a, a_se, b, b_se, *gap, (int(bad), int(worse))))
+        judgement = Judgement(
+            what=what,
+            seeds=each,
+            start=a,
+            start_se=a_se,
+            tuned=b,
+            tuned_se=b_se,
+            difference=sign * float(pair["mean_diff"]),
+            difference_se=float(pair["se"]),
+            diverged=(int(bad), int(worse)),
+        )
+        out.append(judgement)
     return out
 
 
 def against(judged: list[Judgement]) -> str:
-    """Return why what was found is not to be used, if it is not: worse than its start on the judging runs."""
+    """Return why what was found is not used (worse than its start on the judging runs); empty where it is."""
     (j,) = (each for each in judged if each.what == "judging")
     if j.diverged[1] > j.diverged[0]:
         return f"{j.diverged[1]} of {j.seeds.many} judging runs diverge, {j.diverged[0]} with the start"

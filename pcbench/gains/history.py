@@ -1,4 +1,4 @@
-"""What a tuning has seen so far, point by point, in a Parquet file: all that is needed to go on; and what it has found."""
+"""The points of a tuning so far, in a Parquet file: all that is needed to go on; and what it has found."""
 
 import tomllib
 from collections.abc import Callable
@@ -21,7 +21,7 @@ PAUSE = 2.0  # [s] between two writings
 
 
 class Judgement(NamedTuple):
-    """A goal's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
+    """An objective's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
 
     what: str  # training or judging
     seeds: Seeds
@@ -44,7 +44,7 @@ class Evaluation(NamedTuple):
 
 
 class History:
-    """The points of a tuning in the order in which they were asked for; what was seen before is told again."""
+    """The points of a tuning in the order in which they were asked for; those of an earlier run are not evaluated again."""
 
     def __init__(self, target: store.Target, about: str, names: list[str]):
         self.target, self.about, self.names = target, about, names
@@ -53,7 +53,7 @@ class History:
         self.written = monotonic()
 
     def ask(self, at: Vector, evaluate: Callable[[Vector], tuple[float, Vector]]) -> tuple[float, Vector]:
-        """Return value and slope at a point: from what was seen, if it is the next of that, or else evaluated."""
+        """Return value and slope at a point: as an earlier run found them, if this was its next point, or else evaluated."""
         key, number = tuple(map(float, at)), len(self.points)
         if number < len(self.before) and self.before[number].at == key:
             point = self.before[number]
@@ -135,9 +135,9 @@ def finish(target: store.Target, about: str, tuned: Any) -> None:
 
 
 def finished(target: store.Target, whole: str, about: str) -> dict[str, Any] | None:
-    """Return the parts of what an earlier run of the same tuning has found; None where there is none.
+    """Return what an earlier run of the same tuning has found; None where there is none.
 
-    `whole` is what was done to the end, `about` what its history is of.
+    `whole` describes the finished tuning, `about` its history.
     """
     content = store.text(target, FOUND)
     try:

@@ -1,8 +1,8 @@
 """Two ways down: L-BFGS on gradients, and Nelder and Mead's simplex where there are none.
 
 The training draws are fixed, so the objective is a function without noise: curvature can be learnt from its gradients, which
-takes a third of the points that Adam needs. Both ways are deterministic in what they are told of the points they ask for, so
-a tuning that was stopped goes on by being told again what it has seen.
+takes a third of the points that Adam needs. Both ask for the same points where they get the same answers, so a tuning that
+was stopped goes on by getting its earlier answers again.
 """
 
 from collections.abc import Callable

@@ -34,22 +34,22 @@ class Objective(NamedTuple):
         return self.base.removeprefix("tail_") in differentiable.SMOOTH
 
     def of(self, mean: float) -> float:
-        """Return the goal from the mean of its base over runs."""
+        """Return the objective from the mean of its base over runs."""
         return float(np.sqrt(mean)) if self.metric in POOLED else mean
 
     def slope(self, mean: float) -> float:
-        """Return the derivative of the goal by that mean."""
+        """Return the derivative of the objective by that mean."""
         return 0.5 / float(np.sqrt(mean)) if self.metric in POOLED and mean > 0 else 1.0
 
     def over(self, runs: NDArray[np.float64], diverged: NDArray[np.bool_]) -> float:
-        """Return the goal over runs [n] of its base; infinite where one of them diverged."""
+        """Return the objective over runs [n] of its base; infinite where one of them diverged."""
         return float("inf") if diverged.any() else self.of(float(np.mean(runs)))
 
 
 def objective_of(objective: str, scenario: Scenario, signal: str | None, where: str) -> Objective:
-    """Return the goal that a metric's name and a signal's say (default: the first that a closing table shows).
+    """Return the objective of these names; the signal is by default the first that a closing table shows.
 
-    Raises UserError for another word.
+    Raises UserError for an unknown one.
     """
     ticks = round(scenario.horizon / scenario.dt)
     loop, jumping = bool(scenario.loop.controller), jumps(scenario.truth.unknown_input, scenario.dt, ticks).size > 0

@@ -1,8 +1,8 @@
 """The free parameters of an observer: options that may be tuned, as numbers without bounds.
 
 An option says so itself (`tunable`). A positive number is its logarithm here, one between two numbers its logit, a matrix its
-entries over their natural size: so every vector of numbers is an option that may be written into a study, and Adam's steps
-mean the same in all of them. Gains follow by the observer's own design, which certifies them or refuses.
+entries over their natural size: so every vector of numbers is an option that may be written into a study, and a step
+means the same in all of them. Gains follow by the observer's own design, which certifies them or refuses.
 """
 
 from collections.abc import Callable, Mapping
@@ -152,7 +152,7 @@ def _unbounded(value: Vector, f: Free) -> Vector:
 
 
 def _kind(field: FieldInfo) -> str:
-    """How an option is bounded: its own declaration says."""
+    """How an option is bounded, by its own declaration."""
     if extra(field)[TUNABLE]:
         return "between"
     bounds = [*field.metadata, *_inside(field.annotation)]
@@ -161,6 +161,6 @@ def _kind(field: FieldInfo) -> str:
 
 
 def _inside(annotation: Any) -> list[Any]:
-    """What the kinds of value that an option may have declare of themselves."""
+    """The declarations of each type that an option's value may have."""
     declared = [m for kind in get_args(annotation) for m in getattr(kind, "__metadata__", ())]
     return [m for each in declared for m in (each.metadata if isinstance(each, FieldInfo) else [each])]

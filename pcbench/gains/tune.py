@@ -1,4 +1,4 @@
-"""One tuning: an observer's free parameters in a scenario, within a budget, judged on other draws than it was tuned on."""
+"""One tuning: an observer's free parameters in a scenario, within a budget, judged on draws that it was not tuned on."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -49,7 +49,7 @@ class Tuning(NamedTuple):
 
 
 def tune(
-    scenario: Any,
+    scenario: read.Described,
     observer: str,
     *,
     budget: int = BUDGET,
@@ -105,14 +105,14 @@ def tune(
         judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
         kept = against(judged)
         tuned = Tuning(
-            _study(study, observer, {} if kept else found),
-            parameters.written(every, start),
-            found,
-            kept,
-            judged,
-            trials.points,
-            how,
-            aim,
+            study=_study(study, observer, {} if kept else found),
+            start=parameters.written(every, start),
+            found=found,
+            kept_start=kept,
+            judged=judged,
+            points=trials.points,
+            method=how,
+            objective=aim,
         )
         history.finish(target, whole, tuned)
         return tuned
@@ -121,7 +121,7 @@ def tune(
 def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple[Study, Cell, Design]:
     """The study and its cell with their observer's design; a decay is asked for a little slower.
 
-    A gain that was found for a rate stands at the edge of it, where another proof of the same rate may fail.
+    A gain found for a rate stands at its edge, where another proof of the same rate may fail.
     """
     options = cell.options[observer]
     designed = entry_of(observer).design(known, options)

@@ -6,8 +6,8 @@
 
 Three ranges of seeds have nothing in common: training runs, those that decide whether a tuned gain or its start is kept, and
 the study's own, on which all are compared. Of a study with several cells gains are tuned in the first and run in all.
-Observers without a design of their own, or without free parameters, have fewer versions. What is returned to be run has nothing
-but explicit options, so any machine can run, verify and merge it.
+Observers without a design of their own, or without free parameters, have fewer versions. The study returned has explicit
+options only, so any machine can run, verify and merge it.
 """
 
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ class Version(NamedTuple):
 
 
 class ExplicitStudy(NamedTuple):
-    """A study with every option explicit, and what its labels are."""
+    """A study with every option explicit, and the versions that its labels stand for."""
 
     grid: Grid
     versions: list[Version]  # empty: one tuning only, nothing to compare

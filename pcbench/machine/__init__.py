@@ -1,1 +1,1 @@
-"""The process and its machine: how it is set up, its memory, its cache, and the record of what made a number."""
+"""The process: how it is set up, its memory, its cache, how far its work is, and the record of what made a number."""

@@ -13,7 +13,7 @@ def folder() -> Path:
 
 
 def keep(path: Path, text: str) -> None:
-    """Put a text into the cache, whole or not at all; one that cannot be written only costs time."""
+    """Put a text into the cache, whole or not at all; where it cannot be written, that only costs time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as beside:

@@ -27,7 +27,7 @@ def setup() -> None:
 def float64() -> Iterator[None]:
     """Return a context in which jax computes in float64 and compiles, whatever the host program chose.
 
-    Raises UserError where jax knows no such platform as it was told.
+    Raises UserError where jax cannot use the platform that JAX_PLATFORMS names.
     """
     try:
         with jax.enable_x64(True), jax.disable_jit(False):
@@ -42,5 +42,5 @@ def float64() -> Iterator[None]:
 
 
 def name() -> str:
-    """Return a name for this process among those of all machines."""
+    """Return a name that tells this process from all others, on any machine."""
     return f"{socket.gethostname()}-{os.getpid()}"

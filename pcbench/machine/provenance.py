@@ -28,7 +28,7 @@ def versions() -> dict[str, str]:
 
 
 def compiler() -> str:
-    """Return what the compiler of programs was told beside its defaults, by XLA_FLAGS and jax's settings; or 'defaults'."""
+    """Return how XLA_FLAGS and jax's settings changed the compiler's defaults; or 'defaults'."""
     flags = [word for word in os.environ.get("XLA_FLAGS", "").split() if not word.startswith(ELSEWHERE)]
     settings = {name: getattr(jax.config, name, None) for name in COMPILING}
     told = [f"{name}={value}" for name, value in settings.items() if value and str(value) != "UNKNOWN"]

@@ -12,11 +12,13 @@ from pcbench.dataset.columns import AXIS_UNITS, axes_of
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
 from pcbench.statistics import winning
+from pcbench.statistics.wording import ROUNDING
 from pcbench.study import scenarios_of
 
 METRIC = "tail_rmse"  # by which observers are ranked, unless said otherwise
 POINTS = 100  # of a distribution
-ROUNDING = 1e-11  # an error below it is drawn as 0: no picture ranks the rounding of zero
+WIDE = 30.0  # values whose largest is so many times the least are drawn on a logarithmic axis
+ROOM = 0.35  # of the plant's range, above and below it
 
 
 def scenario_of(result: Result, scenario: str | None) -> str:
@@ -145,3 +147,23 @@ def winners(
         text = found or ("tie" if np.isfinite(best["mean"]) else "all diverge")
         out.append(known | {"cell": cell, "winner": found, "mean": best["mean"], "text": text})
     return pd.DataFrame(out)
+
+
+def wide(values: pd.Series) -> bool:
+    """Say whether values are drawn on a logarithmic axis: all positive, over more than a decade and a half."""
+    found = values[np.isfinite(values)]
+    return bool(len(found) and found.min() > 0 and found.max() > WIDE * found.min())
+
+
+def room(run: pd.DataFrame) -> tuple[float, float]:
+    """Return the ends of the axis of one run in time: plant and target, with room; what runs away leaves the picture."""
+    mine = run.value[run.kind.isin(["truth", "target"]) & np.isfinite(run.value)]
+    low, high = float(mine.min()), float(mine.max())
+    beyond = ROOM * (high - low) if high > low else 1.0
+    return low - beyond, high + beyond
+
+
+def with_ends(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the table `fair` with the ends `low` and `high` of the 95 % intervals of what is held out."""
+    half = 1.96 * table.held_out_se
+    return table.assign(low=table.held_out - half, high=table.held_out + half)

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
+from pcbench.plots import frames
 from pcbench.plots.palette import styles
 from pcbench.plots.sheet import dress, legend, sheet, title_of
 
@@ -21,14 +22,14 @@ def fair(result: Result, *, cell: int = 0) -> Figure:
         raise UserError(
             f"study {result.study.name}: got no table fair, expected a study with several tunings; run fair."
         )
-    table = result.fair[result.fair.cell == cell]
+    table = frames.with_ends(result.fair[result.fair.cell == cell])
     names = list(dict.fromkeys(table.observer))
     look, first = styles(names), table.iloc[0]
     figure, ((ax,),) = sheet()
     for tuning, mine in table.groupby("tuning", sort=False):
         x = np.array([names.index(o) for o in mine.observer]) + 0.22 * (list(MARKS).index(str(tuning)) - 1)
         colours = [look[o].colour for o in mine.observer]
-        ax.vlines(x, mine.held_out - 1.96 * mine.held_out_se, mine.held_out + 1.96 * mine.held_out_se, colors=colours)
+        ax.vlines(x, mine.low, mine.high, colors=colours)
         ax.scatter(x, mine.held_out, c=colours, marker=MARKS[str(tuning)], s=36, zorder=3)
         ax.scatter(x, mine.training, facecolors="none", edgecolors=colours, marker=MARKS[str(tuning)], s=80, zorder=2)
         ax.scatter([], [], c="#555555", marker=MARKS[str(tuning)], label=str(tuning))

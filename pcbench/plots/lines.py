@@ -2,15 +2,13 @@
 
 from typing import Any
 
-import numpy as np
-import pandas as pd
 from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.plots import frames, one_run
-from pcbench.plots.palette import Style, styles
+from pcbench.plots.palette import MEASURED, PLANT, Style, styles
 from pcbench.plots.sheet import dress, legend, sheet, title_of, unit_of
 from pcbench.study import scenarios_of
 
@@ -33,7 +31,7 @@ def distributions(
     look = styles(named.observer)
     for observer, mine in part.groupby("observer", sort=False):
         ax.step(mine.value, mine.share, where="post", label=observer, **_line(look[str(observer)]))
-    if len(part) and part.value.min() > 0 and part.value.max() > 30 * part.value.min():
+    if frames.wide(part.value):
         ax.set_xscale("log")
     dress(ax, title_of(metric, named.signal.iloc[0], unit_of(named)), "share of runs", named.scenario.iloc[0])
     ax.set_ylim(0, 1.02)
@@ -71,7 +69,8 @@ def curves(
         x = mine[axis].astype(str) if words else mine[axis]
         ax.plot(x, mine["mean"], label=observer, marker=style.marker, markersize=4, **_line(style))
         ax.fill_between(x, mine.ci_low, mine.ci_high, color=style.colour, alpha=0.18, linewidth=0)
-    _log_where_wide(ax, part["mean"])
+    if frames.wide(part["mean"]):
+        ax.set_yscale("log")
     dress(ax, frames.label(axis), title_of(metric, whole.signal.iloc[0], unit_of(whole)), whole.scenario.iloc[0])
     legend(figure, ax)
     return figure
@@ -95,7 +94,7 @@ def time(result: Result, *, scenario: str | None = None, signal: str | None = No
         if kind == "estimate":
             ax.plot(mine.t, mine.value, label=series, **_line(known))
         elif kind == "measured":
-            ax.step(mine.t, mine.value, where="post", label="measured, held", color="#9BB7D4", linewidth=1.0, zorder=1)
+            ax.step(mine.t, mine.value, where="post", label="measured, held", color=MEASURED, linewidth=1.0, zorder=1)
         elif kind == "target":
             ax.plot(mine.t, mine.value, label="target", color="#BBBBBB", linewidth=2.5, zorder=1)
         else:
@@ -103,31 +102,16 @@ def time(result: Result, *, scenario: str | None = None, signal: str | None = No
                 mine.t,
                 mine.value,
                 label=series,
-                color="#E3BE8B" if series == "plant" else known.colour,
+                color=PLANT if series == "plant" else known.colour,
                 linewidth=4,
                 alpha=0.45,
             )
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     dress(ax, "t [s]", f"{signal.replace('_', ' ')} [{unit}]", f"{scenario}, seed {result.study.first_seed}")
-    low, high = _room(part)
-    ax.set_ylim(low, high)
+    ax.set_ylim(*frames.room(part))
     legend(figure, ax)
     return figure
 
 
-def _room(part: pd.DataFrame) -> tuple[float, float]:
-    """What the eye needs to see: the plant and what was measured, with room; what runs away leaves the picture."""
-    mine = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
-    low, high = float(mine.min()), float(mine.max())
-    room = 0.35 * (high - low) if high > low else 1.0
-    return low - room, high + room
-
-
 def _line(style: Style) -> dict[str, Any]:
     return {"color": style.colour, "linewidth": 1.4, "linestyle": (0, style.dash) if style.dash else "solid"}
-
-
-def _log_where_wide(ax: Any, values: pd.Series) -> None:
-    found = values[np.isfinite(values)]
-    if len(found) and found.min() > 0 and found.max() > 30 * found.min():
-        ax.set_yscale("log")

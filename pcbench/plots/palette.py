@@ -27,6 +27,7 @@ COLOURS = {
     "high-gain": "#882255",
     "ekf": "#D55E00",
 }
+PLANT, MEASURED = "#E3BE8B", "#9BB7D4"  # that no observer has
 OWN = ("#009E73", "#CC79A7", "#6699CC", "#997700", "#661100")  # of a user's own observers, by name
 DASHES: tuple[tuple[int, ...], ...] = ((), (6, 2), (2, 2), (8, 2, 2, 2), (4, 2, 1, 2, 1, 2))
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p", "d")

@@ -81,14 +81,14 @@ def order(part: pd.DataFrame, axis: str) -> Any:
 
 
 def where(whole: pd.DataFrame, free: list[str], how: str = "The words are of") -> str:
-    """Return at which values of the axes that vary a text holds, as a sentence; empty where it holds of all."""
+    """Return as a sentence at which values of the other axes a text holds; empty where none varies."""
     first = frames.fixed(whole, free).iloc[0]
     said = ", ".join(f"{frames.label(a)} {word(first[a])}" for a in frames.varying(whole) if a not in free)
     return f" {how} {said}." if said else ""
 
 
 def word(value: Any) -> Any:
-    """Return an axis' value as a chart says it; a scenario's own where it has none."""
+    """Return an axis' value as a chart says it; "own" where it is the scenario's own."""
     return "own" if value is None or value != value else value
 
 
@@ -107,14 +107,12 @@ def rounded(data: pd.DataFrame) -> pd.DataFrame:
 
 
 def scale(values: pd.Series, **more: Any) -> Any:
-    """Return a scale: logarithmic where positive values go over more than a decade and a half."""
-    found = values[np.isfinite(values)]
-    wide = len(found) and found.min() > 0 and found.max() > 30 * found.min()
-    return alt.Scale(type="log", **more) if wide else alt.Scale(zero=False, nice=True, **more)
+    """Return a scale: logarithmic where values are `frames.wide`."""
+    return alt.Scale(type="log", **more) if frames.wide(values) else alt.Scale(zero=False, nice=True, **more)
 
 
 def spec(chart: Any, params: list[Any] | None = None) -> dict[str, Any]:
-    """Return a chart's specification, as wide as the page where it is not of small maps."""
+    """Return a chart's specification, as wide as the page unless it is of small maps."""
     for param in params or []:
         chart = chart.add_params(param)
     spec: dict[str, Any] = chart.to_dict()

@@ -7,12 +7,12 @@ import numpy as np
 import pandas as pd
 
 from pcbench.plots import frames
-from pcbench.plots.palette import styles
+from pcbench.plots.palette import MEASURED, PLANT, styles
 from pcbench.plots.sheet import title_of, unit_of
 from pcbench.report import chart
 from pcbench.report.chart import Chart
 
-OTHERS = {"plant": "#E3BE8B", "target": "#CFCFCF", "measured": "#9BB7D4"}  # colours that no observer has
+OTHERS = {"plant": PLANT, "target": "#CFCFCF", "measured": MEASURED}
 
 
 def distribution(whole: pd.DataFrame, part: pd.DataFrame, metric: str) -> Chart:
@@ -73,7 +73,7 @@ def time(part: pd.DataFrame, names: list[str], signal: str, unit: str, seed: int
     look = styles(names)
     series = list(dict.fromkeys(part.series))
     colours = [_of_series(s, look) for s in series]
-    low, high = _room(part)
+    low, high = frames.room(part)
     ends = part[part.kind != "measured"].groupby("series", sort=False).value.last()
     part = part.assign(value=part.value.where(part.value.between(low - (high - low), high + (high - low))))
     wide = part[part.kind != "measured"]
@@ -127,11 +127,4 @@ def _said(value: float, unit: str) -> str:
 
 def _of_series(series: str, look: dict[str, Any]) -> str:
     name = series.removeprefix("plant under ")
-    return look[name].colour if name in look else OTHERS.get(series, "#9BB7D4")
-
-
-def _room(part: pd.DataFrame) -> tuple[float, float]:
-    mine = part.value[part.kind.isin(["truth", "target"]) & np.isfinite(part.value)]
-    low, high = float(mine.min()), float(mine.max())
-    room = 0.35 * (high - low) if high > low else 1.0
-    return low - room, high + room
+    return look[name].colour if name in look else OTHERS.get(series, MEASURED)

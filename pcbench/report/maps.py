@@ -99,7 +99,7 @@ def fair(table: pd.DataFrame) -> Chart:
     """Return what gains as printed, by design and tuned are worth on held-out runs, beside training runs."""
     first, names = table.iloc[0], list(dict.fromkeys(table.observer))
     look = styles(names)
-    data = table.assign(low=table.held_out - 1.96 * table.held_out_se, high=table.held_out + 1.96 * table.held_out_se)
+    data = frames.with_ends(table)
     columns = ["observer", "tuning", "training", "held_out", "low", "high", "efficiency"]
     base = alt.Chart(chart.rounded(data[columns]))
     x = alt.X("tuning:N", title=None, sort=list(WORDS))

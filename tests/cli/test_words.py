@@ -9,7 +9,7 @@ from rich.console import Console
 
 from pcbench.cli.screen import claims, comparison, results
 from pcbench.dataset.compare import Comparison
-from pcbench.reproduce.claim import FINDING, VERDICTS, Owned
+from pcbench.reproduce.claim import FINDING, VERDICTS, Claim
 from pcbench.statistics import wording
 from pcbench.study import STUDIES, Study
 
@@ -81,7 +81,7 @@ def printed(show_it, *given):
 
 
 def test_claims_are_counted_by_verdict_and_findings_apart():
-    rows = [Owned("c", "1", "2", v) for v in (*VERDICTS, VERDICTS[0], VERDICTS[2], FINDING, FINDING, FINDING)]
+    rows = [Claim("c", "1", "2", v) for v in (*VERDICTS, VERDICTS[0], VERDICTS[2], FINDING, FINDING, FINDING)]
     text = "6 claims: 2 reproduced, 1 misprint, 2 does not hold, 1 not determinable; 3 findings that stand in no paper."
     assert claims.summary(rows) == text
     assert text in printed(claims.every, {"a": rows[:4], "b": rows[4:]}, {"a": "A", "b": "B"})

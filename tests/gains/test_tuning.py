@@ -62,7 +62,10 @@ def test_a_slope_beside_what_is_refused_is_taken_from_the_middle():
         np.testing.assert_allclose(gradient.chain(slopes, design, at), [3.0, 11.0], rtol=1e-9)
 
 
-JUDGED = Judgement("judging", counted(100, 64), 2.0, 0.1, 1.0, 0.1, -1.0, 0.1, (0, 0))
+JUDGED = Judgement(
+    what="judging", seeds=counted(100, 64), start=2.0, start_se=0.1, tuned=1.0, tuned_se=0.1,
+    difference=-1.0, difference_se=0.1, diverged=(0, 0),
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from commands import call
 
 from pcbench.machine import process
 from pcbench.reproduce import PAPERS, arm_gains, cart_theorem, chain_design, pi_pco_equations
-from pcbench.reproduce.claim import FINDING, VERDICTS, Owned, counts, digits, rounds_to, statement
+from pcbench.reproduce.claim import FINDING, VERDICTS, Claim, counts, digits, rounds_to, statement
 from pcbench.reproduce.page import _cell, page
 
 PAGE = Path(__file__).parents[2] / "REPRODUCTION.md"
@@ -75,8 +75,8 @@ def test_nothing_in_the_page_is_of_a_day_or_a_machine():
 def test_a_page_counts_and_escapes_what_it_is_given():
     rows = [
         statement("|e| < 1", "zero", "a|b * c", True),
-        Owned("two", "2", "3", "misprint"),
-        Owned("ours", "", "loose 1.2345", FINDING, "steady"),
+        Claim("two", "2", "3", "misprint"),
+        Claim("ours", "", "loose 1.2345", FINDING, "steady"),
     ]
     text = page({"cart": rows, "arm": rows[1:]})
     consistent(text)
@@ -111,6 +111,6 @@ def test_the_page_is_what_comes_out(tmp_path):
     assert (tmp_path / "page.md").read_text() == PAGE.read_text()
     said = json.loads(done.stdout)
     assert [p["paper"] for p in said["papers"]] == list(PAPERS)
-    whole = [Owned(**row) for p in said["papers"] for row in p["claims"]]
+    whole = [Claim(**row) for p in said["papers"] for row in p["claims"]]
     assert said["verdicts"] == counts(whole)
     assert {row.verdict for row in whole} == {*VERDICTS, FINDING}

@@ -1,17 +1,15 @@
 """What a person reads of a reproduction: claims with their verdicts, paper by paper, and how many of each."""
 
-from typing import Any
-
 from rich.console import Console
 from rich.markup import escape
 
 from pcbench.cli.screen.tables import titled
-from pcbench.reproduce.claim import FINDING, VERDICTS, counts
+from pcbench.reproduce.claim import FINDING, VERDICTS, Claim, counts
 
 STYLES = dict(zip((*VERDICTS, FINDING), ("green", "yellow", "red", "dim", "white"), strict=True))
 
 
-def claims(title: str, rows: list[Any], console: Console) -> None:
+def claims(title: str, rows: list[Claim], console: Console) -> None:
     """Print printed against reproduced, line by line."""
     table = titled(title)
     for head in ("claim", "printed", "reproduced", "verdict"):
@@ -23,7 +21,7 @@ def claims(title: str, rows: list[Any], console: Console) -> None:
     console.print(summary(rows), highlight=False)
 
 
-def every(found: dict[str, list[Any]], titles: dict[str, str], console: Console) -> None:
+def every(found: dict[str, list[Claim]], titles: dict[str, str], console: Console) -> None:
     """Print the claims of all papers, and how many of each verdict over all."""
     for name, rows in found.items():
         claims(titles[name], rows, console)
@@ -31,7 +29,7 @@ def every(found: dict[str, list[Any]], titles: dict[str, str], console: Console)
     console.print(f"All {len(found)} papers: {summary(whole)}", style="bold", highlight=False)
 
 
-def summary(rows: list[Any]) -> str:
+def summary(rows: list[Claim]) -> str:
     """Return how many of each verdict, in a sentence."""
     many = counts(rows)
     said = ", ".join(f"{many[name]} {name}" for name in VERDICTS)

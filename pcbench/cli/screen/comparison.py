@@ -7,11 +7,12 @@ import pandas as pd
 from rich.console import Console
 
 from pcbench.cli.screen.tables import titled
+from pcbench.dataset.compare import Comparison
 
 LONGEST = 40  # rows; the rest is counted
 
 
-def comparison(found: Any, a: str, b: str, console: Console) -> None:
+def comparison(found: Comparison, a: str, b: str, console: Console) -> None:
     """Print what differs in how two results were made, what changed beyond its interval, and what to make of the rest."""
     for phrase in found.made_by:
         console.print(phrase, highlight=False, markup=False)
@@ -27,7 +28,7 @@ def comparison(found: Any, a: str, b: str, console: Console) -> None:
     console.print(f"{found.changed:,} of {len(found.rows):,} rows changed beyond their interval.", highlight=False)
 
 
-def _drawn(rows: pd.DataFrame, found: Any) -> str:
+def _drawn(rows: pd.DataFrame, found: Comparison) -> str:
     """What stands on the same draws, and how equal it is."""
     same = int(rows.same_draws.sum())
     if not same:

@@ -1,13 +1,12 @@
 """What stands in a study's folder, and what came of checking it."""
 
-from typing import Any
-
 from rich.console import Console
 
 from pcbench.cli.screen.tables import titled
+from pcbench.dataset.verify import Status, Verdict
 
 
-def status(found: Any, folder: str, console: Console) -> None:
+def status(found: Status, folder: str, console: Console) -> None:
     """Print how far a study is."""
     table = titled(f"{found.study} in {folder}: {found.bytes / 1e6:,.1f} MB")
     for head in ("scenario", "observer", "cells", "blocks", "runs", "of", "done"):
@@ -27,7 +26,7 @@ def status(found: Any, folder: str, console: Console) -> None:
     console.print(end, highlight=False)
 
 
-def verdict(found: Any, folder: str, console: Console) -> None:
+def verdict(found: Verdict, folder: str, console: Console) -> None:
     """Print what a verification found."""
     for sentence in [*found.wrong, *found.differing]:
         console.print(sentence, highlight=False, markup=False, soft_wrap=True)

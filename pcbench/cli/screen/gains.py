@@ -8,11 +8,13 @@ import pyarrow as pa
 from rich.console import Console
 from rich.markup import escape
 
+from pcbench.checking.finding import Finding
 from pcbench.cli.screen.tables import Column, printed, titled
 from pcbench.statistics.wording import estimate
+from pcbench.synthesis.certificate import Design
 
 
-def gains(design: Any, console: Console) -> None:
+def gains(design: Design, console: Console) -> None:
     """Print a certificate and the numbers worth showing."""
     c = design.certificate
     console.print(
@@ -109,7 +111,7 @@ def _short(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else "[" + ", ".join(map(_short, value)) + "]"
 
 
-def checked(title: str, findings: list[Any], console: Console) -> None:
+def checked(title: str, findings: list[Finding], console: Console) -> None:
     """Print every check of an observer with its verdict and why."""
     table = titled(title)
     for head in ("check", "verdict", "why"):

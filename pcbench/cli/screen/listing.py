@@ -1,4 +1,4 @@
-"""What there is, on the screen: a line each, or one thing whole."""
+"""What there is, on the screen: a line each, or one thing in full."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -21,7 +21,7 @@ class Rate(rich.ProgressColumn):
 
 @contextmanager
 def bar(quiet: bool, first: str = "") -> Iterator[Progress]:
-    """Yield what draws progress where standard error is a terminal and nobody wants it quiet: a line for each work begun.
+    """Yield a Progress that draws a line for each work begun, where standard error is a terminal and it is not to be quiet.
 
     Work of unknown length, such as the `first`, leaves its line to the next; more of the same work lengthens its line.
     """
@@ -35,7 +35,7 @@ def bar(quiet: bool, first: str = "") -> Iterator[Progress]:
 
 
 def drawn(lines: rich.Progress, first: str = "") -> Progress:
-    """Return what draws progress as lines."""
+    """Return a Progress that draws lines."""
 
     def begin(what: str, many: int | None) -> None:
         last = lines.tasks[-1] if lines.tasks else None

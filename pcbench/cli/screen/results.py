@@ -8,19 +8,15 @@ from rich.console import Console
 
 from pcbench.cli.screen.tables import Column, fits, printed
 from pcbench.dataset.columns import unit_of
+from pcbench.dataset.result import Result
 from pcbench.scenarios import Scenario
 from pcbench.statistics.winning import winner
 from pcbench.statistics.wording import difference, fraction, interval
 from pcbench.study import scenarios_of
 
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
-BESIDE = (
-    "rmse",
-    "recovery_time",
-    "tail_tracking_rmse",
-    "settling_time",
-    "efficiency",
-)  # least first, where there are such
+# least first, where there are such
+BESIDE = ("rmse", "recovery_time", "tail_tracking_rmse", "settling_time", "efficiency")
 LESS = "less the best"
 PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Holm, 5 %)."
 HALF = "± is half a 95 % interval; one that leans to one side is written by its ends."
@@ -47,14 +43,14 @@ class View(NamedTuple):
         return str(self.stats[self.stats.metric == "mae"].unit.iloc[0])
 
 
-def closing(result: Any, console: Console, metric: str, signals: list[str] | None = None) -> None:
+def closing(result: Result, console: Console, metric: str, signals: list[str] | None = None) -> None:
     """Print who was better and how surely, the least mean `metric` first.
 
     Of every scenario the `signals` that it has; None: those it is known by; an empty list: all.
     """
     stats, pairs, known = result.stats, result.pairs, scenarios_of(result.study)
     notes: dict[str, None] = {}
-    for name, whole in stats.groupby("scenario", sort=False):
+    for name, whole in ((str(name), rows) for name, rows in stats.groupby("scenario", sort=False)):
         there = list(dict.fromkeys(whole.signal))
         chosen = (known[name].scoring.headline or there[:1]) if signals is None else signals or there
         for signal in [s for s in chosen if s in there]:
@@ -191,7 +187,7 @@ def _counted(shown: View, console: Console) -> list[str]:
     ]
 
 
-def took(result: Any, folder: str) -> str:
+def took(result: Result, folder: str) -> str:
     """Return what a run took, in a sentence."""
     p = result.provenance
     if not result.cost.runs:

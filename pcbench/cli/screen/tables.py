@@ -1,4 +1,4 @@
-"""Tables as all of pcbench's look: a number is never cut; where a terminal is narrow, columns are left out, the least first."""
+"""How all tables of pcbench look: a number is never cut; where a terminal is narrow, columns are left out, the least first."""
 
 from typing import NamedTuple
 
@@ -64,7 +64,7 @@ def width(table: Table, console: Console) -> int:
 
 
 def aligned(cells: list[str], at: str = " ± ") -> list[str]:
-    """Return numbers with their intervals so that both can be read down: what stands before and behind the sign aligned."""
+    """Return numbers with their intervals aligned at the sign, so that both can be read down."""
     parts = [cell.partition(at) for cell in cells]
     left = max((len(a) for a, sign, _ in parts if sign), default=0)
     right = max((len(c) for _, sign, c in parts if sign), default=0)
