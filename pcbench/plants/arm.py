@@ -46,7 +46,6 @@ class Numbers(NamedTuple):
     Fm: float = 0.005  # N m s/rad
     g: float = 9.8  # m/s^2
     drift: float = 0.0  # a
-    drift_sign: float = 1.0
     unknown_input: str = "zero"  # d
 
 

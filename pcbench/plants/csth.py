@@ -35,7 +35,6 @@ class Numbers(NamedTuple):
     input_gain: float = 1.0
     input_bias: float = 0.0  # of both inputs
     drift: float = 0.0  # nothing drifts here
-    drift_sign: float = 1.0
 
 
 def nominal(p: Numbers) -> Model:

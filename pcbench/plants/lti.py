@@ -28,7 +28,6 @@ class Numbers(NamedTuple):
     input_gain: float = 1.0
     input_bias: float = 0.0  # unit of the input
     drift: float = 0.0  # nothing drifts here
-    drift_sign: float = 1.0
     E: Any = None  # [n, r]; None: no unknown input
     unknown_input: str = "zero"  # f: a signal's name for all, or one for each, with commas
 
