@@ -175,5 +175,6 @@ def design(setting: Setting, options: Options) -> Design:
         certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)
     latest_first, theta = found[::-1], np.array(chain.ages(plant.tau)[::-1])
     stacked = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}
-    each, room = Link(theta[1:], theta[:-1], **stacked), np.zeros(max(setting.reach, *plant.tau))
+    each = Link(stamp=theta[1:], source=theta[:-1], **stacked)
+    room = np.zeros(max(setting.reach, *plant.tau))
     return Design(Gains(per_sample.model_of(setting), np.array(plant.tau), each, room), certificate)

@@ -121,8 +121,18 @@ def design(setting: Setting, options: Options) -> Design:
     Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
     Q[:n, :n] += setting.process_noise
     noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)
-    sizes = (setting.room, np.zeros(n), np.zeros(len(inputs)))
-    gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, *sizes, setting.model.known if len(inputs) else None)
+    gains = Gains(
+        motion=moves,
+        noise=noise,
+        C=model.C,
+        D=model.feedthrough,
+        R=R,
+        P0=P0,
+        room=setting.room,
+        states=np.zeros(n),
+        inputs=np.zeros(len(inputs)),
+        known=setting.model.known if len(inputs) else None,
+    )
     carries = True if len(inputs) else None
     proof = _certify(gains, model, Q, setting)
     proof = proof._replace(numbers={**proof.numbers, "q": q})

@@ -122,5 +122,13 @@ def design(setting: Setting, options: Proportional) -> Design:
     found = reduced_order.design(plant, given, integral, options.decay, where)
     certificate = certified(found.certificate, where)
     moves = prediction.motion_of(setting.model, setting)
-    gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.room)
+    gains = Gains(
+        motion=moves,
+        T=plant.T,
+        T_inv=np.linalg.inv(plant.T),
+        D=setting.model.feedthrough,
+        Kp=found.Kp,
+        Ki=found.Ki,
+        room=setting.room,
+    )
     return Design(gains, certificate)

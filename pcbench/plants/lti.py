@@ -64,7 +64,19 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     if model.E is not None:
         E, push = model.E, one_tick(model._replace(B=model.E), dt)[1]
         f = inputs(numbers.unknown_input, dt * np.arange(ticks + 1, dtype=float), E.shape[1])
-    return Params(Phi, Gamma, model.A, model.B, model.C, model.feedthrough, gain, bias, E, push, f)
+    return Params(
+        Phi=Phi,
+        Gamma=Gamma,
+        A=model.A,
+        B=model.B,
+        C=model.C,
+        D=model.feedthrough,
+        gain=gain,
+        bias=bias,
+        E=E,
+        push=push,
+        f=f,
+    )
 
 
 def step(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:

@@ -56,7 +56,7 @@ def sampled(setting: Setting, observer: str, q: float | None = None) -> Sampled:
     sizes = np.linalg.norm(model.C * scale, axis=1)
     R = setting.noise_variance
     sizes = np.where(R > NO_NOISE, np.sqrt(R), np.where(sizes > 0, sizes, 1.0))
-    return Sampled(A, model.C, Q, np.diag(R), tau, period, scale, sizes)
+    return Sampled(A=A, C=model.C, Q=Q, R=np.diag(R), tau=tau, period=period, scale=scale, sizes=sizes)
 
 
 def _whole_samples(setting: Setting, where: str) -> int:

@@ -64,7 +64,8 @@ def split(model: Model, where: str) -> Split:
     sign = np.sign(np.take_along_axis(T, large.argmax(1)[:, None], 1))
     T, Tp = sign * T, sign[n - p :] * Tp
     A, k = T @ model.A @ np.linalg.inv(T), n - p
-    return Split(T, Tp, A[:k, :k], A[:k, k:], A[k:, :k], A[k:, k:], Tp[p - r :] @ C @ given)
+    blocks = {"A11": A[:k, :k], "A12": A[:k, k:], "A21": A[k:, :k], "A22": A[k:, k:]}
+    return Split(T=T, Tp=Tp, **blocks, E222=Tp[p - r :] @ C @ given)
 
 
 def injection(plant: Split, L1: Matrix, A22s: Matrix) -> tuple[Matrix, Matrix]:

@@ -96,15 +96,27 @@ OBSERVER = Observer(init, note, jump, flow, estimate)
 
 def corrected_next(setting: Setting, A: Matrix, K: Matrix, ages: tuple[int, ...]) -> Gains:
     """Return the gains of xhat(k+1) = A xhat(k) + B u(k) + K e(k)."""
-    room = np.zeros(max(setting.reach, *ages, 1))
-    nothing = np.zeros_like(K)
-    model = per_sample.model_of(setting)
-    return Gains(model, A, np.asarray(1), np.array(ages), nothing, K, np.asarray(0), room)
+    return Gains(
+        model=per_sample.model_of(setting),
+        step=A,
+        every=np.asarray(1),
+        ages=np.array(ages),
+        here=np.zeros_like(K),
+        next=K,
+        first=np.asarray(0),
+        room=np.zeros(max(setting.reach, *ages, 1)),
+    )
 
 
 def corrected_here(setting: Setting, step: Matrix, K: Matrix, d: int) -> Gains:
     """Return the gains of xhat(k) = step xhat(k - d) + response to the input + K e(k), every age d, from sample d on."""
-    room = np.zeros(max(setting.reach, d))
-    ages = np.full(K.shape[1], d)
-    model = per_sample.model_of(setting)
-    return Gains(model, step, np.asarray(d), ages, K, np.zeros_like(K), np.asarray(d), room)
+    return Gains(
+        model=per_sample.model_of(setting),
+        step=step,
+        every=np.asarray(d),
+        ages=np.full(K.shape[1], d),
+        here=K,
+        next=np.zeros_like(K),
+        first=np.asarray(d),
+        room=np.zeros(max(setting.reach, d)),
+    )

@@ -87,7 +87,15 @@ def observer(law: Law) -> Observer:
         """Start from xhat(0), as if its output had been measured."""
         n, none = xhat0.shape[0], jnp.zeros(gains.C.shape[0])
         f = jnp.zeros(gains.push.shape[1])
-        return Memory(xhat0, none, gains.C @ xhat0, f, jnp.zeros(n), jnp.eye(n), jnp.zeros_like(gains.push))
+        return Memory(
+            xd=xhat0,
+            w=none,
+            y=gains.C @ xhat0,
+            f=f,
+            response=jnp.zeros(n),
+            ahead=jnp.eye(n),
+            pushed=jnp.zeros_like(gains.push),
+        )
 
     def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
         """Note nothing."""
@@ -119,7 +127,8 @@ def observer(law: Law) -> Observer:
         response = gains.Phi @ memory.response + gains.Gamma @ now.u - leaving
         ahead = jnp.where(started, memory.ahead, gains.Phi @ memory.ahead)
         pushed = jnp.where(started, memory.pushed, gains.Phi @ memory.pushed + gains.push)
-        return Memory(xd, w, y, found(gains, xd, w, y), response, ahead, pushed)
+        f = found(gains, xd, w, y)
+        return Memory(xd=xd, w=w, y=y, f=f, response=response, ahead=ahead, pushed=pushed)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " n+r"]:
         """Return xhat of now, and the unknown inputs."""
