@@ -22,10 +22,9 @@ from scipy.linalg import eigh
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.dynamics.observability import RANK, shown, unobservable
 from pcbench.errors import UserError
-from pcbench.synthesis.certificate import Certificate, certified
+from pcbench.synthesis.certificate import SHORT, Certificate, certified
 
 TIE = 1e-9  # lengths this close are equal, and entries this small are zero
-SHORT = 1e-5  # part of the rate asked for that a proof may fall short of it: an optimum lies on the boundary
 
 
 class Split(NamedTuple):

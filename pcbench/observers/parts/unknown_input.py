@@ -38,7 +38,7 @@ from pcbench.synthesis.certificate import Setting
 from pcbench.synthesis.unknown_input import Split
 
 STABLE = 2.5  # gain times tick; a Runge-Kutta step follows e^{-a t} up to a h = 2.78
-Law = Callable[[Any, Array, Array], tuple[Array, Array]]  # (its numbers, s[p], w[p]) -> v[p], w'[p]
+Injection = Callable[[Any, Array, Array], tuple[Array, Array]]  # (its numbers, s[p], w[p]) -> v[p], w'[p]
 
 
 class Gains(NamedTuple):
@@ -80,7 +80,7 @@ class Options(BaseModel):
     reconstruct: bool = Field(False, description="the prediction to now carries the input found")
 
 
-def observer(law: Law) -> Observer:
+def observer(law: Injection) -> Observer:
     """Return the observer that injects v by a law."""
 
     def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
