@@ -69,10 +69,18 @@ def prepare(options: Options, delay: Delay, dt: float, rows: int, ticks: int, mo
     """Return the law's numbers for ticks -`rows` .. `ticks`."""
     t: Any = np.arange(-rows, ticks + 1) * dt
     sigma, path = acts_at(t, delay), PATHS[options.path]
-    Kp, Kd, limit, help_, first = map(
-        np.array, (options.Kp, options.Kd, options.limit, float(options.feedforward), -rows)
+    return Params(
+        Kp=np.array(options.Kp),
+        Kd=np.array(options.Kd),
+        limit=np.array(options.limit),
+        help=np.array(float(options.feedforward)),
+        first=np.array(-rows),
+        path=path(t),
+        goal=path(sigma),
+        ahead=sigma - t,
+        model=model,
+        inverse=inverse,
     )
-    return Params(Kp, Kd, limit, help_, first, path(t), path(sigma), sigma - t, model, inverse)
 
 
 def law(params: Params, row: Array, x: Array, B: Array, aim: Float[Leaf, "3 2"]) -> Float[Array, "2"]:

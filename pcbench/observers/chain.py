@@ -28,7 +28,7 @@ from pcbench.errors import UserError
 from pcbench.observers.parts import per_sample
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable, way
-from pcbench.observers.parts.per_sample import Model, Place, Pole, read, ring, write
+from pcbench.observers.parts.per_sample import ModelRun, Pole, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis import chain, chain_lyapunov
 from pcbench.synthesis.certificate import Design, Setting, certified
@@ -36,7 +36,7 @@ from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.sampled import sampled
 
 
-class Link(NamedTuple):
+class Links(NamedTuple):
     """A link; or all q of them, latest first, on a leading axis. n states, q outputs."""
 
     stamp: Int[Leaf, "..."]  # samples ago
@@ -51,16 +51,16 @@ class Link(NamedTuple):
 class Gains(NamedTuple):
     """n states, q outputs."""
 
-    model: Model
+    model: SampledModel
     tau: Int[Leaf, " q"]  # samples
-    links: Link
+    links: Links
     room: Room  # for as many samples as the longest delay of the study reaches back
 
 
 class Memory(NamedTuple):
     """Deviations from the model alone."""
 
-    place: Place
+    run: ModelRun
     past: Float[Array, "ring n"]  # the links' estimates by the sample they are of
     arrived: tuple[Float[Array, " ring"], ...]  # [q] y - D u - C xbar of a channel by when it was sampled
     known: tuple[Bool[Array, " ring"], ...]  # [q] it has arrived
@@ -98,7 +98,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
 
 def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, " q"]:
     """Note what the model alone expects of the sample, C xbar."""
-    return gains.model.C @ memory.place.xbar
+    return gains.model.C @ memory.run.xbar
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -109,16 +109,16 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
     """Run the links on all that has arrived: the estimate at the stamp of each, latest first."""
-    k, C, channels = memory.place.sample, gains.model.C, range(gains.model.C.shape[0])
+    k, C, channels = memory.run.sample, gains.model.C, range(gains.model.C.shape[0])
 
-    def link(before: tuple[Array, Array], own: Link) -> tuple[tuple[Array, Array], Array]:
-        there = own.source > own.stamp  # a link over no samples passes on what it is given
-        z = read(memory.past, k - own.source)
+    def link(before: tuple[Array, Array], this: Links) -> tuple[tuple[Array, Array], Array]:
+        there = this.source > this.stamp  # a link over no samples passes on what it is given
+        z = read(memory.past, k - this.source)
         expected = C @ z
-        y = jnp.stack([_sample(gains, memory, j, own.source, expected[j]) for j in channels])
-        ybar = jnp.where(own.seen > 0, y, before[1])
-        estimate = jnp.where(there, own.F @ z + own.K @ ybar, before[0])
-        yhat = jnp.where(there, own.W @ z + own.V @ ybar, before[1])
+        y = jnp.stack([_sample(gains, memory, j, this.source, expected[j]) for j in channels])
+        ybar = jnp.where(this.seen > 0, y, before[1])
+        estimate = jnp.where(there, this.F @ z + this.K @ ybar, before[0])
+        yhat = jnp.where(there, this.W @ z + this.V @ ybar, before[1])
         return (estimate, yhat), estimate
 
     return lax.scan(link, (jnp.zeros(C.shape[1]), jnp.zeros(C.shape[0])), gains.links)[1]
@@ -126,21 +126,21 @@ def links(gains: Gains, memory: Memory) -> Float[Array, "q n"]:
 
 def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected: Float[Array, ""]) -> Float[Array, ""]:
     """Channel j's sample of so many samples ago: from its ring, or just arrived; as expected where it has not."""
-    sample, new = memory.place.sample - age, age == gains.tau[j]
+    sample, new = memory.run.sample - age, age == gains.tau[j]
     known = jnp.where(new, memory.fresh[j], read(memory.known[j], sample)) & (sample >= 0)
     return jnp.where(known, jnp.where(new, memory.value[j], read(memory.arrived[j], sample)), expected)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Go one tick on; where a sample is due, what this one brought is put by."""
-    place, due = per_sample.flow(gains.model, memory.place, now)
-    k, past = memory.place.sample, memory.past
+    run, due = per_sample.flow(gains.model, memory.run, now)
+    k, past = memory.run.sample, memory.past
     stamp, source = gains.links.stamp, gains.links.source
     for i, estimate in enumerate(links(gains, memory)):
         past = write(past, k - stamp[i], estimate, due & (source[i] > stamp[i]))
     each = range(len(memory.arrived))
     return Memory(
-        place,
+        run,
         past,
         tuple(write(memory.arrived[j], k - gains.tau[j], memory.value[j], due) for j in each),
         tuple(write(memory.known[j], k - gains.tau[j], memory.fresh[j], due) for j in each),
@@ -151,7 +151,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     """Return the nearest link's estimate, carried on to now."""
-    return memory.place.xbar + memory.place.carried @ links(gains, memory)[-1]
+    return memory.run.xbar + memory.run.carried @ links(gains, memory)[-1]
 
 
 OBSERVER = Observer(init, note, jump, flow, estimate)
@@ -175,5 +175,6 @@ def design(setting: Setting, options: Options) -> Design:
         certificate = certificate._replace(numbers=dict(certificate.numbers) | extra)
     latest_first, theta = found[::-1], np.array(chain.ages(plant.tau)[::-1])
     stacked = {name: np.stack([getattr(link, name) for link in latest_first]) for name in ("seen", "F", "K", "V", "W")}
-    each, room = Link(theta[1:], theta[:-1], **stacked), np.zeros(max(setting.reach, *plant.tau))
+    each = Links(stamp=theta[1:], source=theta[:-1], **stacked)
+    room = np.zeros(max(setting.reach, *plant.tau))
     return Design(Gains(per_sample.model_of(setting), np.array(plant.tau), each, room), certificate)

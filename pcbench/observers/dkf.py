@@ -33,7 +33,7 @@ from pcbench.observers.parts import kalman, prediction
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
-from pcbench.observers.parts.reordering import Sample
+from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
@@ -76,7 +76,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     return prediction.start(whole, Posterior(whole, gains.P0, jnp.asarray(0)), gains.room, gains.C.shape[0])
 
 
-def update(gains: Gains, before: Posterior, sample: Sample) -> Posterior:
+def update(gains: Gains, before: Posterior, sample: Measurement) -> Posterior:
     """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
     free = prediction.at(gains.motion, Point(before.mean, before.taken), sample.taken)
     P = covariance_after(gains.motion.powers, gains.noise, sample.taken - before.taken, before.P)
@@ -121,8 +121,18 @@ def design(setting: Setting, options: Options) -> Design:
     Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
     Q[:n, :n] += setting.process_noise
     noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)
-    sizes = (setting.room, np.zeros(n), np.zeros(len(inputs)))
-    gains = Gains(moves, noise, model.C, model.feedthrough, R, P0, *sizes, setting.model.known if len(inputs) else None)
+    gains = Gains(
+        motion=moves,
+        noise=noise,
+        C=model.C,
+        D=model.feedthrough,
+        R=R,
+        P0=P0,
+        room=setting.room,
+        states=np.zeros(n),
+        inputs=np.zeros(len(inputs)),
+        known=setting.model.known if len(inputs) else None,
+    )
     carries = True if len(inputs) else None
     proof = _certify(gains, model, Q, setting)
     proof = proof._replace(numbers={**proof.numbers, "q": q})

@@ -30,7 +30,7 @@ from pcbench.dynamics.integrate import rk4
 from pcbench.observers.parts import kalman, reordering
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
-from pcbench.observers.parts.reordering import Line, Sample
+from pcbench.observers.parts.reordering import Buffer, Measurement
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
@@ -54,7 +54,7 @@ class Gains(NamedTuple):
 class Memory(NamedTuple):
     """The samples that may be overtaken with the posterior before them, and the mean of now."""
 
-    line: Line
+    buffer: Buffer
     z: Float[Array, " N"]
 
 
@@ -89,7 +89,7 @@ def at(now: Now, tick: Int[Array, ""]) -> Now:
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(now.tick - tick))
 
 
-def update(gains: Gains, now: Now, before: Posterior, sample: Sample) -> Posterior:
+def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Posterior:
     """Carry mean and covariance to the sample's own time and update there, channel by channel."""
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -111,9 +111,9 @@ def update(gains: Gains, now: Now, before: Posterior, sample: Sample) -> Posteri
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Put what arrived in its place, and roll the mean forward to now."""
     sample = reordering.sample_of(now, arrival, gains.D)
-    line, newest = reordering.replay(lambda state, sample: update(gains, now, state, sample), memory.line, sample)
+    buffer, newest = reordering.replay(lambda state, sample: update(gains, now, state, sample), memory.buffer, sample)
     z = lax.fori_loop(newest.taken, now.tick, lambda k, z: within(gains, gains.motion(at(now, k), z)), newest.mean)
-    return Memory(line, z)
+    return Memory(buffer, z)
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:

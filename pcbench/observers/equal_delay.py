@@ -22,10 +22,10 @@ from pcbench.errors import UserError
 from pcbench.observers.parts import believed_age
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.per_sample import Pole
-from pcbench.synthesis import chain, late
+from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
 from pcbench.synthesis.error_bounds import rate_of
-from pcbench.synthesis.sampled import by_poles, power, sampled
+from pcbench.synthesis.sampled import ROWS, by_poles, delayed_radius, power, sampled
 
 OBSERVER = believed_age.OBSERVER
 
@@ -49,11 +49,11 @@ def design(setting: Setting, options: Options) -> Design:
         gains = believed_age.corrected_here(setting, Ad, K, d)
     else:
         K = d**d / (d + 1) ** (d + 1) * A @ np.linalg.pinv(plant.C)
-        rate = late.radius(A, K, plant.C, (d,) * len(plant.tau))
+        rate = delayed_radius(A, K, plant.C, (d,) * len(plant.tau))
         if np.isnan(rate):
             raise UserError(
                 f"{where}: got a believed delay of {d} samples for {len(A)} states, expected at most "
-                f"{late.LARGEST // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
+                f"{ROWS // len(A) - 1}: stability is not computed beyond; give option delay or variant = 'theorem1'."
             )
         gains = believed_age.corrected_next(setting, A, K, (d,) * len(plant.tau))
     what = f"radius of the errors' map < 1, if every delay were {d} samples"

@@ -146,12 +146,12 @@ def design(setting: Setting, options: Options) -> Design:
     free = np.full_like(low, np.inf)
     robust = options.robust
     gains = Gains(
-        setting.parts,
-        np.asarray(options.theta),
-        np.asarray(options.rho if robust else 0.0),
-        np.asarray(FASTEST if robust else np.inf),
-        low if robust else -free,
-        high if robust else free,
-        np.array(setting.unknown0),
+        parts=setting.parts,
+        theta=np.asarray(options.theta),
+        rho=np.asarray(options.rho if robust else 0.0),
+        fastest=np.asarray(FASTEST if robust else np.inf),
+        low=low if robust else -free,
+        high=high if robust else free,
+        start=np.array(setting.unknown0),
     )
     return Design(gains, high_gain.certificate(options.theta, max(setting.period) * setting.dt))

@@ -133,15 +133,15 @@ def design(setting: Setting, options: Options) -> Design:
     Phi_z, Gammas = linear.held(A if options.sampled_innovation else A - K @ C, np.hstack([B, K]), h)
     E = linear.over(linear.doublings(model, h, linear.bits_for(lag)), lag)
     gains = Gains(
-        Phi,
-        Gamma,
-        Phi_z,
-        Gammas[:, :m],
-        Gammas[:, m:],
-        E,
-        C,
-        model.feedthrough,
-        np.asarray(lag),
-        np.asarray(float(options.sampled_innovation)),
+        Phi=Phi,
+        Gamma=Gamma,
+        Phi_z=Phi_z,
+        Gamma_z=Gammas[:, :m],
+        Gain_z=Gammas[:, m:],
+        E=E,
+        C=C,
+        D=model.feedthrough,
+        lag=np.asarray(lag),
+        sampled=np.asarray(float(options.sampled_innovation)),
     )
     return Design(gains, certificate)

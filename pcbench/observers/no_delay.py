@@ -19,10 +19,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from pcbench.observers.parts import believed_age
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.per_sample import Pole
-from pcbench.synthesis import chain, late
+from pcbench.synthesis import chain
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
 from pcbench.synthesis.error_bounds import rate_of
-from pcbench.synthesis.sampled import by_poles, sampled
+from pcbench.synthesis.sampled import by_poles, delayed_radius, sampled
 
 OBSERVER = believed_age.OBSERVER
 
@@ -42,7 +42,7 @@ def design(setting: Setting, options: Options) -> Design:
     where, plant = f"no-delay in {setting.scenario}", sampled(setting, "no-delay")
     K = by_poles(plant, 1, options.pole, where)
     ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)
-    undelayed, delayed = chain.radius(plant.A - K @ plant.C), late.radius(plant.A, K, plant.C, ages)
+    undelayed, delayed = chain.radius(plant.A - K @ plant.C), delayed_radius(plant.A, K, plant.C, ages)
     numbers = {"K": K, "radius_without_delays": undelayed}
     numbers |= {"radius_with_these": delayed} if np.isfinite(delayed) else {}  # too long a delay: not computed
     certificate = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)

@@ -28,7 +28,7 @@ from pcbench.dynamics.observability import require_detectable
 from pcbench.observers.parts import prediction
 from pcbench.observers.parts.options import matrix, tunable, way
 from pcbench.observers.parts.prediction import Memory, Motion, Point
-from pcbench.observers.parts.reordering import Sample
+from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import current_gains, ranges
 from pcbench.synthesis.certificate import Design, Setting, one_clock
@@ -66,7 +66,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return prediction.start(xhat0, prediction.origin(xhat0), gains.room, gains.C.shape[0])
 
 
-def correct(gains: Gains, before: Point, sample: Sample) -> Point:
+def correct(gains: Gains, before: Point, sample: Measurement) -> Point:
     """Correct at the sample's own time, (8a) and (8b)."""
     free = prediction.at(gains.motion, before, sample.taken)
     xbar = sample.note + free

@@ -33,7 +33,7 @@ from pcbench.errors import UserError
 from pcbench.observers.parts import prediction
 from pcbench.observers.parts.options import matrix, tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
-from pcbench.observers.parts.reordering import Sample
+from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import ranges, reduced_order
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
@@ -84,7 +84,7 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     return prediction.start(xhat0, state, gains.room, gains.D.shape[0])
 
 
-def reduced(gains: Gains, before: Reduced, sample: Sample) -> Reduced:
+def reduced(gains: Gains, before: Reduced, sample: Measurement) -> Reduced:
     """Run the reduced-order PI observer over one interval, (12) and (14)."""
     l = gains.D.shape[0]
     predicted = gains.T @ (sample.note + prediction.at(gains.motion, before.point, sample.taken))  # A_d [y; w] + M
@@ -111,7 +111,7 @@ def design(setting: Setting, options: Proportional) -> Design:
     where = f"{name} in {setting.scenario}"
     one_clock(setting, name)
     maps = ranges.maps(setting, options.period_range, options.parameter_range, 0.0, where)
-    plant = reduced_order.split(setting.model, maps, where)
+    plant = reduced_order.partition(setting.model, maps, where)
     shape = (len(plant.T) - plant.outputs, plant.outputs)
     named = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})
     asked = {name: given for name, given in named.items() if given is not None and given != "lmi"}
@@ -122,5 +122,13 @@ def design(setting: Setting, options: Proportional) -> Design:
     found = reduced_order.design(plant, given, integral, options.decay, where)
     certificate = certified(found.certificate, where)
     moves = prediction.motion_of(setting.model, setting)
-    gains = Gains(moves, plant.T, np.linalg.inv(plant.T), setting.model.feedthrough, found.Kp, found.Ki, setting.room)
+    gains = Gains(
+        motion=moves,
+        T=plant.T,
+        T_inv=np.linalg.inv(plant.T),
+        D=setting.model.feedthrough,
+        Kp=found.Kp,
+        Ki=found.Ki,
+        room=setting.room,
+    )
     return Design(gains, certificate)

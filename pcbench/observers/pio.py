@@ -30,18 +30,18 @@ from pcbench.synthesis.certificate import Design, Setting, certified
 from pcbench.synthesis.unknown_input import injection, split
 
 
-def _printed() -> pi_lmi.Found:
+def _printed() -> pi_lmi.PIGains:
     one = np.ones(2)
     P = pi_lmi.form(np.array([[0.9163, -0.2602], [-0.2602, 0.1860]]), 0.8261 * one, 0.3339 * one, 0.3328 * one)
     KP = np.array([[21.7396, 0.0278], [0.0283, 21.8043]])
     KI = np.array([[22.2876, 0.0272], [0.0288, 22.3538]])
-    return pi_lmi.Found(KP, KI, P, float("nan"), "printed", "none")
+    return pi_lmi.PIGains(KP, KI, P, float("nan"), "printed", "none")
 
 
 PRINTED = _printed()
 
 
-class Law(NamedTuple):
+class IntegralLaw(NamedTuple):
     """p outputs."""
 
     KP: Float[Leaf, "p p"]
@@ -57,7 +57,9 @@ class Options(unknown_input.Options):
     xi: float = tunable(2.0, gt=0, description="bounds each entry of E222 f' that is followed, per second")
 
 
-def inject(law: Law, s: Float[Array, " p"], w: Float[Array, " p"]) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+def inject(
+    law: IntegralLaw, s: Float[Array, " p"], w: Float[Array, " p"]
+) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
     """Return v and w' (37)."""
     return law.KP @ s + w, law.KI @ s + law.xi * jnp.sign(s)
 
@@ -79,7 +81,7 @@ def design(setting: Setting, options: Options) -> Design:
         L1 = sliding_mode.design(parts, options.alpha, where)[0].L1
         found, certificate = pi_lmi.design(parts, L1, options.beta, where)
     unknown_input.short_tick(setting, float(np.linalg.norm(found.KP, 2)), "|KP|", where)
-    law = Law(np.asarray(found.KP), np.asarray(found.KI), np.asarray(options.xi))
+    law = IntegralLaw(np.asarray(found.KP), np.asarray(found.KI), np.asarray(options.xi))
     p = len(setting.model.C)
     gains = unknown_input.gains_of(setting, parts, injection(parts, L1, np.zeros((p, p))), law, options)
     return Design(gains, certificate, unknown_input.carries(setting, options))

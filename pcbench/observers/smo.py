@@ -26,7 +26,7 @@ from pcbench.synthesis import sliding_mode
 from pcbench.synthesis.certificate import Design, Setting, certified
 from pcbench.synthesis.unknown_input import injection, split
 
-PRINTED = sliding_mode.Found(
+PRINTED = sliding_mode.SlidingModeGains(
     L1=np.array([[0.8148], [2.4893]]),
     P1=np.array([[13.5959, -4.2094], [-4.2094, 2.4078]]),
     P2=np.array([[1.0070, 0.0021], [0.0021, 1.0024]]),
@@ -37,7 +37,7 @@ PRINTED = sliding_mode.Found(
 )
 
 
-class Law(NamedTuple):
+class SlidingLaw(NamedTuple):
     """p outputs."""
 
     P2: Float[Leaf, "p p"]
@@ -53,7 +53,9 @@ class Options(unknown_input.Options):
     eps: float = tunable(0.005, gt=0, description="width of the layer in which it is smooth")
 
 
-def inject(law: Law, s: Float[Array, " p"], w: Float[Array, " p"]) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
+def inject(
+    law: SlidingLaw, s: Float[Array, " p"], w: Float[Array, " p"]
+) -> tuple[Float[Array, " p"], Float[Array, " p"]]:
     """Return v (21), and no integral."""
     direction = law.P2 @ s
     return law.rho * direction / (jnp.sqrt(direction @ direction) + law.eps), jnp.zeros_like(w)
@@ -75,6 +77,6 @@ def design(setting: Setting, options: Options) -> Design:
         found, certificate = sliding_mode.design(parts, options.alpha, where)
     gain = options.rho * float(np.linalg.norm(found.P2, 2)) / options.eps
     unknown_input.short_tick(setting, gain, "rho |P2| / eps", where)
-    law = Law(np.asarray(found.P2), np.asarray(options.rho), np.asarray(options.eps))
+    law = SlidingLaw(np.asarray(found.P2), np.asarray(options.rho), np.asarray(options.eps))
     gains = unknown_input.gains_of(setting, parts, injection(parts, found.L1, found.A22s), law, options)
     return Design(gains, certificate, unknown_input.carries(setting, options))

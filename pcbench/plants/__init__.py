@@ -24,39 +24,46 @@ class Entry(NamedTuple):
     parts: Callable[..., Any] | None = None  # (params, u, x) -> a, phi of accelerations a p + phi with parameters p
     inverse: Callable[..., Any] | None = None  # (params, unknowns, path, rates, accelerations) -> u
     positive: tuple[str, ...] = ()  # parameters that must be greater than 0
+    signs: tuple[str, ...] = ()  # parameters that are 1 or -1
     ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
 
 
 PLANTS = {
     "cart": Entry(
-        cart.PLANT, cart.SIGNALS, cart.Numbers(), cart.nominal, cart.prepare, "mobile cart under a camera, 2 states"
+        plant=cart.PLANT,
+        signals=cart.SIGNALS,
+        numbers=cart.Numbers(),
+        nominal=cart.nominal,
+        prepare=cart.prepare,
+        summary="mobile cart under a camera, 2 states",
+        signs=("drift_sign",),
     ),
     "csth": Entry(
-        lti.PLANT,
-        csth.SIGNALS,
-        csth.Numbers(),
-        csth.nominal,
-        csth.prepare,
-        "stirred tank heater with three slow sensors, 3 states",
+        plant=lti.PLANT,
+        signals=csth.SIGNALS,
+        numbers=csth.Numbers(),
+        nominal=csth.nominal,
+        prepare=csth.prepare,
+        summary="stirred tank heater with three slow sensors, 3 states",
     ),
     "arm": Entry(
-        arm.PLANT,
-        arm.SIGNALS,
-        arm.Numbers(),
-        arm.nominal,
-        arm.prepare,
-        "flexible-joint arm pushed by an unknown input, 4 states",
-        arm.UNKNOWNS,
+        plant=arm.PLANT,
+        signals=arm.SIGNALS,
+        numbers=arm.Numbers(),
+        nominal=arm.nominal,
+        prepare=arm.prepare,
+        summary="flexible-joint arm pushed by an unknown input, 4 states",
+        unknowns=arm.UNKNOWNS,
         heavy=True,
     ),
     "helicopter": Entry(
-        helicopter.PLANT,
-        helicopter.SIGNALS,
-        helicopter.Numbers(),
-        helicopter.nominal,
-        helicopter.prepare,
-        "helicopter with two degrees of freedom and unknown viscosities, 4 states",
-        helicopter.UNKNOWNS,
+        plant=helicopter.PLANT,
+        signals=helicopter.SIGNALS,
+        numbers=helicopter.Numbers(),
+        nominal=helicopter.nominal,
+        prepare=helicopter.prepare,
+        summary="helicopter with two degrees of freedom and unknown viscosities, 4 states",
+        unknowns=helicopter.UNKNOWNS,
         heavy=True,
         model=helicopter.model,
         parts=helicopter.parts,
@@ -65,7 +72,12 @@ PLANTS = {
         ranges=helicopter.RANGE,
     ),
     "lti": Entry(
-        lti.PLANT, (), lti.Numbers(), lti.nominal, lti.prepare, "any linear plant of your own: a study's table [lti]"
+        plant=lti.PLANT,
+        signals=(),
+        numbers=lti.Numbers(),
+        nominal=lti.nominal,
+        prepare=lti.prepare,
+        summary="any linear plant of your own: a study's table [lti]",
     ),
 }
 
@@ -95,7 +107,12 @@ def positive_of(plant: str) -> tuple[str, ...]:
     return PLANTS[plant].positive
 
 
+def signs_of(plant: str) -> tuple[str, ...]:
+    """Return the names of a plant's parameters that are 1 or -1."""
+    return PLANTS[plant].signs
+
+
 def parameters_of(plant: str) -> list[str]:
     """Return the names of a plant's parameters that a study may vary."""
     numbers = PLANTS[plant].numbers._asdict()
-    return [name for name, v in numbers.items() if type(v) is float and not name.startswith("drift")]
+    return [name for name, v in numbers.items() if type(v) is float and name != "drift"]

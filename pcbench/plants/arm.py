@@ -46,7 +46,6 @@ class Numbers(NamedTuple):
     Fm: float = 0.005  # N m s/rad
     g: float = 9.8  # m/s^2
     drift: float = 0.0  # a
-    drift_sign: float = 1.0
     unknown_input: str = "zero"  # d
 
 
@@ -81,8 +80,16 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the numbers of the field, with d at every stage of ticks 0 .. `ticks`."""
     n = numbers
     d = inputs(n.unknown_input, np.arange(2 * ticks + 3) / 2 * dt, 1)[:, 0]
-    each = (n.k / n.J, n.M * n.g * n.l / n.J, np.array([n.Fl, n.Fm]) / n.J, 1 / n.J, d, n.drift, 0.0, 0.0)
-    return Params(*map(np.asarray, each))
+    return Params(
+        stiffness=np.asarray(n.k / n.J),
+        gravity=np.asarray(n.M * n.g * n.l / n.J),
+        friction=np.array([n.Fl, n.Fm]) / n.J,
+        torque=np.asarray(1 / n.J),
+        d=d,
+        drift=np.asarray(n.drift),
+        pace=np.asarray(0.0),
+        phase=np.asarray(0.0),
+    )
 
 
 def of_run(params: Params, uniform: Float[Array, "2"]) -> Params:

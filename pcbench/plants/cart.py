@@ -3,8 +3,8 @@
     x' = [0 1; 0 -lam] x + [0; b] u,   lam = 122 1/s, b = 355                               (30)
 
 With drift (section 6.3): A22(t) = -120 - (4 sin 10t + 20 cos t sin t), B21(t) = 355 + 24 cos 2t + s 20 sin 2t cos 2t.
-The operator between the last two terms is lost in print; s = +1 here, s = -1 is an option. `drift` scales the deviation
-from the nominal numbers: 0 nominal, 1 as printed. The observers keep the nominal numbers.
+The operator between the last two terms is lost in print: s is +1 here, or `plant.drift_sign`. `drift` scales the deviation from
+the nominal numbers: 0 nominal, 1 as printed. The observers keep the nominal numbers.
 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017), sections 6 and 6.3.
 Without drift a tick is the exact exponential. With drift the parameters vary within the tick and only u is held; the
@@ -29,7 +29,7 @@ SUBSTEPS = 4  # of Runge-Kutta in a tick under drift
 
 
 class Numbers(NamedTuple):
-    """The cart's parameters; `plant.lam` and `plant.b` are axes."""
+    """The cart's parameters; `plant.lam`, `plant.b` and `plant.drift_sign` are axes."""
 
     lam: float = 122.0  # 1/s
     b: float = 355.0  # velocity gained per second and unit of input

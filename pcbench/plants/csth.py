@@ -35,7 +35,6 @@ class Numbers(NamedTuple):
     input_gain: float = 1.0
     input_bias: float = 0.0  # of both inputs
     drift: float = 0.0  # nothing drifts here
-    drift_sign: float = 1.0
 
 
 def nominal(p: Numbers) -> Model:
@@ -51,5 +50,6 @@ def nominal(p: Numbers) -> Model:
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the map of one tick of `dt` seconds."""
     m = nominal(numbers)
-    own = lti.Numbers(m.A, m.B, m.C, m.D, m.discrete, numbers.input_gain, numbers.input_bias)
-    return lti.prepare(own, dt, ticks)
+    gain, bias = numbers.input_gain, numbers.input_bias
+    linear = lti.Numbers(A=m.A, B=m.B, C=m.C, D=m.D, discrete=m.discrete, input_gain=gain, input_bias=bias)
+    return lti.prepare(linear, dt, ticks)

@@ -44,7 +44,6 @@ class Numbers(NamedTuple):
     l: float = 0.186  # m
     g: float = 9.81  # m/s^2
     drift: float = 0.0  # a
-    drift_sign: float = 1.0
 
 
 class Params(NamedTuple):

@@ -28,7 +28,6 @@ class Numbers(NamedTuple):
     input_gain: float = 1.0
     input_bias: float = 0.0  # unit of the input
     drift: float = 0.0  # nothing drifts here
-    drift_sign: float = 1.0
     E: Any = None  # [n, r]; None: no unknown input
     unknown_input: str = "zero"  # f: a signal's name for all, or one for each, with commas
 
@@ -65,7 +64,19 @@ def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     if model.E is not None:
         E, push = model.E, one_tick(model._replace(B=model.E), dt)[1]
         f = inputs(numbers.unknown_input, dt * np.arange(ticks + 1, dtype=float), E.shape[1])
-    return Params(Phi, Gamma, model.A, model.B, model.C, model.feedthrough, gain, bias, E, push, f)
+    return Params(
+        Phi=Phi,
+        Gamma=Gamma,
+        A=model.A,
+        B=model.B,
+        C=model.C,
+        D=model.feedthrough,
+        gain=gain,
+        bias=bias,
+        E=E,
+        push=push,
+        f=f,
+    )
 
 
 def step(params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:

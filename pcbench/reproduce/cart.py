@@ -138,7 +138,7 @@ def _open() -> list[Claim]:
     fast = "; ".join(
         f"te = {SCENARIOS[s].sampling.sampling_period[0]:g} s: {_both(both, s, 'position')} m" for s in sections
     )
-    signs = {sign: _drifting({"scenario": {"drift_sign": sign}}) for sign in (1, -1)}
+    signs = {sign: _drifting(sign) for sign in (1, -1)}
     drift = "; ".join(
         f"{'+' if sign > 0 else '-'}: {_both(stats, 'cart/drift', 'position')} m" for sign, stats in signs.items()
     )
@@ -166,9 +166,9 @@ def _open() -> list[Claim]:
     return out
 
 
-def _drifting(options: dict[str, dict[str, int]]) -> pd.DataFrame:
-    study = Study(name="sign", scenarios=["cart/drift"], observers=["pccebo", "kfbo"], seeds=1)
-    return api.run(study, options=options).stats
+def _drifting(sign: int) -> pd.DataFrame:
+    axes = {"plant.drift_sign": [sign]}
+    return api.run(Study(name="sign", scenarios=["cart/drift"], observers=["pccebo", "kfbo"], seeds=1, axes=axes)).stats
 
 
 def _values(stats: pd.DataFrame, scenario: str, signal: str, metric: str) -> np.ndarray:

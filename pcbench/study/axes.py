@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from pcbench.errors import UserError, shown, unknown
-from pcbench.plants import parameters_of, positive_of
+from pcbench.plants import parameters_of, positive_of, signs_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule.sampling import PROFILES
 
@@ -43,6 +43,8 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
             _whole_ticks(name, n, base, where)
         if name.removeprefix("plant.") in positive_of(base.plant) and n <= 0:
             raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
+        if name.removeprefix("plant.") in signs_of(base.plant) and abs(n) != 1:
+            raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
         if name == "loss" and n > 1:
             raise UserError(
                 f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."

@@ -39,6 +39,10 @@ def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
         raise unknown(where, "observer with options (or 'scenario')", name, [*OBSERVERS, "scenario"])
     model = Choices if name == "scenario" else entry_of(name).options
     for key in dashes(given):
+        if model is Choices and key == "drift_sign":
+            raise UserError(
+                f"{where}: got drift_sign, expected it as a parameter of the cart; write axes.plant.drift_sign."
+            )
         if key not in model.model_fields:
             raise unknown(where, "key here", key, model.model_fields)
     underscored(given, where)

@@ -1,6 +1,6 @@
 """What a study file may say: scenarios x observers x axes x seeds, choices, and what to tune for."""
 
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
@@ -27,7 +27,6 @@ class Choices(BaseModel):
         None, description="a controller acts on the state predicted to its command's arrival"
     )
     path: str | None = Field(None, description="what a controller follows: " + ", ".join(PATHS))
-    drift_sign: Literal[-1, 1] = Field(1, description="the operator lost in print, in the cart's drift")
     precision: str = Field("float64", description="float64: no other is offered")
 
     def loop(self) -> dict[str, Any]:

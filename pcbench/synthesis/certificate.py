@@ -9,6 +9,7 @@ import numpy as np
 from pcbench.dynamics.linear import Model
 from pcbench.errors import DesignError, UserError
 
+SHORT = 1e-5  # part of a rate asked for that a proof may fall short of it: an optimum lies on the boundary
 NO_NOISE = 1e-12  # variance taken where a scenario has no measurement noise
 
 

@@ -19,7 +19,7 @@ from pcbench.synthesis import error_bounds, remembered, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
 
-class Solution(NamedTuple):
+class CommonLyapunov(NamedTuple):
     """A solver's answer, as it came."""
 
     P: Matrix  # [k, k]
@@ -29,7 +29,7 @@ class Solution(NamedTuple):
     solver: str
 
 
-class Range(NamedTuple):
+class ErrorMaps(NamedTuple):
     """The maps J [k, n, n] of an error over intervals of `seconds` [k]; where a gain is sought, without it, and H [k, l, n]."""
 
     J: Matrix
@@ -38,8 +38,8 @@ class Range(NamedTuple):
 
 
 def design(
-    corners: Range, every: Callable[[Solution], Range], rate: float, what: str, where: str
-) -> tuple[Solution, Certificate]:
+    corners: ErrorMaps, every: Callable[[CommonLyapunov], ErrorMaps], rate: float, what: str, where: str
+) -> tuple[CommonLyapunov, Certificate]:
     """Find P (and G) at the `corners` of a range and prove it at all that `every` gives of an answer, at `rate` [1/s].
 
     Raises DesignError where no answer stands.
@@ -47,9 +47,9 @@ def design(
     J, H, name = corners.J, corners.H, "common-p" if corners.H is None else "common-g"
     problem = (J, corners.seconds, np.array(rate), np.zeros(0) if H is None else H)
 
-    def ask(solver: str) -> Solution:
+    def ask(solver: str) -> CommonLyapunov:
         return remembered.remembered(
-            Solution, f"{name}-{solver.lower()}", problem, lambda: solve(corners, rate, where, solver)
+            CommonLyapunov, f"{name}-{solver.lower()}", problem, lambda: solve(corners, rate, where, solver)
         )
 
     return solvers.proven(
@@ -60,7 +60,7 @@ def design(
     )
 
 
-def solve(corners: Range, rate: float, where: str, solver: str = "CLARABEL") -> Solution:
+def solve(corners: ErrorMaps, rate: float, where: str, solver: str = "CLARABEL") -> CommonLyapunov:
     """Find P, and with H the gain G as well; raise DesignError where there is no answer."""
     import cvxpy as cp
 
@@ -75,10 +75,10 @@ def solve(corners: Range, rate: float, where: str, solver: str = "CLARABEL") -> 
     unknowns = (P, t) if Y is None else (P, t, Y)
     status, (X, least, *Z) = solvers.minimise(-t, rules, unknowns, where, solver, "narrow the intervals")
     G = np.asarray(np.linalg.solve(X, Z[0]), dtype=np.float64) if Z else np.zeros((0, 0))
-    return Solution(X, G, float(least), status, solver)
+    return CommonLyapunov(X, G, float(least), status, solver)
 
 
-def certify(found: Solution, every: Range, rate: float, what: str) -> Certificate:
+def certify(found: CommonLyapunov, every: ErrorMaps, rate: float, what: str) -> Certificate:
     """Re-check [P, M'; M, P] > 0 at every map that can occur; the least eigenvalue is the margin."""
     P = np.asarray(found.P, float)
     if P.shape != every.J.shape[1:]:

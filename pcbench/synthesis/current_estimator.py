@@ -26,7 +26,7 @@ from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 SAME = 1e-5  # the closed form attains a solver's optimum t when it comes this close
 
 
-class Solution(NamedTuple):
+class CurrentGain(NamedTuple):
     """A solver's answer, as it came."""
 
     P: Matrix  # [n, n]
@@ -42,7 +42,7 @@ def closed_form(Phi: Matrix, C: Matrix) -> Matrix:
     return np.asarray(np.linalg.solve(c.T @ c, c.T @ Phi.T).T, float)
 
 
-def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> Solution:
+def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> CurrentGain:
     """Solve the LMI with cvxpy; raise DesignError where the solver leaves no answer."""
     import cvxpy as cp
 
@@ -52,10 +52,10 @@ def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> Solut
     block = cp.bmat([[P, M.T], [M, P]])
     rules = [block >> t * np.eye(2 * n), P << np.eye(n)]
     status, (X, Z, least) = solvers.minimise(-t, rules, (P, Y, t), where, solver, "try another period")
-    return Solution(X, np.asarray(np.linalg.solve(X, Z), dtype=np.float64), float(least), status, solver)
+    return CurrentGain(X, np.asarray(np.linalg.solve(X, Z), dtype=np.float64), float(least), status, solver)
 
 
-def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> Solution:
+def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> CurrentGain:
     """Return a gain found elsewhere with the P that proves it, of M'P M - P = -I, M = (I - L C) Phi, scaled to P <= I."""
     closed = (np.eye(len(Phi)) - L @ C) @ Phi
     P = np.eye(len(Phi))
@@ -64,17 +64,17 @@ def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> Solution:
             warnings.simplefilter("ignore", LinAlgWarning)  # an ill-conditioned P is judged by its certificate
             P = np.asarray(solve_discrete_lyapunov(closed.T, P), dtype=np.float64)
         P = P / np.linalg.norm(P, 2)
-    return Solution(P, L, 0.0, "solved", "scipy")
+    return CurrentGain(P, L, 0.0, "solved", "scipy")
 
 
-def sharpen(found: Solution, Phi: Matrix, C: Matrix) -> Solution:
+def sharpen(found: CurrentGain, Phi: Matrix, C: Matrix) -> CurrentGain:
     """Return the closed form where it attains the solver's optimum; the solver's answer, as it came, elsewhere."""
     L, I = closed_form(Phi, C), np.eye(len(Phi))
     t = 1 - float(np.linalg.norm((I - L @ C) @ Phi, 2))
     return found._replace(P=I, L=L, t=t) if t > attained(found, Phi, C) - SAME else found
 
 
-def attained(found: Solution, Phi: Matrix, C: Matrix) -> float:
+def attained(found: CurrentGain, Phi: Matrix, C: Matrix) -> float:
     """Return the t that an answer attains, whatever it says of itself; minus infinity where its shapes are wrong."""
     P, L = np.asarray(found.P, float), np.asarray(found.L, float)
     if P.shape != Phi.shape or L.shape != C.T.shape or least_eigenvalue(np.eye(len(P)) - P) < -SAME:
@@ -83,7 +83,7 @@ def attained(found: Solution, Phi: Matrix, C: Matrix) -> float:
     return least_eigenvalue(np.block([[P, M.T], [M, P]]))
 
 
-def certify(found: Solution, Phi: Matrix, C: Matrix, seconds: float) -> Certificate:
+def certify(found: CurrentGain, Phi: Matrix, C: Matrix, seconds: float) -> Certificate:
     """Re-check (23) with the gain itself: the least eigenvalue of [P, M'; M, P], M = P (I - L C) Phi, is the margin.
 
     `seconds` is the time from sample to sample, of which the promised rate of decay is.

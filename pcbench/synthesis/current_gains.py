@@ -21,7 +21,7 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
 from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, remembered, riccati, robust, solvers
 from pcbench.synthesis.certificate import Certificate, Setting, certified
-from pcbench.synthesis.common_lyapunov import Range, Solution
+from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
 from pcbench.synthesis.ranges import Maps
 
 ROBUST = ("decay", "h2", "hinf")
@@ -44,7 +44,7 @@ def find(
     error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
     if given is None and method in ROBUST:
         size = _size(setting, Phi, Q, R)
-        task = robust.Task(maps or mean, C, R, ahead / _prior(setting)[:, None], size)
+        task = robust.RobustTask(maps or mean, C, R, ahead / _prior(setting)[:, None], size)
         found, certificate = robust.design(task, method, decay, where)  # type: ignore[arg-type]
         L = np.asarray(found.L, float)
     else:
@@ -59,17 +59,17 @@ def find(
 def _at_the_mean(
     method: str, given: Matrix | None, Phi: Matrix, Q: Matrix, C: Matrix, R: Matrix, seconds: Matrix, where: str
 ) -> tuple[Matrix, Certificate]:
-    def certify(found: current_estimator.Solution) -> Certificate:
+    def certify(found: current_estimator.CurrentGain) -> Certificate:
         sharp = sharpened(found)
         return current_estimator.certify(sharp, Phi, C, float(seconds[0]))
 
-    def sharpened(found: current_estimator.Solution) -> current_estimator.Solution:
+    def sharpened(found: current_estimator.CurrentGain) -> current_estimator.CurrentGain:
         return current_estimator.sharpen(found, Phi, C) if given is None and method == "lmi" else found
 
-    def ask(solver: str) -> current_estimator.Solution:
+    def ask(solver: str) -> current_estimator.CurrentGain:
         name = f"lmi23-{solver.lower()}"
         return remembered.remembered(
-            current_estimator.Solution, name, (Phi, C), lambda: current_estimator.solve(Phi, C, where, solver)
+            current_estimator.CurrentGain, name, (Phi, C), lambda: current_estimator.solve(Phi, C, where, solver)
         )
 
     if given is None and method == "lmi":
@@ -90,13 +90,13 @@ def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certifi
             f"{where}: got a gain whose errors decay at {fastest:.3g} 1/s over some interval, expected more than {decay:g}; "
             "ask for a slower decay or a narrower range, or take gain = 'h2'."
         )
-    every = Range(F, maps.seconds)
+    every = ErrorMaps(F, maps.seconds)
 
-    def same(found: Solution) -> Range:
+    def same(found: CommonLyapunov) -> ErrorMaps:
         return every
 
     what = f"F'P F < e^{{-2 {decay:g} T}} P at every map of the range, F = (I - L C) Phi"
-    corners = Range(F[maps.corners], maps.seconds[maps.corners])
+    corners = ErrorMaps(F[maps.corners], maps.seconds[maps.corners])
     return common_lyapunov.design(corners, same, decay, what, where)[1]
 
 

@@ -26,7 +26,7 @@ from pcbench.synthesis.unknown_input import Split
 ADVICE = "ask for a slower rate"
 
 
-class Found(NamedTuple):
+class PIGains(NamedTuple):
     """A solver's answer, as it came."""
 
     KP: Matrix  # [p, p]
@@ -37,7 +37,7 @@ class Found(NamedTuple):
     solver: str
 
 
-def design(plant: Split, L1: Matrix, beta: float, where: str) -> tuple[Found, Certificate]:
+def design(plant: Split, L1: Matrix, beta: float, where: str) -> tuple[PIGains, Certificate]:
     """Find the least gains that prove beta [1/s] beside L1, and re-check that they do; errors as of `solve`."""
     found, certificate = solvers.proven(
         lambda solver: solve(plant, L1, beta, where, solver),
@@ -48,7 +48,7 @@ def design(plant: Split, L1: Matrix, beta: float, where: str) -> tuple[Found, Ce
     return found, unknown_input.require_rate(certificate, beta, where)
 
 
-def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLARABEL") -> Found:
+def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLARABEL") -> PIGains:
     """Find the least gains that prove beta [1/s] beside L1 [n-p, p-r]; remembered.
 
     Raises UserError where what L1 leaves decays no faster than beta, DesignError where the solver has no answer.
@@ -61,7 +61,7 @@ def solve(plant: Split, L1: Matrix, beta: float, where: str, solver: str = "CLAR
             "decays; ask for a slower beta or a faster L1."
         )
     name, problem = f"pi-observer-{solver.lower()}", (A11b, plant.A21, np.array([beta]))
-    return remembered.remembered(Found, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))
+    return remembered.remembered(PIGains, name, problem, lambda: _solve(A11b, plant.A21, beta, where, solver))
 
 
 def closed_loop(plant: Split, L1: Matrix, KP: Matrix, KI: Matrix) -> Matrix:
@@ -70,7 +70,7 @@ def closed_loop(plant: Split, L1: Matrix, KP: Matrix, KI: Matrix) -> Matrix:
     return Ab - Bb @ np.hstack([np.zeros_like(plant.A21), KI, KP])
 
 
-def certify(found: Found, plant: Split, L1: Matrix) -> Certificate:
+def certify(found: PIGains, plant: Split, L1: Matrix) -> Certificate:
     """Re-check the LMI at the gains themselves: the margin is the rate [1/s] that P proves; NaN where P is not of its form."""
     KP, KI, P = (np.asarray(M, float) for M in found[:3])
     what = "A'P + P A + 2 rate P <= 0, A = Ab - Bb K, P = blkdiag(P1, [P21, P23; P23, P22]), P23 >= 0"
@@ -106,7 +106,7 @@ def _open_loop(A11b: Matrix, A21: Matrix) -> tuple[Matrix, Matrix]:
     return Ab, np.vstack([np.zeros((k + p, p)), np.eye(p)])
 
 
-def _solve(A11b: Matrix, A21: Matrix, beta: float, where: str, solver: str) -> Found:
+def _solve(A11b: Matrix, A21: Matrix, beta: float, where: str, solver: str) -> PIGains:
     import cvxpy as cp
 
     (p, k), (Ab, Bb) = A21.shape, _open_loop(A11b, A21)
@@ -125,4 +125,4 @@ def _solve(A11b: Matrix, A21: Matrix, beta: float, where: str, solver: str) -> F
         np.asarray(np.linalg.inv(X1), dtype=np.float64), c / (a * c - b**2), -b / (a * c - b**2), a / (a * c - b**2)
     )
     K = gains @ P[k:, k:]  # [KI, KP]
-    return Found(K[:, p:], K[:, :p], P, float(least), status, solver)
+    return PIGains(K[:, p:], K[:, :p], P, float(least), status, solver)

@@ -17,11 +17,11 @@ from pcbench.dynamics.observability import require_observable
 from pcbench.errors import UserError
 from pcbench.synthesis import common_lyapunov, error_bounds
 from pcbench.synthesis.certificate import Certificate
-from pcbench.synthesis.common_lyapunov import Range
+from pcbench.synthesis.common_lyapunov import ErrorMaps
 from pcbench.synthesis.ranges import Maps
 
 
-class Split(NamedTuple):
+class Partition(NamedTuple):
     """A plant in coordinates [y; w], over every map of a range."""
 
     T: Matrix  # [n, n]
@@ -32,7 +32,7 @@ class Split(NamedTuple):
     corners: Any  # which of them a solver is to see
 
 
-class Found(NamedTuple):
+class ReducedOrderGains(NamedTuple):
     """Gains [n-l, l] and what proves them."""
 
     Kp: Matrix
@@ -55,12 +55,12 @@ def coordinates(C: Matrix, where: str) -> Matrix:
     return np.vstack([C, unseen * np.sign(lead)])
 
 
-def split(model: Model, maps: Maps, where: str) -> Split:
+def partition(model: Model, maps: Maps, where: str) -> Partition:
     """Return the partitions of T Phi inv(T) over a range of maps; raise UserError where w is unobservable."""
     require_observable(model, where)
     T, l = coordinates(model.C, where), len(model.C)
     whole = T @ maps.Phi @ np.linalg.inv(T)
-    return Split(T, l, whole[:, :l, l:], whole[:, l:, l:], maps.seconds, maps.corners)
+    return Partition(T, l, whole[:, :l, l:], whole[:, l:, l:], maps.seconds, maps.corners)
 
 
 def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
@@ -72,37 +72,37 @@ def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
     return np.concatenate([np.concatenate([F, -I], 2), np.concatenate([Ki @ A12, I], 2)], 1)
 
 
-def design(plant: Split, given: list[Matrix], integral: bool, rate: float, where: str) -> Found:
+def design(plant: Partition, given: list[Matrix], integral: bool, rate: float, where: str) -> ReducedOrderGains:
     """Prove the gains that are given ([Kp] or [Kp, Ki]), or find them by the LMI and prove those, at a `rate` [1/s]."""
     error_bounds.require_slower(rate, plant.seconds, where)
     k, l = plant.A22.shape[1], plant.outputs
     zero, corners = np.zeros((k, l)), _corners(plant, rate)
     A12, A22, seconds = corners
 
-    def gains(found: common_lyapunov.Solution) -> tuple[Matrix, Matrix]:
+    def gains(found: common_lyapunov.CommonLyapunov) -> tuple[Matrix, Matrix]:
         if given:
             return given[0], given[1] if integral else zero
         G = np.asarray(found.G, float).reshape(-1, l)
         return G[:k], -G[k:] if integral else zero
 
-    def every(found: common_lyapunov.Solution) -> Range:
+    def every(found: common_lyapunov.CommonLyapunov) -> ErrorMaps:
         Kp, Ki = gains(found)
-        return Range(jacobian(plant.A12, plant.A22, Kp, Ki if integral else None), plant.seconds)
+        return ErrorMaps(jacobian(plant.A12, plant.A22, Kp, Ki if integral else None), plant.seconds)
 
     if given:
-        shown = Range(jacobian(A12, A22, given[0], given[1] if integral else None), seconds)
+        shown = ErrorMaps(jacobian(A12, A22, given[0], given[1] if integral else None), seconds)
     else:
         H = np.concatenate([A12, np.zeros_like(A12)], 2) if integral else A12
-        shown = Range(jacobian(A12, A22, zero, zero if integral else None), seconds, H)
+        shown = ErrorMaps(jacobian(A12, A22, zero, zero if integral else None), seconds, H)
     what = "J(T)'P J(T) < P" if integral else "F(T)'P F(T) < P"
     what = what.replace("< P", f"< e^{{-2 {rate:g} T}} P") if rate else what
     found, certificate = common_lyapunov.design(shown, every, rate, f"{what} at every interval T", where)
     Kp, Ki = gains(found)
     numbers = dict(certificate.numbers) | {"Kp": Kp} | ({"Ki": Ki} if integral else {})
-    return Found(Kp, Ki, certificate._replace(numbers=numbers))
+    return ReducedOrderGains(Kp, Ki, certificate._replace(numbers=numbers))
 
 
-def _corners(plant: Split, rate: float) -> tuple[Matrix, Matrix, Matrix]:
+def _corners(plant: Partition, rate: float) -> tuple[Matrix, Matrix, Matrix]:
     """What the solver sees: corners of the (A12, A22) box where both are numbers and no rate is asked, else some of them."""
     if plant.A22.shape[1:] == (1, 1) and plant.outputs == 1 and rate == 0:
         a, e = plant.A12.ravel(), plant.A22.ravel()

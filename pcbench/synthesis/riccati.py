@@ -65,7 +65,7 @@ def update(P: Matrix, C: Matrix, R: Matrix) -> Matrix:
     return keep @ P @ keep.T + K @ R @ K.T
 
 
-class Run(NamedTuple):
+class CovarianceRun(NamedTuple):
     """What a covariance recursion over a horizon leaves."""
 
     P: Matrix  # [n, n] after the last update
@@ -76,7 +76,7 @@ class Run(NamedTuple):
 
 def multirate(
     doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, P0: Matrix, period: tuple[int, ...], ticks: int
-) -> Run:
+) -> CovarianceRun:
     """Run the covariance over a horizon: channel j with noise variance R[j] is sampled every period[j] ticks from 0 on."""
     P, at, K = P0, 0, np.zeros((len(P0), len(C)))
     innovation, least = np.inf, np.inf
@@ -89,7 +89,7 @@ def multirate(
             K[:, j] = (P @ c.T)[:, 0] / (c @ P @ c.T + r)[0, 0]
             P = update(P, c, r)
         least = min(least, least_eigenvalue(P) / max(np.abs(P).max(), 1e-300))
-    return Run(P, K, innovation, least)
+    return CovarianceRun(P, K, innovation, least)
 
 
 def posterior_variance(

@@ -20,18 +20,17 @@ import numpy as np
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
 from pcbench.synthesis import error_bounds, remembered, solvers
-from pcbench.synthesis.certificate import Certificate
+from pcbench.synthesis.certificate import SHORT, Certificate
 from pcbench.synthesis.ranges import Maps
 
 Kind = Literal["decay", "h2", "hinf"]
-SHORT = 1e-5  # part of a rate asked for that a proof may fall short of it: an optimum lies on the boundary
 FASTEST = 5.0  # e^-5 a sample: faster is as good as at once
 NEARLY = 1.01  # the energy gain's square, of the least
 STEPS = 24  # of the search for the fastest rate
 ADVICE = "ask for a slower decay or a narrower range"
 
 
-class Task(NamedTuple):
+class RobustTask(NamedTuple):
     """What a gain is sought for; n states, q outputs."""
 
     maps: Maps
@@ -41,7 +40,7 @@ class Task(NamedTuple):
     scale: Matrix  # [n] size of the error, for the solver's sake
 
 
-class Found(NamedTuple):
+class RobustGain(NamedTuple):
     """A solver's answer, as it came."""
 
     P: Matrix  # [n, n]
@@ -52,8 +51,8 @@ class Found(NamedTuple):
 
 
 def design(
-    task: Task, kind: Kind, decay: float | None, where: str, among: tuple[str, ...] = solvers.SOLVERS
-) -> tuple[Found, Certificate]:
+    task: RobustTask, kind: Kind, decay: float | None, where: str, among: tuple[str, ...] = solvers.SOLVERS
+) -> tuple[RobustGain, Certificate]:
     """Find a gain and prove it; `decay` [1/s] is the least rate, None: any (of the kind decay: the fastest).
 
     Raises DesignError where no answer stands.
@@ -63,22 +62,22 @@ def design(
     name = f"robust-{kind}"
     least = 0.0 if decay is None else decay * (1 - SHORT)
 
-    def ask(solver: str) -> Found:
+    def ask(solver: str) -> RobustGain:
         problem = (task.maps.seen.Phi, task.maps.seen.Q, task.maps.seen.seconds, *task[1:], np.array(decay or 0.0))
         return remembered.remembered(
-            Found, f"{name}-{solver.lower()}", problem, lambda: solve(task, kind, decay, where, solver)
+            RobustGain, f"{name}-{solver.lower()}", problem, lambda: solve(task, kind, decay, where, solver)
         )
 
-    def hopeless(found: Found) -> bool:
+    def hopeless(found: RobustGain) -> bool:
         return kind == "decay" and found.status == "optimal" and found.cost >= 0
 
     return solvers.proven(ask, lambda found: certify(found, task, kind), where, least, hopeless, among)
 
 
-def fastest(task: Task, where: str) -> tuple[Found, Certificate]:
+def fastest(task: RobustTask, where: str) -> tuple[RobustGain, Certificate]:
     """Return the gain with the fastest decay that one P proves over the range, by bisection of the rate."""
     low, high = 0.0, FASTEST / float(task.maps.seconds.min())
-    best: tuple[Found, Certificate] | None = None
+    best: tuple[RobustGain, Certificate] | None = None
     for _ in range(STEPS):
         if high - low < 1e-4 * high:
             break
@@ -91,7 +90,7 @@ def fastest(task: Task, where: str) -> tuple[Found, Certificate]:
     return best or design(task, "decay", 0.0, where)
 
 
-def solve(task: Task, kind: Kind, decay: float | None, where: str, solver: str = "CLARABEL") -> Found:
+def solve(task: RobustTask, kind: Kind, decay: float | None, where: str, solver: str = "CLARABEL") -> RobustGain:
     """Solve the inequalities at the corners of a range; raise DesignError where the solver has no answer.
 
     Of the gains with the least energy gain, to NEARLY, the one with the least covariance is taken: there are many.
@@ -102,7 +101,7 @@ def solve(task: Task, kind: Kind, decay: float | None, where: str, solver: str =
     return _solve(task, "h2", decay, NEARLY * least.cost, where, solver)
 
 
-def _solve(task: Task, kind: Kind, decay: float | None, energy: float, where: str, solver: str) -> Found:
+def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, where: str, solver: str) -> RobustGain:
     """Minimise what `kind` says, with an energy gain of no more than `energy`."""
     import cvxpy as cp
 
@@ -135,7 +134,7 @@ def _solve(task: Task, kind: Kind, decay: float | None, energy: float, where: st
         raise DesignError(
             f"{where}: the LMI's P is singular ({solver} said '{status}'), expected P > 0; {ADVICE}."
         ) from None
-    return Found(X / S[:, None] / S, S[:, None] * L * v, float(least), status, solver)
+    return RobustGain(X / S[:, None] / S, S[:, None] * L * v, float(least), status, solver)
 
 
 def _block(cp: Any, P: Any, M: Any, G: Any, Y: Any, middle: Any, energy: Any) -> Any:
@@ -150,7 +149,7 @@ def _block(cp: Any, P: Any, M: Any, G: Any, Y: Any, middle: Any, energy: Any) ->
     ])  # fmt: skip
 
 
-def certify(found: Found, task: Task, kind: Kind) -> Certificate:
+def certify(found: RobustGain, task: RobustTask, kind: Kind) -> Certificate:
     """Re-check what P proves of L at every map of the range; the margin is the rate of decay [1/s]."""
     P, L = np.asarray(found.P, float), np.asarray(found.L, float)
     what = "F'P F <= e^{-2 rate T} P at every map of the range, F = (I - L C) Phi"

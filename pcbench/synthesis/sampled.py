@@ -18,6 +18,7 @@ from pcbench.synthesis.certificate import NO_NOISE, Setting
 power = np.linalg.matrix_power
 UNSEEN = 1e-8  # a scaled mode is not seen where C shows less than this of it
 STAYS = 1 - 1e-9  # a mode of at least this size does not decay
+ROWS = 1500  # of a map whose radius is computed
 GROWS = 100.0  # powers of ten: what a model may grow by over a delay
 
 
@@ -56,7 +57,7 @@ def sampled(setting: Setting, observer: str, q: float | None = None) -> Sampled:
     sizes = np.linalg.norm(model.C * scale, axis=1)
     R = setting.noise_variance
     sizes = np.where(R > NO_NOISE, np.sqrt(R), np.where(sizes > 0, sizes, 1.0))
-    return Sampled(A, model.C, Q, np.diag(R), tau, period, scale, sizes)
+    return Sampled(A=A, C=model.C, Q=Q, R=np.diag(R), tau=tau, period=period, scale=scale, sizes=sizes)
 
 
 def _whole_samples(setting: Setting, where: str) -> int:
@@ -143,3 +144,15 @@ def require_seen(plant: Sampled, d: int, where: str, least: float = STAYS, why: 
                 f"{where}: got (C, A^d) that over d = {d} samples does not show the mode {shown(complex(mode))} of A^d (along "
                 f"[{along}]), expected {kind} pair for {why}; measure another output or change a delay."
             )
+
+
+def delayed_radius(A: Matrix, K: Matrix, C: Matrix, ages: tuple[int, ...]) -> float:
+    """Return the spectral radius of e(k+1) = A e(k) - sum_j K_j C_j e(k - ages_j); NaN where the ages are too long for it."""
+    n = len(A)
+    if n * (max(ages) + 1) > ROWS:
+        return float("nan")
+    J = np.eye(n * (max(ages) + 1), k=-n)
+    J[:n, :n] += A
+    for j, age in enumerate(ages):
+        J[:n, n * age : n * (age + 1)] -= np.outer(K[:, j], C[j])
+    return float(np.abs(np.linalg.eigvals(J)).max())

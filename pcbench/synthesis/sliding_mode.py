@@ -28,7 +28,7 @@ BOUNDS = (1e2, 1e4, 1e6, 1e8)  # of P1 where it would grow for ever
 ADVICE = "ask for a slower rate"
 
 
-class Found(NamedTuple):
+class SlidingModeGains(NamedTuple):
     """A solver's answer, as it came."""
 
     L1: Matrix  # [n-p, p-r]
@@ -40,7 +40,7 @@ class Found(NamedTuple):
     solver: str
 
 
-def design(plant: Split, alpha: float, where: str) -> tuple[Found, Certificate]:
+def design(plant: Split, alpha: float, where: str) -> tuple[SlidingModeGains, Certificate]:
     """Find the least gains that prove alpha [1/s], and re-check that they do; errors as of `solve`."""
     least = unknown_input.enough(alpha)
     found, certificate = solvers.proven(
@@ -49,7 +49,7 @@ def design(plant: Split, alpha: float, where: str) -> tuple[Found, Certificate]:
     return found, unknown_input.require_rate(certificate, alpha, where)
 
 
-def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> Found:
+def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> SlidingModeGains:
     """Find the least gains that prove alpha [1/s]; remembered.
 
     Raises UserError where modes that no gain moves are slower than alpha, DesignError where the solver has no answer.
@@ -57,7 +57,7 @@ def solve(plant: Split, alpha: float, where: str, solver: str = "CLARABEL") -> F
     unknown_input.require_movable(plant, alpha, where)
     problem = (plant.A11, plant.A21, plant.A211, np.array([alpha]))
     return remembered.remembered(
-        Found, f"sliding-mode-{solver.lower()}", problem, lambda: _solve(plant, alpha, where, solver)
+        SlidingModeGains, f"sliding-mode-{solver.lower()}", problem, lambda: _solve(plant, alpha, where, solver)
     )
 
 
@@ -67,7 +67,7 @@ def closed_loop(plant: Split, L1: Matrix, A22s: Matrix) -> Matrix:
     return np.block([[A11b, np.zeros_like(plant.A12)], [plant.A21, A22s]])
 
 
-def certify(found: Found, plant: Split) -> Certificate:
+def certify(found: SlidingModeGains, plant: Split) -> Certificate:
     """Re-check the LMI at the gains themselves: the margin is the rate [1/s] that P1, P2 prove, NaN where none."""
     L1, P1, P2, A22s = (np.asarray(M, float) for M in found[:4])
     what = "A'P + P A + 2 rate P <= 0, A = [A11 - L1 A211, 0; A21, A22s], P = blkdiag(P1, P2)"
@@ -83,7 +83,7 @@ def certify(found: Found, plant: Split) -> Certificate:
     return unproven._replace(margin=margin, numbers=numbers, rate=margin)
 
 
-def _solve(plant: Split, alpha: float, where: str, solver: str) -> Found:
+def _solve(plant: Split, alpha: float, where: str, solver: str) -> SlidingModeGains:
     fast = np.linalg.eigvals(plant.A11).real.min() < -alpha
     *bounds, last = BOUNDS if fast else (np.inf,)
     for bound in bounds:
@@ -94,7 +94,7 @@ def _solve(plant: Split, alpha: float, where: str, solver: str) -> Found:
     return _bounded(plant, alpha, last, where, solver)
 
 
-def _bounded(plant: Split, alpha: float, bound: float, where: str, solver: str) -> Found:
+def _bounded(plant: Split, alpha: float, bound: float, where: str, solver: str) -> SlidingModeGains:
     import cvxpy as cp
 
     A11, A21, A211 = plant.A11, plant.A21, plant.A211
@@ -109,4 +109,4 @@ def _bounded(plant: Split, alpha: float, bound: float, where: str, solver: str) 
     unknowns = (P1, P2, k1, k2, r)
     status, (X1, X2, x1, x2, least) = solvers.minimise(r, rules, unknowns, where, solver, ADVICE)
     L1, A22s = (np.asarray(np.linalg.solve(X, x), dtype=np.float64) for X, x in ((X1, x1), (X2, -x2)))
-    return Found(L1, X1, X2, A22s, float(least), status, solver)
+    return SlidingModeGains(L1, X1, X2, A22s, float(least), status, solver)

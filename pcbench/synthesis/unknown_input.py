@@ -22,10 +22,9 @@ from scipy.linalg import eigh
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.dynamics.observability import RANK, shown, unobservable
 from pcbench.errors import UserError
-from pcbench.synthesis.certificate import Certificate, certified
+from pcbench.synthesis.certificate import SHORT, Certificate, certified
 
 TIE = 1e-9  # lengths this close are equal, and entries this small are zero
-SHORT = 1e-5  # part of the rate asked for that a proof may fall short of it: an optimum lies on the boundary
 
 
 class Split(NamedTuple):
@@ -64,7 +63,8 @@ def split(model: Model, where: str) -> Split:
     sign = np.sign(np.take_along_axis(T, large.argmax(1)[:, None], 1))
     T, Tp = sign * T, sign[n - p :] * Tp
     A, k = T @ model.A @ np.linalg.inv(T), n - p
-    return Split(T, Tp, A[:k, :k], A[:k, k:], A[k:, :k], A[k:, k:], Tp[p - r :] @ C @ given)
+    blocks = {"A11": A[:k, :k], "A12": A[:k, k:], "A21": A[k:, :k], "A22": A[k:, k:]}
+    return Split(T=T, Tp=Tp, **blocks, E222=Tp[p - r :] @ C @ given)
 
 
 def injection(plant: Split, L1: Matrix, A22s: Matrix) -> tuple[Matrix, Matrix]:

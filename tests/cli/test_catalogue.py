@@ -20,7 +20,7 @@ def test_everything_that_there_is_is_listed():
 def test_plants_have_their_signals_with_units_and_their_parameters_with_values():
     said = catalogue.plant("cart")
     assert said["signals"] == [{"name": "position", "unit": "m"}, {"name": "velocity", "unit": "m/s"}]
-    assert said["parameters"] == {"lam": 122, "b": 355, "input_bias": 0}
+    assert said["parameters"] == {"lam": 122, "b": 355, "drift_sign": 1, "input_bias": 0}
     assert said["unknown"] == []
     assert catalogue.plant("helicopter")["unknown"][-1] == {"name": "yaw_viscosity", "unit": "N m s/rad"}
 
@@ -38,7 +38,12 @@ def test_scenarios_have_their_times_and_bands_in_their_units():
         SCENARIOS["csth/10s"].scoring.tail,
     )
     assert found("scenarios", "arm/sampled")["arm/sampled"]["delay"] == list(SCENARIOS["arm/sampled"].sampling.delay)
-    assert catalogue.scenario("cart/white")["axes"][-3:] == ["plant.lam", "plant.b", "plant.input_bias"]
+    assert catalogue.scenario("cart/white")["axes"][-4:] == [
+        "plant.lam",
+        "plant.b",
+        "plant.drift_sign",
+        "plant.input_bias",
+    ]
 
 
 def test_observers_say_what_they_know_and_take():

@@ -17,7 +17,7 @@ FLOORS = [
     re.findall(r"`pcbench/(\w+)(?:\.py)?`", row) for row in re.findall(r"^\| (`pcbench/.*?) \|", TABLE, re.M)
 ]  # top to bottom
 FLOOR = {room: i for i, rooms in enumerate(FLOORS) for room in rooms}
-NO_JAX = ["errors", "synthesis", "synthesis.chain", "synthesis.chain_lyapunov", "synthesis.sampled", "synthesis.late",
+NO_JAX = ["errors", "synthesis", "synthesis.chain", "synthesis.chain_lyapunov", "synthesis.sampled",
           "synthesis.riccati", "synthesis.current_estimator", "synthesis.certificate", "synthesis.unknown_input",
           "synthesis.sliding_mode", "synthesis.pi_lmi", "dynamics.linear", "dynamics.observability", "statistics",
           "dataset.columns", "dataset.store", "dataset.block_files", "scenarios", "simulation.schedule.shared",

@@ -18,7 +18,7 @@ from scipy.linalg import solve_discrete_lyapunov
 from pcbench.errors import DesignError
 from pcbench.observers import OBSERVERS, pco
 from pcbench.observers.parts.prediction import Motion, Point
-from pcbench.observers.parts.reordering import Sample
+from pcbench.observers.parts.reordering import Measurement
 from pcbench.simulation import loop
 from pcbench.simulation.schedule import sampling, shared
 from pcbench.simulation.schedule.sampling import Clock
@@ -118,7 +118,7 @@ def step_of(F, k, A12=0.4):
 
     def step(s, v):
         before = pco.Reduced(Point(s[:2], jnp.asarray(3)), s[2:], jnp.asarray(True))
-        after = pco.reduced(gains, before, Sample(jnp.asarray(4), v[None], jnp.array([True]), jnp.zeros(2)))
+        after = pco.reduced(gains, before, Measurement(jnp.asarray(4), v[None], jnp.array([True]), jnp.zeros(2)))
         return jnp.concatenate([after.point.free, after.L])
 
     return *jax.jacfwd(step, (0, 1))(jnp.zeros(3), jnp.asarray(0.0)), Ad

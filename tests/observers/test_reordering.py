@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pcbench.observers.parts import reordering
-from pcbench.observers.parts.reordering import Sample
+from pcbench.observers.parts.reordering import Measurement
 
 BASE = 7.0  # a state is the numbers of all samples used, in their order, as digits
 
@@ -20,7 +20,7 @@ def replayed(arrivals, places):
     line, out = reordering.start(jnp.asarray(0.0), np.zeros(places), 1, 0), []
     step = jax.jit(lambda line, sample: reordering.replay(digits, line, sample))
     for taken, number in arrivals:
-        sample = Sample(jnp.asarray(taken), jnp.array([float(number)]), jnp.array([True]), jnp.zeros(0))
+        sample = Measurement(jnp.asarray(taken), jnp.array([float(number)]), jnp.array([True]), jnp.zeros(0))
         line, state = step(line, sample)
         out.append(float(state))
     return out

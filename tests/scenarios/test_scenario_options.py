@@ -21,10 +21,29 @@ def test_the_rising_sawtooth_equals_the_reference(observer):
 
 @pytest.mark.parametrize("sign", [-1, pytest.param(1, marks=pytest.mark.slow)])
 def test_the_drifts_sign_equals_the_reference(sign):
-    got = pcbench.trace("cart/drift", "dkf", overrides=[f"options.scenario.drift_sign={sign}"])
+    got = pcbench.trace("cart/drift", "dkf", overrides=[f"axes.plant.drift_sign={sign}"])
     x, xhat = cart.run("cart/drift", "dkf", sign=float(sign), substeps=plant.SUBSTEPS)
     np.testing.assert_allclose(got["position"], x[:, 0], rtol=0, atol=1e-9)
     np.testing.assert_allclose(got["dkf.position"], xhat[:, 0], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "what"),
+    [
+        (
+            "options.scenario.drift_sign=-1",
+            r"got drift_sign, .* write axes.plant.drift_sign",
+        ),
+        ("axes.plant.drift_sign=0.5", r"got 0.5, expected a sign; write 1 or -1"),
+    ],
+)
+def test_the_drifts_sign_is_a_parameter_of_the_cart_and_a_sign(change, what):
+    with pytest.raises(UserError, match=what):
+        pcbench.trace("cart/drift", "dkf", overrides=[change])
+
+
+def test_no_other_plant_has_a_sign_that_print_has_lost():
+    assert [name for name, plant in PLANTS.items() if "drift_sign" in plant.numbers._asdict()] == ["cart"]
 
 
 @pytest.mark.slow

@@ -68,7 +68,7 @@ OPTIONS = {
     "no-delay": {"variant": "plain", "pole": 0.5},
     "smo": {"alpha": 1.0, "rho": 1.0, "eps": 0.005},
     "pio": {"beta": 0.5, "xi": 2.0, "reconstruct": True},
-    "scenario": {"random-start": False, "start-spread": 0.1, "precision": "float64", "drift-sign": 1},
+    "scenario": {"random-start": False, "start-spread": 0.1, "precision": "float64"},
 }
 
 

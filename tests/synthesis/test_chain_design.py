@@ -30,9 +30,9 @@ def test_its_map_of_one_sample_is_the_certificates_and_the_references(case, labe
     with process.float64():
         start = chain.init(gains, jnp.zeros(n))
         ring = len(start.past) - 1
-        place = start.place._replace(tick=jnp.asarray(k), sample=jnp.asarray(k))
+        run = start.run._replace(tick=jnp.asarray(k), sample=jnp.asarray(k))
         heard = tuple(jnp.ones_like(known) for known in start.known)
-        start = start._replace(place=place, known=heard, fresh=jnp.ones(3, bool))
+        start = start._replace(run=run, known=heard, fresh=jnp.ones(3, bool))
 
         @jax.jit
         def step(errors):

@@ -117,7 +117,9 @@ TASKS = {"h2": ("h2", 1.0), "hinf": ("hinf", 1.0), "decay": ("decay", 1.0)}
 def task(name):
     s = known(name)
     maps = ranges.maps(s, [0.15, 0.25], None, 0.05, "test")
-    return robust.Task(maps, s.model.C, np.diag(s.noise_variance), np.eye(len(s.model.A)), np.ones(len(s.model.A)))
+    return robust.RobustTask(
+        maps, s.model.C, np.diag(s.noise_variance), np.eye(len(s.model.A)), np.ones(len(s.model.A))
+    )
 
 
 @pytest.mark.slow
@@ -136,12 +138,12 @@ def test_a_second_solver_agrees_and_is_certified_alike(kind):
 @pytest.mark.parametrize("H", [None, np.array([[[0.3, 1.0]], [[0.5, 0.2]]])], ids=["given", "sought"])
 def test_a_second_solver_agrees_on_one_lyapunov_matrix_for_a_range(H):
     J = np.array([[[0.9, 0.3], [-0.2, 0.6]], [[0.7, -0.1], [0.4, 0.8]]])
-    seen = common_lyapunov.Range(J, np.array([0.2, 0.5]), H)
+    seen = common_lyapunov.ErrorMaps(J, np.array([0.2, 0.5]), H)
     both = [common_lyapunov.solve(seen, 0.2, "test", solver) for solver in solvers.SOLVERS]
     assert both[1].t == pytest.approx(both[0].t, rel=1e-4)
     for found in both:
         closed = J if H is None else J - found.G @ H
-        proof = common_lyapunov.certify(found, common_lyapunov.Range(closed, seen.seconds), 0.2, "test")
+        proof = common_lyapunov.certify(found, common_lyapunov.ErrorMaps(closed, seen.seconds), 0.2, "test")
         assert proof.margin == pytest.approx(found.t, rel=1e-3)
         assert proof.rate > 0.2
 
@@ -252,7 +254,7 @@ def test_ranges_hold_every_tick_and_both_ends_of_a_parameter():
 def test_the_fastest_decay_over_a_range_leaves_little_to_gain():
     """Asked for a tenth more, no P is found."""
     maps = ranges.maps(known("odd"), [0.1, 0.9], None, 0.05, "test")
-    t = robust.Task(maps, ODD.C, 0.09 * np.eye(2), np.eye(3), np.ones(3))
+    t = robust.RobustTask(maps, ODD.C, 0.09 * np.eye(2), np.eye(3), np.ones(3))
     found, proof = robust.design(t, "decay", None, "test")
     assert proof.rate > 0.5
     F = error_bounds.errors(np.asarray(found.L), ODD.C, maps.Phi)

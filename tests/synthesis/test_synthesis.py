@@ -73,7 +73,7 @@ def test_the_gain_is_deadbeat_and_equals_the_reference(te):
 
 def test_a_gain_outside_the_lmi_is_refused_with_margin_and_status():
     Phi = phi(CART, 0.2)
-    wrong = current_estimator.Solution(np.eye(2), np.array([[2.5], [0.0]]), 0.0, "optimal", "CLARABEL")
+    wrong = current_estimator.CurrentGain(np.eye(2), np.array([[2.5], [0.0]]), 0.0, "optimal", "CLARABEL")
     certificate = current_estimator.certify(wrong, Phi, CART.C, 0.2)
     assert certificate.margin < 0
     with pytest.raises(DesignError, match=r"margin -.*CLARABEL said 'optimal'"):
@@ -106,7 +106,7 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
     C = np.array([[1.0, 0.0, 0.0]])
     kept = [
         remembered.remembered(
-            current_estimator.Solution, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C, "test")
+            current_estimator.CurrentGain, "lmi23", (Phi, C), partial(current_estimator.solve, Phi, C, "test")
         ).L
         for Phi in (slow, 0.9 * slow, slow)
     ]
@@ -117,7 +117,7 @@ def test_every_problem_has_its_own_place_in_the_cache(tmp_path, monkeypatch):
 
 def test_matrices_of_the_same_numbers_in_another_shape_are_another_problem(tmp_path, monkeypatch):
     monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
-    kind, shapes = current_estimator.Solution, [(2, 3), (3, 2), (1, 6)]
+    kind, shapes = current_estimator.CurrentGain, [(2, 3), (3, 2), (1, 6)]
     for shape in shapes:
         found = remembered.remembered(
             kind, "shape", (np.ones(shape),), partial(kind, np.eye(2), np.ones(shape), 0.0, "", "")
@@ -127,11 +127,11 @@ def test_matrices_of_the_same_numbers_in_another_shape_are_another_problem(tmp_p
 
 
 def test_a_proof_over_a_range_holds_at_every_map_of_it_at_its_own_interval():
-    found = common_lyapunov.Solution(np.eye(2), np.zeros((0, 0)), 0.1, "optimal", "none")
+    found = common_lyapunov.CommonLyapunov(np.eye(2), np.zeros((0, 0)), 0.1, "optimal", "none")
 
     def certify(factors, rate):
         maps = np.array(factors)[:, None, None] * np.eye(2)
-        return common_lyapunov.certify(found, common_lyapunov.Range(maps, np.array([0.1, 0.2])), rate, "test")
+        return common_lyapunov.certify(found, common_lyapunov.ErrorMaps(maps, np.array([0.1, 0.2])), rate, "test")
 
     assert certify((0.5, 0.5), 0.0).margin == pytest.approx(0.5)
     assert certify((0.5, 0.5), 0.0).rate == pytest.approx(np.log(2) / 0.2)

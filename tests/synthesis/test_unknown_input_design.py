@@ -29,7 +29,7 @@ MODEL = Model(A, B, C, E=D)
 ARM = split(MODEL, "arm")
 LINK = split(MODEL._replace(C=np.eye(2, 4)), "arm")  # link angle and velocity are measured instead
 
-PRINTED = sliding_mode.Found(
+PRINTED = sliding_mode.SlidingModeGains(
     np.array([[0.8148], [2.4893]]),
     np.array([[13.5959, -4.2094], [-4.2094, 2.4078]]),
     np.array([[1.0070, 0.0021], [0.0021, 1.0024]]),
@@ -38,7 +38,7 @@ PRINTED = sliding_mode.Found(
     "printed",
     "paper",
 )
-PRINTED_PI = pi_lmi.Found(
+PRINTED_PI = pi_lmi.PIGains(
     np.array([[21.7396, 0.0278], [0.0283, 21.8043]]),
     np.array([[22.2876, 0.0272], [0.0288, 22.3538]]),
     pi_lmi.form(np.array([[0.9163, -0.2602], [-0.2602, 0.1860]]), *(np.full(2, v) for v in (0.8261, 0.3339, 0.3328))),

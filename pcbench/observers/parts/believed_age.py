@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from pcbench.dynamics.linear import Matrix
 from pcbench.observers.parts import per_sample
 from pcbench.observers.parts.feedthrough import known_input
-from pcbench.observers.parts.per_sample import Model, Place, read, ring, write
+from pcbench.observers.parts.per_sample import ModelRun, SampledModel, read, ring, write
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
 from pcbench.synthesis.certificate import Setting
 
@@ -27,7 +27,7 @@ from pcbench.synthesis.certificate import Setting
 class Gains(NamedTuple):
     """n states, q outputs."""
 
-    model: Model
+    model: SampledModel
     step: Float[Leaf, "n n"]
     every: Int[Leaf, ""]  # samples
     ages: Int[Leaf, " q"]  # samples, as believed
@@ -40,7 +40,7 @@ class Gains(NamedTuple):
 class Memory(NamedTuple):
     """What stands between ticks."""
 
-    place: Place
+    run: ModelRun
     alone: Float[Array, "ring n"]  # the model alone at past samples
     past: Float[Array, "ring n"]  # z at past samples
     z: Float[Array, " n"]  # at the last sample
@@ -60,12 +60,12 @@ def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Correct by what arrives, each channel against its believed age."""
-    ages, C, k = gains.ages, gains.model.C, memory.place.sample
+    ages, C, k = gains.ages, gains.model.C, memory.run.sample
     known = known_input(gains.model.D, now, ages * gains.model.period)
     expected = []
     for j in range(C.shape[0]):
         then = read(memory.alone, k - ages[j]) + read(memory.past, k - ages[j])
-        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.place.xbar + memory.z, then) + known[j])
+        expected.append(C[j] @ jnp.where(ages[j] == 0, memory.run.xbar + memory.z, then) + known[j])
     counts = arrival.fresh & (k >= gains.first)
     e = jnp.where(counts, arrival.value - jnp.stack(expected), 0.0)
     return memory._replace(z=memory.z + gains.here @ e, push=memory.push + gains.next @ e)
@@ -73,13 +73,13 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     """Go one tick on; where a sample is due, the recursion goes one sample on."""
-    place, due = per_sample.flow(gains.model, memory.place, now)
-    k = memory.place.sample
+    run, due = per_sample.flow(gains.model, memory.run, now)
+    k = memory.run.sample
     past = write(memory.past, k, memory.z, due)
     z = gains.step @ read(past, k + 1 - gains.every) + memory.push
     return Memory(
-        place,
-        write(memory.alone, k + 1, place.xbar, due),
+        run,
+        write(memory.alone, k + 1, run.xbar, due),
         past,
         jnp.where(due, z, memory.z),
         jnp.where(due, 0.0, memory.push),
@@ -88,7 +88,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
 
 def estimate(gains: Gains, memory: Memory) -> Float[Array, " n"]:
     """Return xhat of now."""
-    return memory.place.xbar + memory.place.carried @ memory.z
+    return memory.run.xbar + memory.run.carried @ memory.z
 
 
 OBSERVER = Observer(init, note, jump, flow, estimate)
@@ -96,15 +96,27 @@ OBSERVER = Observer(init, note, jump, flow, estimate)
 
 def corrected_next(setting: Setting, A: Matrix, K: Matrix, ages: tuple[int, ...]) -> Gains:
     """Return the gains of xhat(k+1) = A xhat(k) + B u(k) + K e(k)."""
-    room = np.zeros(max(setting.reach, *ages, 1))
-    nothing = np.zeros_like(K)
-    model = per_sample.model_of(setting)
-    return Gains(model, A, np.asarray(1), np.array(ages), nothing, K, np.asarray(0), room)
+    return Gains(
+        model=per_sample.model_of(setting),
+        step=A,
+        every=np.asarray(1),
+        ages=np.array(ages),
+        here=np.zeros_like(K),
+        next=K,
+        first=np.asarray(0),
+        room=np.zeros(max(setting.reach, *ages, 1)),
+    )
 
 
 def corrected_here(setting: Setting, step: Matrix, K: Matrix, d: int) -> Gains:
     """Return the gains of xhat(k) = step xhat(k - d) + response to the input + K e(k), every age d, from sample d on."""
-    room = np.zeros(max(setting.reach, d))
-    ages = np.full(K.shape[1], d)
-    model = per_sample.model_of(setting)
-    return Gains(model, step, np.asarray(d), ages, K, np.zeros_like(K), np.asarray(d), room)
+    return Gains(
+        model=per_sample.model_of(setting),
+        step=step,
+        every=np.asarray(d),
+        ages=np.full(K.shape[1], d),
+        here=K,
+        next=np.zeros_like(K),
+        first=np.asarray(d),
+        room=np.zeros(max(setting.reach, d)),
+    )

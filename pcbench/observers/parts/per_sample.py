@@ -29,7 +29,7 @@ def _inside(pole: float) -> float:
 Pole = Annotated[float, AfterValidator(_inside)]  # of an observer's error, per step
 
 
-class Model(NamedTuple):
+class SampledModel(NamedTuple):
     """A model of one tick, and the sampling it is seen by; n states, m inputs, q outputs."""
 
     Phi: Float[Leaf, "n n"]
@@ -39,7 +39,7 @@ class Model(NamedTuple):
     period: Int[Leaf, ""]  # ticks between samples
 
 
-class Place(NamedTuple):
+class ModelRun(NamedTuple):
     """Where a run stands between two samples; the same for all runs."""
 
     tick: Int[Array, ""]
@@ -48,23 +48,23 @@ class Place(NamedTuple):
     carried: Float[Array, "n n"]  # e^{A t}
 
 
-def model_of(setting: Setting) -> Model:
+def model_of(setting: Setting) -> SampledModel:
     """Return a cell's model in NumPy."""
     Phi, Gamma = linear.one_tick(setting.model, setting.dt)
-    return Model(Phi, Gamma, setting.model.C, setting.model.feedthrough, np.asarray(setting.period[0]))
+    return SampledModel(Phi, Gamma, setting.model.C, setting.model.feedthrough, np.asarray(setting.period[0]))
 
 
-def start(xhat0: Float[Array, " n"]) -> Place:
+def start(xhat0: Float[Array, " n"]) -> ModelRun:
     """Stand at the first sample, with xbar = xhat(0)."""
-    return Place(jnp.asarray(0), jnp.asarray(0), xhat0, jnp.eye(xhat0.shape[0]))
+    return ModelRun(jnp.asarray(0), jnp.asarray(0), xhat0, jnp.eye(xhat0.shape[0]))
 
 
-def flow(model: Model, place: Place, now: Now) -> tuple[Place, Bool[Array, ""]]:
+def flow(model: SampledModel, run: ModelRun, now: Now) -> tuple[ModelRun, Bool[Array, ""]]:
     """Go one tick on; say whether a sample is due there."""
-    tick = place.tick + 1
+    tick = run.tick + 1
     due = tick % model.period == 0
-    carried = jnp.where(due, jnp.eye(place.xbar.shape[0]), model.Phi @ place.carried)
-    return Place(tick, tick // model.period, model.Phi @ place.xbar + model.Gamma @ now.u, carried), due
+    carried = jnp.where(due, jnp.eye(run.xbar.shape[0]), model.Phi @ run.carried)
+    return ModelRun(tick, tick // model.period, model.Phi @ run.xbar + model.Gamma @ now.u, carried), due
 
 
 def ring(room: Room, entry: Shaped[Array, "..."]) -> Shaped[Array, "rows ..."]:

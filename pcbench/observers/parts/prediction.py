@@ -18,11 +18,11 @@ from jaxtyping import Float, Int
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after
 from pcbench.observers.parts import reordering
-from pcbench.observers.parts.reordering import Line, Sample
+from pcbench.observers.parts.reordering import Buffer, Measurement
 from pcbench.protocols import Arrival, Leaf, Now, Room
 from pcbench.synthesis.certificate import Setting
 
-Update = Callable[[Any, Any, Sample], Any]
+Update = Callable[[Any, Any, Measurement], Any]
 
 
 class Motion(NamedTuple):
@@ -45,7 +45,7 @@ class Memory(NamedTuple):
 
     g: Float[Array, " n"]  # input response from zero state
     xhat: Float[Array, " n"]  # estimate of now
-    line: Line  # the recursion's state at the newest samples used
+    buffer: Buffer  # the recursion's state at the newest samples used
 
 
 def start(xhat0: Float[Array, " n"], state: Any, room: Room, outputs: int) -> Memory:
@@ -83,8 +83,8 @@ def jumping(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, 
 
     def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         arrived = reordering.sample_of(now, arrival, gains.D)
-        line, newest = reordering.replay(partial(update, gains), memory.line, arrived)
-        return Memory(memory.g, memory.g + at(gains.motion, point_of(newest), now.tick), line)
+        buffer, newest = reordering.replay(partial(update, gains), memory.buffer, arrived)
+        return Memory(memory.g, memory.g + at(gains.motion, point_of(newest), now.tick), buffer)
 
     return jump
 

@@ -19,8 +19,8 @@ from pcbench.observers.parts.feedthrough import known_input
 from pcbench.protocols import Arrival, Leaf, Now, Room
 
 
-class Sample(NamedTuple):
-    """What arrived of one sampling instant; q outputs. In a line, with a leading axis [K]."""
+class Measurement(NamedTuple):
+    """What arrived of one sampling instant; q outputs. In a buffer, with a leading axis [K]."""
 
     taken: Int[Array, "..."]  # tick at which the observer believes it was taken
     value: Float[Array, "... q"]  # with the plant's feedthrough D u removed
@@ -28,47 +28,47 @@ class Sample(NamedTuple):
     note: Float[Array, "... noted"]
 
 
-class Line(NamedTuple):
+class Buffer(NamedTuple):
     """The newest K samples by the tick they were taken, oldest first, and the state before them."""
 
     before: Any
-    samples: Sample  # [K]; a place not yet filled is not fresh
+    samples: Measurement  # [K]; a place not yet filled is not fresh
 
 
-Update = Callable[[Any, Sample], Any]  # (state, sample) -> state at the sample's tick
+Update = Callable[[Any, Measurement], Any]  # (state, sample) -> state at the sample's tick
 
 
-def start(state: Any, room: Room, outputs: int, noted: int) -> Line:
-    """Return a line with nothing in it, with room for K samples."""
+def start(state: Any, room: Room, outputs: int, noted: int) -> Buffer:
+    """Return a buffer with nothing in it, with room for K samples."""
     K = room.shape[0]
-    empty = Sample(jnp.full(K, -1), jnp.zeros((K, outputs)), jnp.zeros((K, outputs), bool), jnp.zeros((K, noted)))
-    return Line(state, empty)
+    empty = Measurement(jnp.full(K, -1), jnp.zeros((K, outputs)), jnp.zeros((K, outputs), bool), jnp.zeros((K, noted)))
+    return Buffer(state, empty)
 
 
-def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Sample:
+def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Measurement:
     """Return what arrives as a sample; D u at the sample's tick is taken off its value."""
     age = jnp.max(jnp.where(arrival.fresh, arrival.age, 0))  # the channels that come together were taken together
-    return Sample(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.fresh, arrival.note)
+    return Measurement(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.fresh, arrival.note)
 
 
-def replay(update: Update, line: Line, arrived: Sample) -> tuple[Line, Any]:
-    """Return the line with the sample that arrived in its place, and the state after the newest sample."""
-    if not line.samples.taken.shape[0]:
-        state = update(line.before, arrived)
-        return Line(state, line.samples), state
-    entries = _merged(line.samples, arrived)
+def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer, Any]:
+    """Return the buffer with the sample that arrived in its place, and the state after the newest sample."""
+    if not buffer.samples.taken.shape[0]:
+        state = update(buffer.before, arrived)
+        return Buffer(state, buffer.samples), state
+    entries = _merged(buffer.samples, arrived)
 
-    def step(state: Any, sample: Sample) -> tuple[Any, Any]:  # an empty place leaves the state as it is
+    def step(state: Any, sample: Measurement) -> tuple[Any, Any]:  # an empty place leaves the state as it is
         there = jnp.any(sample.fresh)
         new = jax.tree.map(lambda a, b: jnp.where(there, a, b), update(state, sample), state)
         return new, new
 
-    newest, states = lax.scan(step, line.before, entries)
-    before = jax.tree.map(lambda a: a[0], states)  # the oldest of K + 1 leaves the line
-    return Line(before, jax.tree.map(lambda a: a[1:], entries)), newest
+    newest, states = lax.scan(step, buffer.before, entries)
+    before = jax.tree.map(lambda a: a[0], states)  # the oldest of K + 1 leaves the buffer
+    return Buffer(before, jax.tree.map(lambda a: a[1:], entries)), newest
 
 
-def _merged(samples: Sample, arrived: Sample) -> Sample:
+def _merged(samples: Measurement, arrived: Measurement) -> Measurement:
     """K samples in the order they were taken, and one more in its place: [K + 1]."""
     later = samples.taken > arrived.taken
     stays, moves = jnp.append(~later, False), jnp.append(False, later)  # what is newer than the arrival moves up by one

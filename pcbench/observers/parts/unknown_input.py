@@ -38,7 +38,7 @@ from pcbench.synthesis.certificate import Setting
 from pcbench.synthesis.unknown_input import Split
 
 STABLE = 2.5  # gain times tick; a Runge-Kutta step follows e^{-a t} up to a h = 2.78
-Law = Callable[[Any, Array, Array], tuple[Array, Array]]  # (its numbers, s[p], w[p]) -> v[p], w'[p]
+Injection = Callable[[Any, Array, Array], tuple[Array, Array]]  # (its numbers, s[p], w[p]) -> v[p], w'[p]
 
 
 class Gains(NamedTuple):
@@ -80,14 +80,22 @@ class Options(BaseModel):
     reconstruct: bool = Field(False, description="the prediction to now carries the input found")
 
 
-def observer(law: Law) -> Observer:
+def observer(law: Injection) -> Observer:
     """Return the observer that injects v by a law."""
 
     def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
         """Start from xhat(0), as if its output had been measured."""
         n, none = xhat0.shape[0], jnp.zeros(gains.C.shape[0])
         f = jnp.zeros(gains.push.shape[1])
-        return Memory(xhat0, none, gains.C @ xhat0, f, jnp.zeros(n), jnp.eye(n), jnp.zeros_like(gains.push))
+        return Memory(
+            xd=xhat0,
+            w=none,
+            y=gains.C @ xhat0,
+            f=f,
+            response=jnp.zeros(n),
+            ahead=jnp.eye(n),
+            pushed=jnp.zeros_like(gains.push),
+        )
 
     def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
         """Note nothing."""
@@ -119,7 +127,8 @@ def observer(law: Law) -> Observer:
         response = gains.Phi @ memory.response + gains.Gamma @ now.u - leaving
         ahead = jnp.where(started, memory.ahead, gains.Phi @ memory.ahead)
         pushed = jnp.where(started, memory.pushed, gains.Phi @ memory.pushed + gains.push)
-        return Memory(xd, w, y, found(gains, xd, w, y), response, ahead, pushed)
+        f = found(gains, xd, w, y)
+        return Memory(xd=xd, w=w, y=y, f=f, response=response, ahead=ahead, pushed=pushed)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " n+r"]:
         """Return xhat of now, and the unknown inputs."""
