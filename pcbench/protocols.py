@@ -3,9 +3,8 @@
 Every function here is written for ONE run (a *lane*); `simulation/lanes/entrywise` carries it over thousands. Arrays have the
 shapes named below; n states, m inputs, q outputs, s unknowns beside the state. Time is counted in ticks of `dt` seconds.
 
-Order of events at tick k: sense, deliver, estimate, control, flow. Values are
-right-continuous: the estimate of tick k is read after the jump of tick k, and in a closed loop the command of tick k is made
-of it.
+Order of events at tick k: sense, deliver, estimate, control, flow. Values are right-continuous: the estimate of tick k is read
+after the jump of tick k, and in a closed loop the command of tick k is computed from it.
 """
 
 from collections.abc import Callable
@@ -27,8 +26,8 @@ class Now(NamedTuple):
 
     `u` and `past_u` are the input *applied* to the plant, held over [t_k, t_k+1). In `flow` and `step`, `u` is u_k,
     which equals `past_u(0)`. In `note` and `jump` u_k is not yet decided: `u` is u_(k-1) and `past_u` needs age >= 1.
-    Before t = 0 the input is 0; in a closed loop it is what the commands of that time make it. A loop keeps the inputs that
-    its schedule can ask for: beyond them `past_u` is NaN.
+    Before t = 0 the input is 0; in a closed loop, what the commands of that time make it. A loop keeps the inputs that its
+    schedule can ask for: beyond them `past_u` is NaN.
     """
 
     t: Float[Array, ""]  # [s]
@@ -74,7 +73,7 @@ class Unknown(Protocol):
 
 
 class OfRun(Protocol):
-    """Return the numbers of one run, from what it has drawn uniformly in [0, 1)."""
+    """Return the numbers of one run, given what it has drawn uniformly from [0, 1)."""
 
     def __call__(self, params: Params, uniform: Float[Array, " drawn"], /) -> Params: ...
 
@@ -83,7 +82,7 @@ class Plant(NamedTuple):
     """A plant as pure functions of its numbers `params`.
 
     `unknown` is what observers are not told and may estimate beside the state: unknown inputs, parameters. A plant whose
-    numbers drift in each run differently draws `drawn` numbers, of which `of_run` makes its params.
+    numbers drift differently in each run draws `drawn` numbers, from which `of_run` makes its params.
     """
 
     step: Step
@@ -95,7 +94,7 @@ class Plant(NamedTuple):
 
 
 class Target(Protocol):
-    """Return the set point of a tick, of the first r states."""
+    """Return the set point of the first r states at a tick."""
 
     def __call__(self, params: Params, tick: Int[Array, ""], /) -> Float[Array, " r"]: ...
 
@@ -115,7 +114,7 @@ class Command(Protocol):
 
 
 class Controller(NamedTuple):
-    """A control law as pure functions of its numbers `params`; m inputs, r outputs that are to follow a set point."""
+    """A control law as pure functions of its numbers `params`; m inputs, r states that are to follow a set point."""
 
     target: Target
     before: Before
@@ -129,7 +128,7 @@ class Init(Protocol):
 
 
 class Note(Protocol):
-    """Return what the observer will need of the present when the sample that is taken now arrives."""
+    """Return what the observer will need to know of the present when the sample taken now arrives."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, " noted"]: ...
 

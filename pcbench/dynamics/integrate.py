@@ -1,7 +1,7 @@
 """One tick and many: the Runge-Kutta step of a field, and exact powers of a linear map.
 
 Powers: any whole age is written with two digits to a base R, and its map is a product of one entry from each digit's table
-(`synthesis.linear.powers`). The age may be traced, so one compiled program serves every delay, and no e^{-As} is ever formed.
+(`dynamics.linear.powers`). The age may be traced, so one compiled program serves every delay, and no e^{-As} is ever formed.
 """
 
 from collections.abc import Callable

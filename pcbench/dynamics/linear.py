@@ -18,7 +18,7 @@ Matrix = NDArray[np.float64]
 class Model(NamedTuple):
     """A linear model with a held input: x' = A x + B u, y = C x + D u; where `discrete`, x one tick later is A x + B u.
 
-    What is pushed by an unknown input as well, x' = A x + B u + E f, has E; f = known(x) + input, where a part of f is a known
+    A plant that an unknown input pushes too, x' = A x + B u + E f, has E; f = known(x) + input, where part of f is a known
     function of the state.
     """
 
@@ -94,7 +94,7 @@ def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
 def input_noise(model: Model, intensity: float, h: float, last: Matrix | None = None) -> Matrix:
     """Return the covariance [n, n] that white noise through the input adds over a tick of h seconds.
 
-    `intensity` is per second, and so is `last` [r], of noise on the last r states. A discrete model knows no time within a
+    `intensity` is per second, and so is `last` [r], of noise on the last r states. A discrete model has no time within a
     tick: there the noise is held over it.
     """
     Q = intensity * model.B @ model.B.T

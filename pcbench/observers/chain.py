@@ -132,7 +132,7 @@ def _sample(gains: Gains, memory: Memory, j: int, age: Int[Array, ""], expected:
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Go one tick on; where a sample is due, what this one brought is put by."""
+    """Advance by one tick; where a sample is due, store what this one brought."""
     run, due = per_sample.flow(gains.model, memory.run, now)
     k, past = memory.run.sample, memory.past
     stamp, source = gains.links.stamp, gains.links.source

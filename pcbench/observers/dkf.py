@@ -7,7 +7,7 @@ form, one channel after the other), then predict to now exactly as PCCEBO does:
     xhat(t) = e^{A (t - t_m)} xhat_m + I(t_m, t)
 
 R is the variance of one sample, the prior is N(xhat(0), P0). With q = 0 and x(0) drawn from the prior, P is the Bayesian
-bound of every causal estimator, and this filter attains it. Where a scenario has no measurement noise R = 1e-12, never 0/0.
+bound of every causal estimator, and this filter attains it. Where a scenario has no measurement noise, R = 1e-12.
 With `bias_variance` a constant input bias b ~ N(0, that variance) is estimated beside the state: x' = A x + B (u + b).
 Where a plant has an unknown input, x' = A x + B u + E f, f is estimated too, as a random walk from N(0, size^2) on: the
 estimate of the present carries it, and the signal is f less its part that is a known function of the state.

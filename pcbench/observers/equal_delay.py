@@ -1,12 +1,12 @@
-"""Pretending one delay for all channels: what the chain is compared with first (Method 2 of the paper).
+"""Pretending that all channels have one delay: what the chain is compared with first (Method 2 of the paper).
 
 `theorem1`, a single link of the chain fed with whatever arrives, as if all of it were d samples old:
 
     xhat(k) = A^d xhat(k-d) + response to the input + K e(k),   e(k) = r(k) - C xhat(k-d) - D u(k-d),   A^d - K C = F       (6)
 
 `held` (default), a slow observer of the same belief: xhat(k+1) = A xhat(k) + B u(k) + K e(k), K = kappa A pinv(C),
-kappa = d^d / (d+1)^(d+1) (4/27 for d = 2), the largest for which e(k+1) = e(k) - kappa e(k-d) does not swing. It stands in for
-the design which the paper cites and does not print. Both are stable and biased wherever a delay is not d.
+kappa = d^d / (d+1)^(d+1) (4/27 for d = 2), the largest for which e(k+1) = e(k) - kappa e(k-d) does not oscillate: in place of
+the design that the paper cites and does not print. Both are stable and biased wherever a delay is not d.
 The delay d believed is the shortest of the channels', one sample at least, or the option `delay`.
 
 Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 1 and section 5. It does not know the schedule: no perfect start is

@@ -8,9 +8,9 @@ z estimates the state d ago; Y is the sample that arrived last, held (0 until th
 the input's response over the last d, is one state: s' = A s + B u - e^{A d} B u(t - d), so no history of g is kept.
 
 Source: Mohammed et al. 2017, section 5 (after Roberts 1986). Different from print: K = P C' R^-1 and Q = 0.002 B B' (see
-`synthesis.riccati`). It does not know that Y is held: on a constant velocity it stays behind by velocity x te/2, so perfect
-start is not claimed. It takes one constant delay, the same for all channels: the age of a sample is nothing it could use, so
-schedules on which it varies are refused. A lost sample leaves the last one held.
+`synthesis.riccati`). It does not know that Y is held: at constant velocity it lags by velocity x te/2, so perfect
+start is not claimed. It takes one constant delay, the same for all channels: it cannot use the age of a sample, so schedules
+on which the age varies are refused. After a lost sample the last one is still held.
 Options: `lag_aware` uses d + te/2 in place of d (te must be even in ticks); `sampled_innovation` holds the innovation
 Y_i - C z(t_i) instead of the measurement, z' = A z + B u(t - d) + K (Y_i - C z(t_i)), which can be unstable.
 """

@@ -4,11 +4,11 @@
 
 `plain`: e_j(k) = r_j(k) - C_j xhat(k): late data taken for the present. It cannot diverge on a bounded plant.
 `aligned` (default): e_j(k) = r_j(k) - C_j xhat(k - tau_j): each sample against the estimate of its own time, corrected now. It
-knows the delays, not what they do to its stability: the error of channel j returns tau_j + 1 samples late, and with the
-gain above it diverges on the tank. The radius with the delays as they are is reported, not required.
+knows the delays, not what they do to its stability: the error of channel j comes back tau_j + 1 samples late, and with the
+gain above it diverges on the tank. The radius with the true delays is reported; it need not be below 1.
 
-Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5; which of the two the paper ran is not said. Perfect start is exact
-for `aligned` until rounding has grown by its radius.
+Source: Alipouri, Zhong, Actuators 2021, 10, 281, section 5, which does not say which of the two it ran. Perfect start is
+exact for `aligned` until rounding has grown by its radius.
 """
 
 from typing import Literal

@@ -13,8 +13,8 @@ A sample that comes after a newer one is put in its place (`parts/reordering`); 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017) 3738-3751, doi 10.3906/elk-1606-160.
 Different from print: (7) and (8a) hold the input over a whole sampling period, here the integral is exact; (11) is
 printed for d = te only. Time index: the estimate is of now, read after the jump. All channels share one clock.
-Not claimed: that it filters noise (with the paper's L = [1, 0] it takes every measured position as it comes), nor that a
-certificate for the mean period covers intervals that vary; with `period_range` it does.
+Not claimed: that it filters noise (with the paper's L = [1, 0] it takes every measured position as it comes), nor that the
+certificate, which is for the mean period, covers intervals that vary; with `period_range` it does.
 """
 
 from typing import Literal, NamedTuple

@@ -3,7 +3,7 @@
     v = rho P2 s / (||P2 s|| + eps),   s = Tp (y - C xhat)                                   (21), smoothed as in section 5
 
 injected as in `unknown_input`; v becomes [0; E222 f] (on the arm E222 = 1), so rho bounds |E222 f|, and s keeps an error of
-about eps |E222 f| / rho. With the gains of LMI (23), (24) the unmeasured part of the error decays freely, whatever f does:
+about eps |E222 f| / rho. With the gains of LMI (23), (24) the unmeasured part of the error decays by itself, whatever f does:
 
     ebar1 = e1 - L1 s1,   ebar1' = (A11 - L1 A211) ebar1
 

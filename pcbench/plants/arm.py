@@ -5,8 +5,8 @@
 
 Measured are link velocity and motor angle. For an observer x' = A x + B u + E f with the unknown f = -delta sin(x1) + d(t),
 delta = M g l / Jl = 0.11025 1/s^2, of which it knows the first part as a function of its estimate: the signal `input` is d.
-A drift of size a multiplies k/J, M g l/J and F/J of a run by 1 + a sin(w t + phi), all three alike; w uniform in 0.2 .. 2 rad/s
-and phi are of each run's own. The paper knows no drift.
+A drift of size a multiplies k/J, M g l/J and F/J of a run by 1 + a sin(w t + phi), all three alike; each run draws its w,
+uniform in 0.2 .. 2 rad/s, and its phi. The paper has no drift.
 
 Source: Peng, Appl. Sci. 2017, 7(1), 67, section 5. Different from print: its minus signs are lost; E is its D. A tick is one
 Runge-Kutta step of the field under the held input, with d at the stages i dt, (i + 1/2) dt, (i + 1) dt.

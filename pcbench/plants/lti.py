@@ -1,7 +1,7 @@
 """Any linear plant: x' = A x + B v + E f, or x one tick later where `discrete`; y = C x + D v, v = gain u + bias.
 
-A, B, C, D, E are the user's and what the observers know; `input_gain` and `input_bias` are how the plant differs from that, and
-nobody knows the unknown input f (left out: none). The output of tick k sees the input held from t_k on. A tick is the exact
+A, B, C, D, E are the user's, and observers know them; `input_gain` and `input_bias` say how the plant differs from that, and no
+observer is told the unknown input f (left out: none). The output of tick k sees the input held from t_k on. A tick is the exact
 exponential under the held inputs, f too.
 """
 

@@ -22,7 +22,7 @@ class Certificate(NamedTuple):
     status: str
     numbers: Mapping[str, Any] = MappingProxyType({})  # matrices and rates worth showing, by name
     rate: float = float("nan")  # [1/s] the decay of the error that is promised, without noise; NaN: none is
-    fallback: str = ""  # why the first solver's answer was not taken; empty: it was, or there is no solver
+    fallback: str = ""  # why the first solver's answer was not taken; empty: it was, or there was no solver
 
 
 class Design(NamedTuple):

@@ -4,8 +4,8 @@
     Phi_ij = K_i U_i V_(i+1) U_(i+1) ... W_j,   U_i picks the channels that link i takes from the link before
 
 Checked at T_i = I for every link: in print the G_i stand in the coordinates of their T_i. It is sufficient at most and not
-needed: the cascade is block triangular, so rho(F_i) < 1 decides. Here e, which the paper sets by norms, is searched for: norms
-of mixed units mean nothing.
+needed: the cascade is block triangular, so rho(F_i) < 1 decides. The paper sets e by norms; here it is searched
+for, since norms of mixed units mean nothing.
 Source: Alipouri, Zhong, Actuators 2021, 10, 281, Theorem 3 and Appendix B; Remark 2, which would make it necessary to use
 Theorem 2 when A_0 = 0, certifies an unstable system and is not used.
 """

@@ -2,14 +2,14 @@
 
     [-P, (P Phi - Y C Phi)'; P Phi - Y C Phi, -P] < 0,   L = P^-1 Y                          (23)
 
-(23) is feasible for whole families of L, so feasibility defines nothing. The sharp choice here: maximise t subject to
+(23) is feasible for whole families of L, so feasibility alone does not define a gain. The choice here: maximise t subject to
 
     [P, M'; M, P] >= t I,   P <= I,   M = P Phi - Y C Phi.
 
 With P = I, t = 1 - ||(I - L C) Phi||, and L = argmin ||(I - L C) Phi|| is known in closed form. Where that attains the
 optimum which the solver found, it is the gain, so no digit of a table comes from a solver. (The spectral norm leaves ties,
 of the size of the fast mode's e^{-lam te}; the closed form is the one of least Frobenius norm.) Elsewhere the solver's L
-stands.
+is the gain.
 Source: Mohammed et al. 2017, Theorem 1; the objective is ours.
 """
 

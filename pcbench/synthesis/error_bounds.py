@@ -1,10 +1,10 @@
-"""What a gain promises: a rate of decay at every interval, and how noise comes out in the estimate.
+"""What a gain promises: a rate of decay over every interval, and how much noise reaches the estimate.
 
 Errors of a current estimator, e = x - xhat at the time of a sample, after it was used:
 
     e_m = F e_(m-1) + (I - L C) w_m - L v_m,   F = (I - L C) Phi,   w ~ (0, Q), v ~ (0, R)
 
-All are computed from the gain itself in NumPy, whoever found it. Where a range of maps is given, one P (or X) is for all.
+All are computed from the gain itself in NumPy, whoever found it. Where a range of maps is given, one P (or X) serves them all.
 """
 
 import math
@@ -17,7 +17,7 @@ from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 
 GONE = 12.0  # e^-12 over an interval is as good as nothing
-NONE = 1e300  # a bound that is none
+NONE = 1e300  # stands for no bound at all
 LEAST = 1e-150  # of a factor e^{-rate T}: an error that vanishes at once
 
 
@@ -65,7 +65,7 @@ def covariance(F: Matrix, N: Matrix) -> Matrix:
 
 
 def bound(F: Matrix, N: Matrix, P: Matrix) -> Matrix:
-    """Return X = s inv(P) with X >= F X F' + N at every map: what no covariance exceeds, in whatever order maps come.
+    """Return X = s inv(P) with X >= F X F' + N at every map: no covariance exceeds it, in whatever order the maps come.
 
     NaN where P proves none.
     """

@@ -7,8 +7,8 @@ With v = KP s + w, w' = KI s + xi sgn(s), and A22s = 0 the error [ebar1; s; s'] 
     minimise g:   ||LL|| <= g,  Q >= I,   LL = K Q = [0, LI, LP]                                          (52)
 
 less xi sgn(s) and f', which enter by Bb. Q21, Q22, Q23 are diagonal and Q23 <= 0: then P has the same form with
-P23 >= 0, which Proposition 2 needs for sgn(s), element by element. The first block column of LL is zero; were it free, the
-gains would be of no use. The norm is spectral; g is printed as gamma.
+P23 >= 0, which Proposition 2 needs for sgn(s), element by element. The first block column of LL is zero: a gain on the
+unmeasured ebar1 could not be applied. The norm is spectral; g is printed as gamma.
 Source: Peng 2017, Proposition 2. L1 is given, by the design of the sliding-mode observer. A11b is a block of the map, so
 beta has to lie below its slowest decay: not said in print. Strict inequalities are closed, see `sliding_mode`.
 """

@@ -3,7 +3,7 @@
 What is proven over a range is proven at every whole tick of it, which are all the intervals that can occur, and at VALUES
 values of each parameter. A matrix inequality that is affine in the map holds between them too wherever the map there lies in
 the convex hull of those it was checked at (a polytope).
-Not claimed: anything of a plant whose parameters are not the observer's; that puts a forcing into the error.
+Not claimed: anything about a plant whose parameters are not the observer's; the difference drives the error.
 """
 
 import itertools

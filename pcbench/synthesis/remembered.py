@@ -1,7 +1,7 @@
 """Remember what a solver found, so that the second run of a study need not import it.
 
 Only raw answers are kept, under the hash of the problem's bits, of the text that states it and of the solvers' versions;
-every certificate is re-checked on what comes back, so a damaged or foreign entry can cost time but cannot enter a table.
+every certificate is re-checked on what is read back, so a damaged or foreign entry can cost time but cannot enter a table.
 """
 
 import hashlib

@@ -1,4 +1,4 @@
-"""A plant from sample to sample, for observers that work on whole samples: its map, its noise, and its gains by poles.
+"""A plant from sample to sample, for observers that work on whole samples: its map, noise, gains by poles, late corrections.
 
 x(k+1) = A x(k) + B u(k) + w,  y(k) = C x(k) + D u(k) + v, where k counts samples, all channels are sampled together every
 `period` ticks, and channel j arrives a whole number tau_j of samples later.
@@ -17,9 +17,9 @@ from pcbench.synthesis.certificate import NO_NOISE, Setting
 
 power = np.linalg.matrix_power
 UNSEEN = 1e-8  # a scaled mode is not seen where C shows less than this of it
-STAYS = 1 - 1e-9  # a mode of at least this size does not decay
-ROWS = 1500  # of a map whose radius is computed
-GROWS = 100.0  # powers of ten: what a model may grow by over a delay
+STAYS = 1 - 1e-9  # a mode of this size or more does not decay
+ROWS = 1500  # of the largest map whose radius is computed
+GROWS = 100.0  # powers of ten by which a model may grow over a delay
 
 
 class Sampled(NamedTuple):

@@ -1,8 +1,8 @@
 """Two solvers for every matrix inequality, and what decides between them: a certificate, not what a solver says of itself.
 
-Clarabel, an interior-point method, is asked first. Where it has no answer, or one that does not stand when it is re-checked
-by eigenvalues, SCS is, a first-order method that shares no code with it. An answer of either is judged the same way; what a
-solver calls inaccurate may prove a gain, and what it calls optimal may not.
+Clarabel, an interior-point method, is asked first. Where it has no answer, or one that fails its re-check by eigenvalues, SCS
+is asked, a first-order method that shares no code with it. Both answers are judged the same way: what a solver calls
+inaccurate may prove a gain, and what it calls optimal may not.
 """
 
 import warnings

@@ -111,7 +111,7 @@ def require_rate(certificate: Certificate, rate: float, where: str) -> Certifica
 
 
 def enough(rate: float) -> float:
-    """Return how much of a rate [1/s] that was asked for has to be proven."""
+    """Return how much of a rate [1/s] that was asked for must be proven."""
     return rate * (1 - SHORT)
 
 

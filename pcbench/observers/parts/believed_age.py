@@ -1,4 +1,4 @@
-"""Observers that compare what arrives with what they believed an age `a` ago, right or wrong: what two rivals share.
+"""Observers that compare what arrives with their own estimate of an age `a` ago, right or wrong: what two rivals share.
 
 With z = xhat - xbar (`per_sample`), e_j = r_j(k) - D_j u(k - a_j) - C_j xhat(k - a_j) where channel j brings a sample
 r_j at k, else 0:
@@ -31,9 +31,9 @@ class Gains(NamedTuple):
     step: Float[Leaf, "n n"]
     every: Int[Leaf, ""]  # samples
     ages: Int[Leaf, " q"]  # samples, as believed
-    here: Float[Leaf, "n q"]  # corrects the estimate an error is found at
-    next: Float[Leaf, "n q"]  # corrects the one after
-    first: Int[Leaf, ""]  # samples: no correction before
+    here: Float[Leaf, "n q"]  # corrects the estimate at the sample that brings the error
+    next: Float[Leaf, "n q"]  # corrects the estimate one sample later
+    first: Int[Leaf, ""]  # the first sample that corrects
     room: Room  # for as many samples as it must look back
 
 
@@ -72,7 +72,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 
 def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
-    """Go one tick on; where a sample is due, the recursion goes one sample on."""
+    """Advance by one tick; where a sample is due, advance the recursion by one sample."""
     run, due = per_sample.flow(gains.model, memory.run, now)
     k = memory.run.sample
     past = write(memory.past, k, memory.z, due)

@@ -2,9 +2,9 @@
 
 The model alone, xbar(k+1) = A xbar(k) + B u(k) from xbar(0) = xhat(0), takes all of the input; z = xhat - xbar then moves
 without any, from z = 0, before any sample has arrived too. Samples are taken every `period` ticks, all channels together; at
-the ticks between, the estimate is xbar + e^{A t} z, t the time since the last sample. What belongs to past samples stands in
-rings by sample number, zeros before the first. Over a horizon on which an unstable model grows past 1e16 the deviation loses
-its digits.
+the ticks between, the estimate is xbar + e^{A t} z, t the time since the last sample. What belongs to past samples is kept in
+rings by sample number, zeros before the first. Where an unstable model grows past 1e16 over the horizon, the deviation loses
+all its digits.
 """
 
 from typing import Annotated, NamedTuple
@@ -40,7 +40,7 @@ class SampledModel(NamedTuple):
 
 
 class ModelRun(NamedTuple):
-    """Where a run stands between two samples; the same for all runs."""
+    """The model alone on its way between two samples; the same for all runs."""
 
     tick: Int[Array, ""]
     sample: Int[Array, ""]  # number of the last one, from 0
@@ -55,12 +55,12 @@ def model_of(setting: Setting) -> SampledModel:
 
 
 def start(xhat0: Float[Array, " n"]) -> ModelRun:
-    """Stand at the first sample, with xbar = xhat(0)."""
+    """Start at the first sample, with xbar = xhat(0)."""
     return ModelRun(jnp.asarray(0), jnp.asarray(0), xhat0, jnp.eye(xhat0.shape[0]))
 
 
 def flow(model: SampledModel, run: ModelRun, now: Now) -> tuple[ModelRun, Bool[Array, ""]]:
-    """Go one tick on; say whether a sample is due there."""
+    """Advance by one tick; say whether a sample is due there."""
     tick = run.tick + 1
     due = tick % model.period == 0
     carried = jnp.where(due, jnp.eye(run.xbar.shape[0]), model.Phi @ run.carried)

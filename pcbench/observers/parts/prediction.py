@@ -4,7 +4,7 @@ Between samples a linear model moves as xhat(t) = g(t) + e^{A (t - t_m)} free_m,
 zero state at t = 0 (one integral, never reset) and free_m = xhat_m - g(t_m). So the integral of the input over any past
 interval is I(a, b) = g(b) - e^{A (b - a)} g(a), exact for the held input, and no e^{-As} is ever formed. The observer notes
 g(t_m) when sample m is taken; nothing else of the past is kept.
-g follows the plant's own modes: over a horizon on which an unstable model grows past 1e16 the difference loses its digits.
+g follows the plant's own modes: where an unstable model grows past 1e16 over the horizon, the difference loses all its digits.
 """
 
 from collections.abc import Callable

@@ -1,10 +1,10 @@
 """Measurements that overtake each other, put back in the order in which they were taken.
 
 An observer here is a recursion over samples, state -> update(state, sample), and the network may deliver a sample after a
-newer one. So the state before the newest K samples is kept with those K samples: one that comes late is put in its place,
-and the recursion runs again from there. The estimate is then what it would have been, had the samples that have arrived come in
+newer one. So the newest K samples are kept, with the state before them: one that comes late is put in its place, and
+the recursion runs again from there. The estimate is then what it would have been, had the samples that have arrived come in
 order. K is the most that can overtake one sample on this schedule; where none can, K = 0 and nothing is kept.
-Not claimed: that a sample older than all that is kept is used; on the schedule K was made for there is none.
+Not claimed: that a sample older than all those kept is used; on the schedule that K was made for there is none.
 """
 
 from collections.abc import Callable
@@ -47,7 +47,7 @@ def start(state: Any, room: Room, outputs: int, noted: int) -> Buffer:
 
 def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Measurement:
     """Return what arrives as a sample; D u at the sample's tick is taken off its value."""
-    age = jnp.max(jnp.where(arrival.fresh, arrival.age, 0))  # the channels that come together were taken together
+    age = jnp.max(jnp.where(arrival.fresh, arrival.age, 0))  # channels that arrive together were sampled together
     return Measurement(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.fresh, arrival.note)
 
 
