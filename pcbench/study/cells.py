@@ -128,7 +128,8 @@ def identity(cell: Cell, root_seed: int) -> str:
     said = {
         "scenario": cell.scenario.flat() | {"delay": delay},
         "parameters": cell.parameters,
-        "choices": cell.choices.model_dump() | {"drift_sign": 1},  # once a choice: earlier folders know their cells by it
+        "choices": cell.choices.model_dump()
+        | {"drift_sign": 1},  # once a choice: earlier folders know their cells by it
         "root_seed": root_seed,
     }
     return _hashed(said)[:16]
