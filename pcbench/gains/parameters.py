@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from pcbench.errors import UserError
-from pcbench.observers import entry_of
+from pcbench.observers import Entry
 from pcbench.observers.parts.options import TUNABLE, extra
 
 Vector = NDArray[np.float64]
@@ -44,20 +44,20 @@ class Free(NamedTuple):
         return int(np.prod(self.shape))
 
 
-def tunable(label: str) -> list[str]:
+def tunable(entry: Entry) -> list[str]:
     """Return the names of the options of an observer that may be tuned."""
-    return [name for name, field in entry_of(label).options.model_fields.items() if TUNABLE in extra(field)]
+    return [name for name, field in entry.options.model_fields.items() if TUNABLE in extra(field)]
 
 
 def start(
-    label: str, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
+    label: str, entry: Entry, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
 ) -> tuple[list[Free], Vector]:
     """Return the free parameters and where they start: as the options say, or where they leave it open as was `designed`.
 
     `names` None: all that may be tuned and have a start that an option can hold. Raises UserError where a name is not of an
     option that may be tuned, where nothing says where it starts, or where there is nothing to tune.
     """
-    allowed, found, values = tunable(label), list[Free](), list[Vector]()
+    allowed, found, values = tunable(entry), list[Free](), list[Vector]()
     for name in allowed if names is None else names:
         if name not in allowed:
             raise UserError(
@@ -65,7 +65,7 @@ def start(
             )
         value = getattr(options, name)
         value = designed.get(name) if value is None or isinstance(value, str) else value
-        one = None if value is None else _free(label, name, value, sum(f.size for f in found))
+        one = None if value is None else _free(entry, name, value, sum(f.size for f in found))
         if one is None or not _holds(options, *one):
             if names is None:
                 continue
@@ -81,9 +81,9 @@ def start(
     return found, np.concatenate(values)
 
 
-def _free(label: str, name: str, value: Any, first: int) -> tuple[Free, Vector]:
+def _free(entry: Entry, name: str, value: Any, first: int) -> tuple[Free, Vector]:
     """One parameter, and its numbers at a value."""
-    number, field = np.asarray(value, float), entry_of(label).options.model_fields[name]
+    number, field = np.asarray(value, float), entry.options.model_fields[name]
     kind, edges = _kind(field), extra(field)[TUNABLE]
     number = number.reshape(()) if number.size == 1 and kind != "real" else number
     low, high = edges if edges else (0.0, float(np.abs(number).max()) if kind == "real" else 1.0)
