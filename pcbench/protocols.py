@@ -42,9 +42,9 @@ class Arrival(NamedTuple):
 
     value: Float[Array, " q"]  # measured; meaningful where fresh
     fresh: Bool[Array, " q"]
-    age: Int[Array, " q"]  # ticks since the sample was taken
+    age: Int[Array, " q"]  # ticks since the sample was taken, as the observer believes it
     index: Int[Array, " q"]  # type: ignore[assignment]  # which sample of its channel this is (0 is the first)
-    note: Float[Array, " noted"]  # what the observer noted when the sample was taken
+    note: Float[Array, " noted"]  # what the observer noted at the tick at which it believes the sample was taken
     since: Int[Array, ""]  # ticks since the last tick at which anything arrived (counted from 0 before the first)
 
 

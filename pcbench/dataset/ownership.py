@@ -107,7 +107,7 @@ def numbers_in(owned: Owned) -> dict[str, list[str]]:
 
 
 def begin(target: store.Target, owned: Owned) -> None:
-    """Make the target the study's own, before anything is written there; what closes an older run goes."""
+    """Prepare the folder: delete the closing tables of an earlier run (with `fresh` its blocks too), then write study.toml."""
     store.make(target)
     for name in CLOSING:
         store.remove(target, name)

@@ -52,9 +52,10 @@ def tunable(entry: Entry) -> list[str]:
 def start(
     label: str, entry: Entry, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
 ) -> tuple[list[Free], Vector]:
-    """Return the free parameters and where they start: as the options say, or where they leave it open as was `designed`.
+    """Return the free parameters and where they start.
 
-    `names` None: all that may be tuned and have a start that an option can hold. Raises UserError where a name is not of an
+    They start at their options' values, or where one is None or a word at the number of that name that was `designed`.
+    `names` None: every tunable option that has such a start. Raises UserError where a name is not of an
     option that may be tuned, where nothing says where it starts, or where there is nothing to tune.
     """
     allowed, found, values = tunable(entry), list[Free](), list[Vector]()

@@ -35,10 +35,10 @@ def controller(cell: Cell) -> Controller | None:
 
 
 def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
-    """Return how far a loop looks.
+    """Return the ticks of commands to keep behind and beyond.
 
-    Observers ask for inputs since the sample before those that may still be overtaken; the controller looks ahead until its
-    command acts.
+    `back`: so that inputs since the oldest sample that may still be used again can be read, the actuator's delay included.
+    `ahead`: past the end, until the last command acts.
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
     believed_older = max(cell.times.error, 0)

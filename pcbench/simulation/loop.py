@@ -19,12 +19,14 @@ from pcbench.simulation.start import process_noise
 
 
 class Events(NamedTuple):
-    """How events happen, and in what form the memories are kept between them."""
+    """What lets events happen, and how memories are packed between them."""
 
     happen: steps.Happen
     following: Callable[[Array, State], Array]  # (tick, state after its events) -> the next event's tick
-    whole: Callable[[Any], Memories] = lambda kept: kept  # as kept -> the observers' memories
-    moved: Callable[[Memories, Any], Any] = lambda memories, kept: memories  # memories after a flow, as kept -> as kept
+    whole: Callable[[Any], Memories] = lambda kept: kept  # packed -> the observers' memories
+    moved: Callable[[Memories, Any], Any] = lambda memories, kept: (
+        memories
+    )  # (after a flow, packed before it) -> packed
 
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
@@ -60,7 +62,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
 
     state, sums = lax.scan(window, state, p.windows)
     state = state._replace(memories=events.whole(state.memories))
-    last = steps.estimate(layout, p, end, state)  # of the last tick its error is all that is needed
+    last = steps.score(layout, p, end, state)  # of the last tick its error is all that is needed
     left = (last.streams, last.tracking), last.watches, steps.errors(layout, p, end, state)
     sums, left = jax.tree.map(lambda a: lanes.whole(a, layout.width), (sums, left), is_leaf=lanes.is_lanes)
     streams, tracking = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])

@@ -24,7 +24,7 @@ class Watch(NamedTuple):
     """What is kept of one run over the whole horizon; n signals."""
 
     unsettled: Array  # [n] the tick after the last one at which |e| left its band
-    recovery: Array  # [n] ticks from a jump of the unknown input to the last exit before the next; the most of any jump
+    recovery: Array  # [n] ticks from a jump of the unknown input until |e| is in its band to stay, until the next; the largest
     first_bad: Array  # first tick at which an error was not finite or beyond the bound, or -1
 
 
@@ -71,7 +71,9 @@ def read(
     jumps: bool = False,
     tracking: Stream | None = None,
 ) -> dict[str, NDArray]:
-    """Return every metric, [n, L] each, from windows [W, n, L], all but the first in the tail, the watch, and the last e.
+    """Return every metric by name, [n, L]. Of `streams` [W, n, L] window 0 is before the tail, the others are the tail.
+
+    `final` is e of tick N-1.
 
     `settling_time` [s] is the time of the last exit from the band; a run still outside at the end is given the horizon.
     Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.

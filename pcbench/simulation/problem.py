@@ -15,7 +15,7 @@ Notes = dict[str, PerLane]  # by observer label: [r]
 
 
 class Layout(NamedTuple):
-    """What fixes the compiled program; everything else is traced."""
+    """What is compiled into the program, with the shapes and the structure of a `Problem`, whose numbers are traced."""
 
     plant: Plant
     observers: tuple[tuple[str, Observer], ...]  # (label, functions)
@@ -32,7 +32,10 @@ class Layout(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The numbers of one cell: everything traced. N ticks, n states, s unknowns beside them, m inputs, q outputs."""
+    """The numbers of one cell, all traced: another cell of these shapes runs the same program.
+
+    N ticks, n states, s unknowns beside them, m inputs, q outputs.
+    """
 
     params: Any  # the plant's
     gains: dict[str, Gains]  # by observer label

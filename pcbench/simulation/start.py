@@ -79,7 +79,7 @@ def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any
 
 
 def _everything(layout: Layout, p: Problem) -> steps.Happen:
-    """All that can happen at a tick, at once: what it makes different between lanes is to be kept per lane."""
+    """An event that measures, notes and jumps: `settle` traces a tick with it to find what differs between lanes."""
     q = p.noise_std.shape[0]
     noise = lanes.split(jnp.zeros((q, layout.width)))
     random = isinstance(p.schedule, Times)

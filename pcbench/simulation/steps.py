@@ -1,8 +1,8 @@
 """The steps of a tick, in their order: sense, deliver, estimate, control, flow; and `tick`, which takes them.
 
 Plant and observers are one-lane functions carried over the lanes by `lanes.entrywise`. At which ticks something is sensed or
-delivered say `events_shared` and `events_per_lane`. Observers share a plant in an open loop; in a closed loop there is one,
-with a plant of its own (`closed_loop`).
+delivered say `events_shared` and `events_per_lane`. In an open loop all observers watch one plant. A closed loop
+simulates a single observer, which drives a plant of its own (`closed_loop`).
 """
 
 from collections.abc import Callable
@@ -42,7 +42,7 @@ class Row(NamedTuple):
 
 
 def nothing(k: Array, state: State) -> State:
-    """Happen not: at ticks between events nothing is sensed or delivered."""
+    """Return the state unchanged: the `happen` of a tick without events."""
     return state
 
 
@@ -51,13 +51,14 @@ def tick(
 ) -> tuple[State, Any]:
     """Return the state at tick k + 1, and what `read` finds at tick k once its command is given.
 
-    This is the order of events, for every kind of run. `w` [n] is the tick's process noise before scaling; [0]: none.
+    This is the order of events. Recorded and differentiated runs pass `happen`; `loop.simulate` lets events happen itself where
+    there are any, and takes the ticks from there to the next without. `w` [n]: process noise before scaling; [0]: none.
     """
     state = happen(k, state)  # 1. sense, 2. deliver
-    state = estimate(layout, p, k, state)  # 3.
-    state = control(layout, p, k, state)  # 4.
+    state = score(layout, p, k, state)  # 3. estimate
+    state = control(layout, p, k, state)  # 4. control
     seen = read(k, state) if read else None
-    return flow(layout, p, k, state, w), seen  # 5.
+    return flow(layout, p, k, state, w), seen  # 5. flow
 
 
 # 1. sense
@@ -132,8 +133,8 @@ def errors(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, PerL
     return subtract(actual(layout, p, k, state), estimates(layout, p, state))
 
 
-def estimate(layout: Layout, p: Problem, k: Array, state: State) -> State:
-    """Take the error at tick k into streams and watches, and in a closed loop what is off the set point."""
+def score(layout: Layout, p: Problem, k: Array, state: State) -> State:
+    """Take the error of every estimate at tick k into streams and watches, and in a closed loop what is off the set point."""
 
     def one_lane(k: Array, e: dict[str, Array], streams: Any, watches: Any, tracking: Any, x: Array) -> Any:
         if layout.controller:

@@ -2,7 +2,8 @@
 
 The face of the modules below, each one idea:
 `moments` (means in parts), `estimates` (intervals of means and of fractions), `selection` (order statistics in two passes),
-`order_statistics` (their intervals), `description` (rows of `stats`), `comparison` (tests), `pairing` (rows of `pairs`).
+`order_statistics` (their intervals), `stack` (which metrics there are), `description` (rows of `stats`), `comparison` (tests),
+`pairing` (rows of `pairs`), `winning` (who wins on a map), `wording` (numbers as a person reads them).
 
 All intervals are 95 % over seeds. Diverged runs are counted, never averaged. Where the runs do not vary (no noise) an
 interval has no width and there is no test: p is NaN. Runs come in chunks, any number of them; what is kept of them does not
