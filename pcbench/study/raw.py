@@ -95,7 +95,7 @@ def _meant(key: str, change: str) -> None:
         found = [f"options.scenario.{name}"]
     else:
         found = [f"options.{o}.{name}" for o, entry in OBSERVERS.items() if name in entry.options.model_fields]
-        found += [f"axes.plant.{name}" for plant in PLANTS if name in parameters_of(plant)][:1]
+        found += [f"axes.plant.{name}" for plant in PLANTS.values() if name in parameters_of(plant)][:1]
     if found:
         raise UserError(f"--set {short(change)}: '{short(key)}' is no key of a study; write {' or '.join(found)}.")
     if change.partition("=")[1]:
