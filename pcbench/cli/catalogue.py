@@ -11,7 +11,7 @@ from pcbench.observers import OBSERVERS
 from pcbench.observers.parts.options import TUNABLE, extra
 from pcbench.plants import PLANTS, entry_of, parameters_of
 from pcbench.plants import signals_of as signals_in
-from pcbench.scenarios import INTERVAL, SCENARIOS
+from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
 from pcbench.statistics import POOLED, RUN_METRICS
 from pcbench.study import STUDIES, Choices
 from pcbench.study.axes import AXES
@@ -83,8 +83,12 @@ def _type(schema: Mapping[str, Any]) -> str:
 
 
 def scenario(name: str) -> Description:
-    """Return a scenario with its plant, its times, its observers and its source."""
-    s = SCENARIOS[name]
+    """Return a published scenario with its plant, its times, its observers and its source."""
+    return sheet(SCENARIOS[name])
+
+
+def sheet(s: Scenario) -> Description:
+    """Return any scenario likewise."""
     signals = signals_in(s)
     bounds = (s.scoring.bound,) * len(signals) if isinstance(s.scoring.bound, float) else s.scoring.bound
     return {

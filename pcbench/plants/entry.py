@@ -23,4 +23,6 @@ class Entry(NamedTuple):
     inverse: Callable[..., Any] | None = None  # (params, unknowns, path, rates, accelerations) -> u
     positive: tuple[str, ...] = ()  # parameters that must be greater than 0
     signs: tuple[str, ...] = ()  # parameters that are 1 or -1
+    # numbers -> dx/dt at the operating point that `nominal` is the slope at, and signals are deviations from, where it is one
+    residual: Callable[[Any], Any] | None = None
     ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
