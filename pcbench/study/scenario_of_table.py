@@ -49,29 +49,30 @@ def scenario_of(table: ScenarioTable, name: str, where: str) -> Scenario:
 
 def _base(table: ScenarioTable, given: dict[str, Any], where: str) -> Scenario:
     """The scenario that the table's keys change: a published one, or one of nothing but what must be given."""
-    words = {key: given[key] for key in ("summary", "source") if key in given}
-    if "observers" in given:
-        words["observers"] = tuple(given["observers"])
+    observers = tuple(given.get("observers", ()))
     if table.base is not None:
         if table.base not in SCENARIOS:
             raise unknown(f"{where}.base", "published scenario", table.base, SCENARIOS)
         base = SCENARIOS[table.base]
         return base._replace(
-            **{"summary": f"{base.name}, changed", "source": f"the study, after {base.source}"} | words
+            summary=given.get("summary", f"{base.name}, changed"),
+            source=given.get("source", f"the study, after {base.source}"),
+            observers=observers or base.observers,
         )
     for key in REQUIRED:
         if key not in given:
             raise UserError(f"{where}: {key} is missing; write {key} = ..., or base = a published scenario.")
-    nothing = {"summary": "a scenario of one's own", "source": "the study", "observers": ("dkf", "open-loop")} | words
     return Scenario(
         name="",
+        summary=given.get("summary", "a scenario of one's own"),
+        source=given.get("source", "the study"),
         plant="",
+        observers=observers,
         truth=Truth(()),
         loop=Loop(),
         sampling=Sampling((), (), ()),
         belief=Belief((), ()),
         scoring=Scoring((), 1e6),
-        **nothing,
     )
 
 

@@ -168,6 +168,7 @@ def test_every_option_that_the_readme_names_exists():
         "reproduce",
         "report",
         "check",
+        "show",
     ):
         there |= set(re.findall(r"--[a-z][a-z-]+", call(command, "--help").stdout))
     assert said <= there, said - there
