@@ -7,6 +7,7 @@ from pydantic import BaseModel
 
 from pcbench.controllers import pd
 from pcbench.protocols import Controller
+from pcbench.scenarios import Scenario
 
 
 class Entry(NamedTuple):
@@ -18,3 +19,9 @@ class Entry(NamedTuple):
 
 
 CONTROLLERS = {"pd": Entry(pd.controller, pd.Options, pd.prepare)}
+
+
+def entry_of(scenario: Scenario) -> Entry:
+    """Return the controller of a scenario's loop: the one that it carries itself, or else the one of its name."""
+    entry: Entry = CONTROLLERS[scenario.loop.controller] if scenario.loop.law is None else scenario.loop.law
+    return entry

@@ -8,10 +8,10 @@ import pickle
 from pathlib import Path
 from types import MappingProxyType
 
+from pcbench import plants
 from pcbench.observers import base_of
 from pcbench.planning import controller
 from pcbench.planning.padding import Plan
-from pcbench.plants import PLANTS
 from pcbench.study import own_observers
 
 
@@ -45,7 +45,7 @@ def unpack(parcel: bytes | Plan) -> Plan:
     s = cell.scenario
     names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
     each = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
-    plant, law = PLANTS[s.plant].plant, controller.controller(cell)
+    plant, law = plants.entry_of(s).plant, controller.controller(cell)
     return p._replace(cell=cell, layout=p.layout._replace(plant=plant, observers=each, controller=law))
 
 

@@ -6,13 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
 
+from pcbench import plants
 from pcbench.errors import UserError, raised
 from pcbench.observers import base_of
 from pcbench.planning import controller, padding
 from pcbench.planning.design_setting import setting
 from pcbench.planning.least_error import bound
 from pcbench.planning.padding import Plan
-from pcbench.plants import PLANTS, numbers_of
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch
 from pcbench.simulation.problem import Layout, Problem
@@ -52,14 +52,14 @@ def drafts(every: list[Cell], wanted: Container[tuple[str, int]] | None = None) 
 
 def width(cell: Cell) -> int:
     """Return the lanes of a call."""
-    return batch.HEAVY if PLANTS[cell.scenario.plant].heavy else batch.WIDTH
+    return batch.HEAVY if plants.entry_of(cell.scenario).heavy else batch.WIDTH
 
 
 def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None) -> Plan:
     """Lay out one cell for the observers that `options` names; its shape is its own until `padding.fit`."""
     s, known = cell.scenario, known or setting(cell)
     true, belief, choices = s.truth, s.belief, cell.choices
-    plant, n = PLANTS[s.plant], cell.times.ticks
+    plant, n = plants.entry_of(s), cell.times.ticks
     designs = {o: _design(o, cell, known, given) for o, given in options.items()}
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
     numbers = {"drift": true.drift} | cell.parameters
@@ -69,7 +69,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     signals = len(true.x0) + len(belief.unknown_std)
     schedule, room = schedule_of(cell)
     problem = Problem(
-        params=plant.prepare(numbers_of(s)._replace(**numbers), s.dt, n),
+        params=plant.prepare(plants.numbers_of(s)._replace(**numbers), s.dt, n),
         gains={names[o]: d.gains for o, d in designs.items()},
         schedule=schedule,
         inputs=_inputs(cell, known),

@@ -6,8 +6,8 @@ import numpy as np
 from jax.tree_util import Partial
 from pydantic import BaseModel
 
-from pcbench.controllers import CONTROLLERS
-from pcbench.plants import PLANTS, numbers_of
+from pcbench import controllers
+from pcbench.plants import entry_of, numbers_of
 from pcbench.protocols import Controller
 from pcbench.simulation import actuator
 from pcbench.simulation.schedule import shared
@@ -25,13 +25,13 @@ class Reach(NamedTuple):
 def options(cell: Cell) -> BaseModel:
     """Return the options of a closed loop's controller: the scenario's, with the study's choices over them."""
     s, chosen = cell.scenario, {k: v for k, v in cell.choices.loop().items() if v is not None}
-    return CONTROLLERS[s.loop.controller].options.model_validate(dict(s.loop.control) | chosen)
+    return controllers.entry_of(s).options.model_validate(dict(s.loop.control) | chosen)
 
 
 def controller(cell: Cell) -> Controller | None:
     """Return the control law of a cell; None of an open loop."""
-    name = cell.scenario.loop.controller
-    return CONTROLLERS[name].controller(options(cell)) if name else None
+    s = cell.scenario
+    return controllers.entry_of(s).controller(options(cell)) if s.loop.controller else None
 
 
 def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
@@ -49,8 +49,8 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
 
 def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:
     """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end."""
-    s, plant = cell.scenario, PLANTS[cell.scenario.plant]
+    s, plant = cell.scenario, entry_of(cell.scenario)
     delay, params = times.actuator_delay(s), plant.prepare(numbers_of(s), s.dt, ticks)
     model, inverse = Partial(plant.model, params), Partial(plant.inverse, params)
-    law = CONTROLLERS[s.loop.controller].prepare(options(cell), delay, s.dt, reach.back, ticks, model, inverse)
+    law = controllers.entry_of(s).prepare(options(cell), delay, s.dt, reach.back, ticks, model, inverse)
     return law, actuator.line(delay, s.dt, reach.back, ticks + reach.ahead)

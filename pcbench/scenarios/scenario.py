@@ -29,6 +29,7 @@ class Loop(NamedTuple):
     controller: str = ""  # of a closed loop: a name in `controllers`; empty: the loop is open
     control: Mapping[str, Any] = NOTHING  # the controller's options
     actuator_delay: float | None = None  # s, from command to plant; None: that of the measurements
+    law: Any = None  # the entry of a controller of a user's own; None: the one of its name
 
 
 class Sampling(NamedTuple):
@@ -80,6 +81,7 @@ RECORDS = {
     "scoring": Scoring._fields,
 }
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
+CODE = ("entry", "law")  # functions, which no digest and no file holds
 
 
 class Scenario(NamedTuple):
@@ -98,6 +100,7 @@ class Scenario(NamedTuple):
     dt: float = 1e-3  # s, the tick
     horizon: float = 10.0  # s
     options: Mapping[str, dict[str, Any]] = NOTHING  # by observer
+    entry: Any = None  # of a plant of a user's own; None: the one of its name
 
     def having(self, **changes: Any) -> "Scenario":
         """Return the scenario with fields changed, each in the record that has it; raise TypeError for one that none has."""
@@ -118,5 +121,5 @@ class Scenario(NamedTuple):
 
     def flat(self) -> dict[str, Any]:
         """Return every field by its name, the records' among them: what digests are made of and `study.toml` says."""
-        names = [name for name in self._fields if name not in RECORDS]
-        return {name: self.value(name) for name in (*names, *RECORD_OF)}
+        names = [name for name in (*self._fields, *RECORD_OF) if name not in RECORDS and name not in CODE]
+        return {name: self.value(name) for name in names}

@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from pcbench.errors import UserError, shown, unknown
-from pcbench.plants import parameters_of, positive_of, signs_of
+from pcbench.plants import entry_of, parameters_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule.sampling import PROFILES
 
@@ -21,7 +21,7 @@ AXES = (*CHANNELS, "drift", "profile", "jitter", "delay_jitter", "loss", "assume
 
 def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
-    parameters = [f"plant.{p}" for p in parameters_of(base.plant)]
+    parameters = [f"plant.{p}" for p in parameters_of(entry_of(base))]
     if name not in AXES and name not in parameters:
         raise unknown(where, f"axis of {base.name}", name, [*AXES, *parameters])
     if not values:
@@ -41,9 +41,9 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
         n = number(value, where, least)
         if name in TIMES:
             _whole_ticks(name, n, base, where)
-        if name.removeprefix("plant.") in positive_of(base.plant) and n <= 0:
+        if name.removeprefix("plant.") in entry_of(base).positive and n <= 0:
             raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
-        if name.removeprefix("plant.") in signs_of(base.plant) and abs(n) != 1:
+        if name.removeprefix("plant.") in entry_of(base).signs and abs(n) != 1:
             raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
         if name == "loss" and n > 1:
             raise UserError(

@@ -103,7 +103,7 @@ def _long_enough(s: Scenario, name: str, mean: float, least: float, where: str) 
 
 def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
     """Raise UserError where an observer cannot work on a scenario's schedule."""
-    if nonlinear(s.plant) and not entry.nonlinear:
+    if nonlinear(s) and not entry.nonlinear:
         able = ", ".join(name for name, each in OBSERVERS.items() if each.nonlinear)
         raise UserError(
             f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} "

@@ -3,14 +3,21 @@
 from pcbench.observers import LONGEST, OBSERVERS, Entry, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study.own_observers import OwnObserver
+from pcbench.study.scenario_of_table import scenario_of
 from pcbench.study.schema import Study
 
 LTI = "lti"  # the scenario of a linear plant that a study brings
 
 
 def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
-    """Return every scenario that a study may name: the published ones, and `lti` where it brings a plant of its own."""
-    return SCENARIOS if study.lti is None else SCENARIOS | {LTI: study.lti.scenario(LTI, f"{where or study.name}: lti")}
+    """Return every scenario that a study may name: the published ones, `lti` where it brings a plant, and one of its own."""
+    known, where = SCENARIOS, where or study.name
+    if study.lti is not None:
+        known = known | {LTI: study.lti.scenario(LTI, f"{where}: lti")}
+    if study.scenario is not None:
+        name = study.scenario.name or study.name
+        known = known | {name: scenario_of(study.scenario, name, f"{where}: scenario")}
+    return known
 
 
 def labels_of(study: Study) -> list[str]:

@@ -52,7 +52,7 @@ def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[s
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
     raw = labelled(underscored(raw, where), where, folder)
-    for table in ("lti", "tune"):
+    for table in ("lti", "scenario", "tune"):
         if isinstance(raw.get(table), dict):
             raw[table] = underscored(raw[table], f"{where}: {table}")
     if isinstance(raw.get("axes"), dict):
@@ -97,7 +97,7 @@ def _meant(key: str, change: str) -> None:
         found = [f"options.scenario.{name}"]
     else:
         found = [f"options.{o}.{name}" for o, entry in OBSERVERS.items() if name in entry.options.model_fields]
-        found += [f"axes.plant.{name}" for plant in PLANTS if name in parameters_of(plant)][:1]
+        found += [f"axes.plant.{name}" for plant in PLANTS.values() if name in parameters_of(plant)][:1]
     if found:
         raise UserError(f"--set {short(change)}: '{short(key)}' is no key of a study; write {' or '.join(found)}.")
     if change.partition("=")[1]:

@@ -33,8 +33,9 @@ def described(raw: dict[str, Any], where: str, load: Load = own_observers.named)
     Raises UserError naming the place in it that is wrong.
     """
     raw = named(raw, where)
-    if raw.get("lti") is not None and not raw.get("scenarios"):
-        raw = raw | {"scenarios": [LTI]}
+    own = _own(raw)
+    if own and not raw.get("scenarios"):
+        raw = raw | {"scenarios": own}
     try:
         study = Study.model_validate(raw)
     except ValidationError as error:
@@ -49,9 +50,21 @@ def described(raw: dict[str, Any], where: str, load: Load = own_observers.named)
         _observers(study, study.observers, f"{where}: observers")
     if study.lti is not None:
         _observers(study, study.lti.observers, f"{where}: lti.observers")
+    if study.scenario is not None:
+        if study.scenario.observers is not None:
+            _observers(study, study.scenario.observers, f"{where}: scenario.observers")
+        for name, given in (study.scenario.options or {}).items():
+            checked_options(study, name, given, f"{where}: scenario.options.{name}")
     for name, given in study.options.items():
         checked_options(study, name, given, f"{where}: options.{name}")
     return study
+
+
+def _own(raw: dict[str, Any]) -> list[str]:
+    """The scenarios that a raw study brings: those it names where it says no others."""
+    table = raw.get("scenario")
+    name = (table.get("name") if isinstance(table, dict) else None) or raw.get("name")
+    return [LTI] * (raw.get("lti") is not None) + [str(name)] * (table is not None)
 
 
 def grid(raw: dict[str, Any], where: str, load: Load = own_observers.named) -> Grid:

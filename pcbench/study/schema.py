@@ -7,6 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
 from pcbench.scenarios.signals import PATHS
 from pcbench.study.lti import Lti
 from pcbench.study.own_observers import OwnObserver
+from pcbench.study.scenario_table import ScenarioTable
 
 Values = list[Any]
 TUNINGS = ("paper", "design", "tuned")  # gains as printed (a scenario's), by design for what is known, by tuning
@@ -66,6 +67,7 @@ class Study(BaseModel):
     axes: dict[str, Values] = {}
     options: dict[str, dict[str, Any]] = {}
     lti: Lti | None = None
+    scenario: ScenarioTable | None = None
     tuning: str | list[str] = Field("paper", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them")
     tune: Tune = Tune()
     _own: dict[str, OwnObserver] = PrivateAttr({})  # by label of `use`, once the study is read
@@ -86,4 +88,9 @@ class Study(BaseModel):
         return [self.tuning] if isinstance(self.tuning, str) else list(self.tuning)
 
 
-KEYS = {"": [*Study.model_fields], "lti": [*Lti.model_fields], "tune": [*Tune.model_fields]}  # by table of a study file
+KEYS = {  # by table of a study file
+    "": [*Study.model_fields],
+    "lti": [*Lti.model_fields],
+    "scenario": [*ScenarioTable.model_fields],
+    "tune": [*Tune.model_fields],
+}
