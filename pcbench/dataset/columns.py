@@ -25,6 +25,7 @@ AXIS_UNITS = {
     "delay_jitter": "s",
     "loss": "1",
     "assumed_delay_error": "s",
+    "process_std": "unit of the state",
 }
 MEANING = {
     "study": "name of the study",
@@ -40,6 +41,7 @@ MEANING = {
     "actuator_delay": "from command to plant, in a closed loop, the mean where it varies with time; null: that of the samples, "
     "or no loop",
     "noise_std": "standard deviation of one sample's noise; a list where output channels differ",
+    "process_std": "standard deviation of a tick's noise on the states; a list where they differ",
     "drift": "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm and the helicopter its "
     "amplitude",
     "profile": "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals [s] in turn",
@@ -51,8 +53,7 @@ MEANING = {
     "signal": "state, unknown input or parameter whose error e = x - xhat is measured",
     "carries_input": "whether the observer's prediction to the present carries the unknown input it has found; null: it finds "
     "none, or predicts nothing",
-    "carries_input_a": "carries_input of the first observer",
-    "carries_input_b": "carries_input of the second observer",
+    **{f"carries_input_{one}": f"carries_input of observer_{one}" for one in "ab"},
     "unit": "unit of the signal; beside a metric, of that metric",
     "mae": "mean |e| over ticks 0 .. N-1",
     "rmse": "square root of the mean of e^2 over ticks 0 .. N-1",

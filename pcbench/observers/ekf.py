@@ -27,7 +27,8 @@ from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import rk4
-from pcbench.observers.parts import kalman, reordering
+from pcbench.observers.parts import assumed_noise, kalman, reordering
+from pcbench.observers.parts.assumed_noise import Size, Sizes, Variances
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reordering import Buffer, Measurement
@@ -43,6 +44,7 @@ class Gains(NamedTuple):
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     R: Float[Leaf, " q"]  # variance of one sample
+    mix: Any  # [q, q] of the outputs, so that their noise is independent; None: it is
     Q: Float[Leaf, "N N"]  # a tick
     P0: Float[Leaf, "N N"]
     start: Float[Leaf, " s"]  # p at t = 0
@@ -62,8 +64,17 @@ class Options(BaseModel):
     """What the filter assumes."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    R: float | None = tunable(None, gt=0, description="assumed variance of one sample; default: the scenario's")
-    q: float | None = tunable(None, ge=0, description="assumed intensity of process noise through the input")
+    R: Variances | None = tunable(
+        None,
+        description="assumed variance of one sample: for all outputs, for each, or in full; default: the scenario's",
+    )
+    q: Size | list[Size] | None = tunable(
+        None, description="assumed intensity of process noise through the input, or through each"
+    )
+    Q: Sizes | None = tunable(
+        None,
+        description="assumed covariance of a tick's process noise: for each state, or in full; default: the scenario's",
+    )
     walk: float = tunable(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")
 
 
@@ -98,12 +109,13 @@ def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Po
         return within(gains, gains.motion(there, z)), F @ P @ F.T + gains.Q
 
     z, P = lax.fori_loop(before.taken, sample.taken, tick, (before.mean, before.P))
+    value = sample.value if gains.mix is None else gains.mix @ sample.value
     n, none = gains.C.shape[1], jnp.zeros(gains.start.shape[0])
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
         Pc = P[:, :n] @ c
         K = kalman.gain(Pc, c @ Pc[:n] + r, fresh)
-        z = z + K * (sample.value[channel] - c @ z[:n])
+        z = z + K * (value[channel] - c @ z[:n])
         P = kalman.covariance(P, K, jnp.concatenate([c, none]), r)
     return Posterior(within(gains, z), P, sample.taken)
 
@@ -173,22 +185,24 @@ def motion_of(setting: Setting) -> tuple[Any, Any]:
 
 def design(setting: Setting, options: Options) -> Design:
     """Gather what the filter assumes; there is no certificate for a nonlinear model."""
-    n, s = len(setting.model.A), len(setting.unknown_std)
+    n, s, where = len(setting.model.A), len(setting.unknown_std), f"ekf in {setting.scenario}"
     motion, tangent = motion_of(setting)
     size = np.square(setting.unknown_std)
     P0, Q = np.zeros((n + s, n + s)), np.zeros((n + s, n + s))
     P0[:n, :n], P0[n:, n:] = setting.P0, np.diag(size)
-    q = setting.input_intensity if options.q is None else options.q
-    Q[:n, :n] = setting.process_noise + linear.input_noise(setting.model, q, setting.dt)
+    q = assumed_noise.through(options.q, setting.model.B.shape[1], setting.input_intensity, where)
+    own = assumed_noise.process(setting, options.Q, where)
+    Q[:n, :n] = own + linear.input_noise(setting.model, q, setting.dt)
     Q[n:, n:] = np.diag(options.walk * size * setting.dt)
-    R = setting.noise_variance if options.R is None else np.full(len(setting.model.C), options.R)
+    mix, C, R = assumed_noise.independent(setting, options.R, setting.model.C, where)
     low, high = np.array(setting.unknown_range).T.reshape(2, s)
     gains = Gains(
         motion=motion,
         slope=tangent,
-        C=setting.model.C,
+        C=C,
         D=setting.model.feedthrough,
         R=R,
+        mix=mix,
         Q=Q,
         P0=P0,
         start=np.array(setting.unknown0, float),
@@ -196,6 +210,6 @@ def design(setting: Setting, options: Options) -> Design:
         high=high,
         room=setting.room,
     )
-    numbers = {"Q": Q, "R": R}
+    numbers = {"R": R, **assumed_noise.option("Q", own)}
     proof = Certificate("none: the slope at the estimate is no proof", float("inf"), "none", "not needed", numbers)
     return Design(gains, proof, True if setting.model.E is not None else None)

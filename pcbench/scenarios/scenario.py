@@ -18,7 +18,9 @@ class Truth(NamedTuple):
     x0: tuple[float, ...]  # [n]
     drift: float = 0.0  # scale of the plant's parameter drift
     parameters: Mapping[str, Any] = NOTHING  # of the plant, where they differ from its own
-    process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick; empty: none
+    process_std: tuple[
+        Any, ...
+    ] = ()  # [n] of the noise added to each state at every tick, or a root [n, n] of its covariance
     unknown_input: str = ""  # name in `signals`, or one for each with commas; empty: the plant has none
 
 
@@ -57,7 +59,7 @@ class Belief(NamedTuple):
     unknown0: tuple[float, ...] = ()  # [s] at the start; empty: zeros
     unknown_std: tuple[float, ...] = ()  # [s] their typical size
     assumed_noise_std: tuple[float, ...] = ()  # [q] for channels without noise; empty: none
-    assumed_process_std: tuple[float, ...] = ()  # [n] for plants without process noise; empty: none
+    assumed_process_std: tuple[float, ...] = ()  # [n] in place of the plant's process noise; empty: as it is
     assumed_delay_error: float = 0.0  # s, samples are believed to be so much older than they are
     start_box: tuple[float, ...] = ()  # [n] a random start draws xhat(0) this close to x(0); empty: x(0), from P0
 

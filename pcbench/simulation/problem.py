@@ -49,7 +49,7 @@ class Problem(NamedTuple):
     band: Leaf  # [n + s] settling band of |e|
     bound: Leaf  # [n + s] beyond it a run has diverged
     windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
-    process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick; [0]: none
+    process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick, or [n, n] a root; [0]: none
     jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
     control: Any = ()  # the controller's numbers
     line: actuator.Line = actuator.NONE

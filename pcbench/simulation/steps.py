@@ -161,7 +161,7 @@ def flow(layout: Layout, p: Problem, k: Array, state: State, w: PerLane) -> Stat
         else:
             moved = layout.plant.step(params, now, x)
             flowed = {label: o.flow(p.gains[label], memories[label], now) for label, o in layout.observers}
-        moved = moved + p.process_std * w if w.size else moved
+        moved = moved + _scaled(p.process_std, w) if w.size else moved
         if layout.controller:
             return unless_diverged(watches, (moved, flowed), (x, memories))
         return moved, flowed
@@ -169,6 +169,11 @@ def flow(layout: Layout, p: Problem, k: Array, state: State, w: PerLane) -> Stat
     watches = state.watches if layout.controller else {}
     x, memories = over(one_lane)(k, state.x, state.drawn, state.memories, watches, state.commands, w)
     return state._replace(x=x, memories=memories)
+
+
+def _scaled(std: Any, w: Array) -> Array:
+    """Process noise [n] of the standard deviations std [n], or of the root std [n, n] of its covariance."""
+    return std @ w if std.ndim == 2 else std * w
 
 
 def _together(

@@ -14,9 +14,20 @@ from pcbench.simulation.schedule.sampling import PROFILES
 SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
+STATES = ("process_std",)  # one value, or one for each state; a column of the tables only where it is an axis
 TIMES = ("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error")  # whole ticks
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
-AXES = (*CHANNELS, "drift", "profile", "jitter", "delay_jitter", "loss", "assumed_delay_error", "actuator_delay")
+AXES = (
+    *CHANNELS,
+    "drift",
+    "profile",
+    "jitter",
+    "delay_jitter",
+    "loss",
+    "assumed_delay_error",
+    "actuator_delay",
+    *STATES,
+)
 
 
 def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
@@ -36,7 +47,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
     if name == "profile":
         return _profile(value, base, where)
-    if name not in CHANNELS:
+    if name not in (*CHANNELS, *STATES):
         least = None if name in ("drift", "assumed_delay_error") or name.startswith("plant.") else 0.0
         n = number(value, where, least)
         if name in TIMES:
@@ -50,16 +61,14 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
                 f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."
             )
         return n
-    channels = len(base.sampling.delay)
-    each = value if isinstance(value, list) else [value] * channels
-    if len(each) != channels:
-        raise UserError(
-            f"{where}: got {len(each)} values, expected one or {channels} (a value for each output channel)."
-        )
+    many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
+    each = value if isinstance(value, list) else [value] * many
+    if len(each) != many:
+        raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
     if name == "delay" and isinstance(value, str):
         if value != INTERVAL:
             raise UserError(f"{where}: got {shown(value)}, expected seconds or '{INTERVAL}' (one sampling interval).")
-        return (INTERVAL,) * channels
+        return (INTERVAL,) * many
     numbers = [number(v, where, least=0.0) for v in each]
     if name in TIMES:
         for v in numbers:

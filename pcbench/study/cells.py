@@ -88,7 +88,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     digests = {o: told(each, mine.get(o)) for o, each in options.items()}
     for index, point in enumerate(itertools.product(*axes.values())):
         given = dict(zip(axes, point, strict=True))
-        fields = {k: v for k, v in given.items() if k in AXES}
+        fields = {k: v for k, v in given.items() if k in AXES} | _told_too(given, base)
         changed = base.having(**fields, input=choices.input or base.loop.input)
         if choices.unknown_input:
             if not base.truth.unknown_input:
@@ -99,12 +99,22 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
             changed = changed.having(unknown_input=choices.unknown_input)
         _of_the_loop(changed, choices, where)
         fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
-        values = {name: axis.plain(name, changed.value(name), name in apart) for name in AXES}
+        values = {
+            name: axis.plain(name, changed.value(name), name in apart)
+            for name in AXES
+            if name in given or name not in axis.STATES
+        }
         parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
         cell = cell_of(changed, index, values, dict(base.truth.parameters) | parameters, choices)
         out.append(cell._replace(options=options, own=mine, told=digests, digest=identity(cell, study.root_seed)))
     return out
+
+
+def _told_too(given: dict[str, Any], base: Scenario) -> dict[str, Any]:
+    """Process noise of a cell that designers are told as it is, where they are told the scenario's own as it is."""
+    told = "process_std" in given and base.belief.assumed_process_std == base.truth.process_std
+    return {"assumed_process_std": given["process_std"]} if told else {}
 
 
 def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
@@ -125,7 +135,7 @@ def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
 def channels_apart(study: Study) -> set[str]:
     """Return the axes whose channels differ in some cell of a study: in its tables every cell has a list there."""
     known, out = scenarios_of(study), set()
-    for name in axis.CHANNELS:
+    for name in (*axis.CHANNELS, *axis.STATES):
         given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
         if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
             out.add(name)

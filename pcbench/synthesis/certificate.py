@@ -50,7 +50,9 @@ class Setting(NamedTuple):
     P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
     input_intensity: float  # process noise through the input that a designer assumes, per second
     overtaking: int = 0  # K: how many newer samples may arrive before one
-    process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick, as assumed; empty: none
+    process_std: tuple[
+        Any, ...
+    ] = ()  # [n] of a tick's noise as assumed, or a root [n, n] of its covariance; empty: none
     error: int = 0  # [ticks] the believed delay less the true one
     reach: int = 0  # [samples] the longest delay; it and `overtaking` are the most of a study's cells
     unknown_std: tuple[float, ...] = ()  # [s] typical size of the unknown inputs or parameters
@@ -69,7 +71,10 @@ class Setting(NamedTuple):
     @property
     def process_noise(self) -> np.ndarray:
         """Covariance [n, n] of the noise added to the state at every tick."""
-        return np.diag(np.square(self.process_std)) if self.process_std else np.zeros_like(self.P0)
+        S = np.asarray(self.process_std, float)
+        if not S.size:
+            return np.zeros_like(self.P0)
+        return S @ S.T if S.ndim == 2 else np.diag(np.square(S))
 
     @property
     def room(self) -> np.ndarray:
