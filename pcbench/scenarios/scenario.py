@@ -29,6 +29,9 @@ class Loop(NamedTuple):
     controller: str = ""  # of a closed loop: a name in `controllers`; empty: the loop is open
     control: Mapping[str, Any] = NOTHING  # the controller's options
     actuator_delay: float | None = None  # s, from command to plant; None: that of the measurements
+    command_jitter: float = 0.0  # s, a command comes up to this much later, in each run its own way
+    command_loss: float = 0.0  # probability that a command never comes: the last one is held
+    command_std: float = 0.0  # of the noise of one command
 
 
 class Sampling(NamedTuple):
@@ -79,6 +82,7 @@ RECORDS = {
     "belief": Belief._fields,
     "scoring": Scoring._fields,
 }
+OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 
 
@@ -119,4 +123,5 @@ class Scenario(NamedTuple):
     def flat(self) -> dict[str, Any]:
         """Return every field by its name, the records' among them: what digests are made of and `study.toml` says."""
         names = [name for name in self._fields if name not in RECORDS]
-        return {name: self.value(name) for name in (*names, *RECORD_OF)}
+        later = [name for name in OF_COMMANDS if not self.value(name)]  # earlier folders know their cells without these
+        return {name: self.value(name) for name in (*names, *RECORD_OF) if name not in later}

@@ -12,7 +12,7 @@ from pcbench.errors import UserError
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
-from pcbench.study.axes import AXES
+from pcbench.study.axes import axes_of
 from pcbench.study.times import Timing, times_of, whole
 
 
@@ -78,7 +78,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     digests = {o: told(each) for o, each in options.items()}
     for index, point in enumerate(itertools.product(*axes.values())):
         given = dict(zip(axes, point, strict=True))
-        fields = {k: v for k, v in given.items() if k in AXES}
+        fields = {k: v for k, v in given.items() if k in axes_of(base)}
         changed = base.having(**fields, input=choices.input or base.loop.input)
         if choices.unknown_input:
             if not base.truth.unknown_input:
@@ -89,7 +89,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
             changed = changed.having(unknown_input=choices.unknown_input)
         _of_the_loop(changed, choices, where)
         fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
-        values = {name: axis.plain(name, changed.value(name), name in apart) for name in AXES}
+        values = {name: axis.plain(name, changed.value(name), name in apart) for name in axes_of(base)}
         parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
         cell = cell_of(changed, index, values, dict(base.truth.parameters) | parameters, choices)
@@ -104,6 +104,11 @@ def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
         raise UserError(
             f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, where no controller gives "
             "commands, expected a closed loop such as helicopter/constant; leave it out."
+        )
+    if given and s.loop.controller != "pd":
+        raise UserError(
+            f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, whose loop is closed by "
+            f"{s.loop.controller}, expected pd, which alone has it; leave it out."
         )
     if choices.input and s.loop.controller:
         raise UserError(

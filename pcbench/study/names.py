@@ -2,6 +2,7 @@
 
 from pcbench.observers import OBSERVERS, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
+from pcbench.study.loops import closed
 from pcbench.study.schema import Study
 
 LTI = "lti"  # the scenario of a linear plant that a study brings
@@ -9,7 +10,12 @@ LTI = "lti"  # the scenario of a linear plant that a study brings
 
 def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
     """Return every scenario that a study may name: the published ones, and `lti` where it brings a plant of its own."""
-    return SCENARIOS if study.lti is None else SCENARIOS | {LTI: study.lti.scenario(LTI, f"{where or study.name}: lti")}
+    place = where or study.name
+    known = SCENARIOS if study.lti is None else SCENARIOS | {LTI: study.lti.scenario(LTI, f"{place}: lti")}
+    if study.controller is None:
+        return known
+    mine = [name for name in study.scenarios if name in known]
+    return known | {name: closed(known[name], study.controller, f"{place}: controller") for name in mine}
 
 
 def labels_of(study: Study) -> list[str]:

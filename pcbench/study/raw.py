@@ -50,7 +50,7 @@ def named(raw: dict[str, Any], where: str) -> dict[str, Any]:
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
     raw = underscored(raw, where)
-    for table in ("lti", "tune"):
+    for table in ("lti", "tune", "controller"):
         if isinstance(raw.get(table), dict):
             raw[table] = underscored(raw[table], f"{where}: {table}")
     if isinstance(raw.get("axes"), dict):

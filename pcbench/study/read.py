@@ -11,7 +11,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
-from pcbench.study import KEYS, LTI, Study, checked_options, fits, labels_of, scenarios_of, sentence
+from pcbench.study import KEYS, LTI, Study, checked_options, fits, labels_of, loops, scenarios_of, sentence
 from pcbench.study.cells import Cell, Grid, cells
 from pcbench.study.raw import Described, named, raw_of, where_of
 
@@ -57,6 +57,12 @@ def grid(raw: dict[str, Any], where: str) -> Grid:
                 fits.works_on(observer, cell.scenario, where)
         every += mine
     return Grid(study, every)
+
+
+def unstable(found: Grid) -> list[str]:
+    """Return a sentence for every loop that its controller does not stabilise; raise DesignError where a law has no gain."""
+    said = [loops.warning(cell.scenario, found.study.name) for cell in found.cells]
+    return [sentence for sentence in dict.fromkeys(said) if sentence]
 
 
 def parse(raw: dict[str, Any], where: str) -> Study:

@@ -64,6 +64,7 @@ class Study(BaseModel):
     axes: dict[str, Values] = {}
     options: dict[str, dict[str, Any]] = {}
     lti: Lti | None = None
+    controller: dict[str, Any] | None = Field(None, description="a law that closes the loop of every scenario")
     tuning: str | list[str] = Field("paper", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them")
     tune: Tune = Tune()
 
