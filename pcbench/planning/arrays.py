@@ -13,6 +13,7 @@ from pcbench.planning import controller, padding
 from pcbench.planning.design_setting import setting
 from pcbench.planning.least_error import bound
 from pcbench.planning.padding import Plan
+from pcbench.plants import lti
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch
 from pcbench.simulation.problem import Layout, Problem
@@ -84,6 +85,8 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         process_std=np.array(true.process_std),
         jumps=np.array([tick for tick in jumps(true.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
         scatter=np.array(belief.start_box) * around,
+        network=controller.network(cell),
+        weights=controller.weights(cell),
     )
     layout = Layout(
         plant=plant.plant,
@@ -96,6 +99,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         drifting=bool(true.drift and plant.plant.of_run),
         controller=controller.controller(cell),
         scattered=bool(belief.start_box),
+        pending=controller.pending(cell),
     )
     return Plan(
         cell=cell,
@@ -116,10 +120,13 @@ def _strides(schedule: AnySchedule, heavy: bool) -> bool:
 
 
 def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
-    """The input of an open loop, [N+1, m]; where a controller gives it, one row of NaN: nothing may read it."""
+    """The input of an open loop, [N+1, m]; where a controller gives it, one row of NaN: nothing may read it.
+
+    Zeros where the output of a plant is C x + D u: D is 0 in a closed loop.
+    """
     s, m = cell.scenario, known.model.B.shape[1]
     if s.loop.controller:
-        return np.full((1, m), np.nan)
+        return np.full((1, m), 0.0 if plants.entry_of(s).plant is lti.PLANT else np.nan)
     u = inputs(s.loop.input, s.dt * np.arange(cell.times.ticks + 1, dtype=float), m)
     if u.shape[1] != m:
         raise UserError(

@@ -32,6 +32,9 @@ class Loop(NamedTuple):
     control: Mapping[str, Any] = NOTHING  # the controller's options
     actuator_delay: float | None = None  # s, from command to plant; None: that of the measurements
     law: Any = None  # the entry of a controller of a user's own; None: the one of its name
+    command_jitter: float = 0.0  # s, a command comes up to this much later, in each run its own way
+    command_loss: float = 0.0  # probability that a command never comes: the last one is held
+    command_std: float = 0.0  # of the noise of one command
 
 
 class Sampling(NamedTuple):
@@ -82,6 +85,7 @@ RECORDS = {
     "belief": Belief._fields,
     "scoring": Scoring._fields,
 }
+OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("entry", "law")  # functions, which no digest and no file holds
 
@@ -123,5 +127,8 @@ class Scenario(NamedTuple):
 
     def flat(self) -> dict[str, Any]:
         """Return every field by its name, the records' among them: what digests are made of and `study.toml` says."""
-        names = [name for name in (*self._fields, *RECORD_OF) if name not in RECORDS and name not in CODE]
+        hidden = {
+            name for name in OF_COMMANDS if not self.value(name)
+        }  # earlier folders know their cells without these
+        names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE, *hidden)]
         return {name: self.value(name) for name in names}

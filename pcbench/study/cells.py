@@ -13,7 +13,7 @@ from pcbench.observers import Entry, entry_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
-from pcbench.study.axes import AXES
+from pcbench.study.axes import axes_of
 from pcbench.study.names import own_in
 from pcbench.study.own_observers import OwnObserver
 from pcbench.study.times import Timing, times_of, whole
@@ -88,7 +88,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     digests = {o: told(each, mine.get(o)) for o, each in options.items()}
     for index, point in enumerate(itertools.product(*axes.values())):
         given = dict(zip(axes, point, strict=True))
-        fields = {k: v for k, v in given.items() if k in AXES} | _told_too(given, base)
+        fields = {k: v for k, v in given.items() if k in axes_of(base)} | _told_too(given, base)
         changed = base.having(**fields, input=choices.input or base.loop.input)
         if choices.unknown_input:
             if not base.truth.unknown_input:
@@ -101,7 +101,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
         values = {
             name: axis.plain(name, changed.value(name), name in apart)
-            for name in AXES
+            for name in axes_of(base)
             if name in given or name not in axis.STATES
         }
         parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
@@ -124,6 +124,11 @@ def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
         raise UserError(
             f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, where no controller gives "
             "commands, expected a closed loop such as helicopter/constant; leave it out."
+        )
+    if given and s.loop.controller != "pd":
+        raise UserError(
+            f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, whose loop is closed by "
+            f"{s.loop.controller}, expected pd, which alone has it; leave it out."
         )
     if choices.input and s.loop.controller:
         raise UserError(

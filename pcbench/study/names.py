@@ -2,6 +2,7 @@
 
 from pcbench.observers import LONGEST, OBSERVERS, Entry, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
+from pcbench.study.loops import closed
 from pcbench.study.own_observers import OwnObserver
 from pcbench.study.scenario_of_table import scenario_of
 from pcbench.study.schema import Study
@@ -10,14 +11,20 @@ LTI = "lti"  # the scenario of a linear plant that a study brings
 
 
 def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
-    """Return every scenario that a study may name: the published ones, `lti` where it brings a plant, and one of its own."""
+    """Return every scenario that a study may name: the published ones, `lti` where it brings a plant, and one of its own.
+
+    Where the study has a controller, those that it names have their loops closed by that.
+    """
     known, where = SCENARIOS, where or study.name
     if study.lti is not None:
         known = known | {LTI: study.lti.scenario(LTI, f"{where}: lti")}
     if study.scenario is not None:
         name = study.scenario.name or study.name
         known = known | {name: scenario_of(study.scenario, name, f"{where}: scenario")}
-    return known
+    if study.controller is None:
+        return known
+    mine = [name for name in study.scenarios if name in known]
+    return known | {name: closed(known[name], study.controller, f"{where}: controller") for name in mine}
 
 
 def labels_of(study: Study) -> list[str]:

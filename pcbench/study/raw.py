@@ -52,7 +52,7 @@ def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[s
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
     raw = labelled(underscored(raw, where), where, folder)
-    for table in ("lti", "scenario", "tune"):
+    for table in ("lti", "scenario", "tune", "controller"):
         if isinstance(raw.get(table), dict):
             raw[table] = underscored(raw[table], f"{where}: {table}")
     if isinstance(raw.get("axes"), dict):

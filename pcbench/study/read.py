@@ -12,7 +12,18 @@ from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
-from pcbench.study import KEYS, LTI, Study, checked_options, fits, labels_of, own_observers, scenarios_of, sentence
+from pcbench.study import (
+    KEYS,
+    LTI,
+    Study,
+    checked_options,
+    fits,
+    labels_of,
+    loops,
+    own_observers,
+    scenarios_of,
+    sentence,
+)
 from pcbench.study.cells import Cell, Grid, cells
 from pcbench.study.own_observers import OwnObserver
 from pcbench.study.raw import Described, named, raw_of, where_of
@@ -77,6 +88,12 @@ def grid(raw: dict[str, Any], where: str, load: Load = own_observers.named) -> G
                 fits.works_on(observer, cell.entry(observer), cell.scenario, where)
         every += mine
     return Grid(study, every)
+
+
+def unstable(found: Grid) -> list[str]:
+    """Return a sentence for every loop that its controller does not stabilise; raise DesignError where a law has no gain."""
+    said = [loops.warning(cell.scenario, found.study.name) for cell in found.cells]
+    return [sentence for sentence in dict.fromkeys(said) if sentence]
 
 
 def parse(raw: dict[str, Any], where: str) -> Study:

@@ -68,6 +68,7 @@ class Study(BaseModel):
     options: dict[str, dict[str, Any]] = {}
     lti: Lti | None = None
     scenario: ScenarioTable | None = None
+    controller: dict[str, Any] | None = Field(None, description="a law that closes the loop of every scenario")
     tuning: str | list[str] = Field("paper", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them")
     tune: Tune = Tune()
     _own: dict[str, OwnObserver] = PrivateAttr({})  # by label of `use`, once the study is read
