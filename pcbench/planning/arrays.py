@@ -12,7 +12,7 @@ from pcbench.planning import controller, padding
 from pcbench.planning.design_setting import setting
 from pcbench.planning.least_error import bound
 from pcbench.planning.padding import Plan
-from pcbench.plants import PLANTS, numbers_of
+from pcbench.plants import PLANTS, numbers_of, varied
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch
 from pcbench.simulation.problem import Layout, Problem
@@ -69,7 +69,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     signals = len(true.x0) + len(belief.unknown_std)
     schedule, room = schedule_of(cell)
     problem = Problem(
-        params=plant.prepare(numbers_of(s)._replace(**numbers), s.dt, n),
+        params=plant.prepare(varied(numbers_of(s), numbers), s.dt, n),
         gains={names[o]: d.gains for o, d in designs.items()},
         schedule=schedule,
         inputs=_inputs(cell, known),

@@ -7,7 +7,7 @@ from jax.tree_util import Partial
 
 from pcbench.dynamics import linear
 from pcbench.errors import unknown
-from pcbench.plants import PLANTS, numbers_of, parameters_of
+from pcbench.plants import PLANTS, numbers_of, parameters_in, varied
 from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import per_lane, sampling, shared
 from pcbench.study.cells import Cell
@@ -56,9 +56,9 @@ def setting(cell: Cell) -> Setting:
 def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
     """The model that observers would be told with other parameters."""
     for name in parameters:
-        if name not in parameters_of(s.plant):
-            raise unknown(f"{s.name}: parameter_range", f"parameter of plant {s.plant}", name, parameters_of(s.plant))
-    return PLANTS[s.plant].nominal(numbers_of(s)._replace(**parameters))
+        if name not in parameters_in(s):
+            raise unknown(f"{s.name}: parameter_range", f"parameter of plant {s.plant}", name, parameters_in(s))
+    return PLANTS[s.plant].nominal(varied(numbers_of(s), parameters))
 
 
 def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:

@@ -1,6 +1,6 @@
 """The plants, one file each, and the dict that names them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 from pcbench.dynamics.linear import Model
@@ -26,6 +26,7 @@ class Entry(NamedTuple):
     positive: tuple[str, ...] = ()  # parameters that must be greater than 0
     signs: tuple[str, ...] = ()  # parameters that are 1 or -1
     ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
+    drifts: bool = True  # whether `drift` has an effect; of a plant of one's own where it differs from the model
 
 
 PLANTS = {
@@ -45,6 +46,7 @@ PLANTS = {
         nominal=csth.nominal,
         prepare=csth.prepare,
         summary="stirred tank heater with three slow sensors, 3 states",
+        drifts=False,
     ),
     "arm": Entry(
         plant=arm.PLANT,
@@ -78,6 +80,7 @@ PLANTS = {
         nominal=lti.nominal,
         prepare=lti.prepare,
         summary="any linear plant of your own: a study's table [lti]",
+        drifts=False,
     ),
 }
 
@@ -95,6 +98,22 @@ def signals_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
 def numbers_of(scenario: Scenario) -> Any:
     """Return a plant's numbers as observers know them."""
     return PLANTS[scenario.plant].numbers._replace(**scenario.belief.model)
+
+
+def varied(numbers: Any, given: Mapping[str, Any]) -> Any:
+    """Return a plant's numbers with some changed; those that a plant of one's own has named are among its `own`."""
+    fields = {name: v for name, v in given.items() if name in numbers._fields}
+    named = {name: v for name, v in given.items() if name not in fields}
+    out = numbers._replace(**fields)
+    if not named:
+        return out
+    plant = {name: v for name, v in out.plant.items() if name not in named}
+    return out._replace(own={**out.own, **named}, plant=plant)
+
+
+def drifts(scenario: Scenario) -> bool:
+    """Say whether the axis `drift` has an effect in a scenario."""
+    return PLANTS[scenario.plant].drifts or "plant" in scenario.truth.parameters
 
 
 def nonlinear(plant: str) -> bool:
@@ -116,3 +135,8 @@ def parameters_of(plant: str) -> list[str]:
     """Return the names of a plant's parameters that a study may vary."""
     numbers = PLANTS[plant].numbers._asdict()
     return [name for name, v in numbers.items() if type(v) is float and name != "drift"]
+
+
+def parameters_in(scenario: Scenario) -> list[str]:
+    """Return the names of the parameters that a study of a scenario may vary, those that its plant has named among them."""
+    return [*parameters_of(scenario.plant), *scenario.belief.model.get("own", {})]

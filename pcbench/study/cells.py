@@ -13,6 +13,7 @@ from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
 from pcbench.study.axes import AXES
+from pcbench.study.lti_plant import require_plant
 from pcbench.study.times import Timing, times_of, whole
 
 
@@ -96,7 +97,10 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         }
         parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
-        cell = cell_of(changed, index, values, dict(base.truth.parameters) | parameters, choices)
+        parameters = dict(base.truth.parameters) | parameters
+        if base.plant == "lti":
+            require_plant(changed, parameters, where)
+        cell = cell_of(changed, index, values, parameters, choices)
         out.append(cell._replace(options=options, told=digests, digest=identity(cell, study.root_seed)))
     return out
 
