@@ -35,6 +35,7 @@ _LAZY = {
     "Design": "synthesis.certificate",
     "Certificate": "synthesis.certificate",
     "certified": "synthesis.certificate",
+    "uncertified": "synthesis.certificate",
     "held": "dynamics.linear",
 }
 __all__ = [*_LAZY, "__version__"]

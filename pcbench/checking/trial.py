@@ -14,7 +14,7 @@ import numpy as np
 from pcbench import planning
 from pcbench.checking.loading import Candidate
 from pcbench.errors import UserError, raised
-from pcbench.plants import PLANTS
+from pcbench.plants import entry_of
 from pcbench.protocols import Observer, Plant
 from pcbench.scenarios import Loop, Sampling, Scenario, Truth
 from pcbench.simulation.problem import Problem, present, truth
@@ -116,7 +116,7 @@ def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
 
 def plant_of(scenario: Scenario) -> Plant:
     """Return the functions of a scenario's plant."""
-    return PLANTS[scenario.plant].plant
+    return entry_of(scenario).plant
 
 
 def designed(candidate: Candidate, case: Case) -> Design:

@@ -9,9 +9,9 @@ from pcbench.dataset.columns import AXIS_UNITS, MEANING
 from pcbench.errors import unknown
 from pcbench.observers import OBSERVERS
 from pcbench.observers.parts.options import TUNABLE, extra
-from pcbench.plants import PLANTS, parameters_of
+from pcbench.plants import PLANTS, entry_of, parameters_of
 from pcbench.plants import signals_of as signals_in
-from pcbench.scenarios import INTERVAL, SCENARIOS
+from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
 from pcbench.statistics import POOLED, RUN_METRICS
 from pcbench.study import STUDIES, Choices
 from pcbench.study.axes import AXES
@@ -32,7 +32,7 @@ def plant(name: str) -> Description:
         "summary": p.summary,
         "signals": [{"name": s, "unit": u} for s, u in p.signals] or "the study's",
         "unknown": [{"name": s, "unit": u} for s, u in p.unknowns],
-        "parameters": {k: getattr(p.numbers, k) for k in parameters_of(name)},
+        "parameters": {k: getattr(p.numbers, k) for k in parameters_of(p)},
     }
 
 
@@ -83,8 +83,12 @@ def _type(schema: Mapping[str, Any]) -> str:
 
 
 def scenario(name: str) -> Description:
-    """Return a scenario with its plant, its times, its observers and its source."""
-    s = SCENARIOS[name]
+    """Return a published scenario with its plant, its times, its observers and its source."""
+    return sheet(SCENARIOS[name])
+
+
+def sheet(s: Scenario) -> Description:
+    """Return any scenario likewise."""
     signals = signals_in(s)
     bounds = (s.scoring.bound,) * len(signals) if isinstance(s.scoring.bound, float) else s.scoring.bound
     return {
@@ -103,7 +107,7 @@ def scenario(name: str) -> Description:
             {"name": n, "unit": u, "settled_within": band, "diverged_beyond": bound}
             for (n, u), band, bound in zip(signals, s.scoring.settle_band, bounds, strict=True)
         ],
-        "axes": [*AXES, *(f"plant.{p}" for p in parameters_of(s.plant))],
+        "axes": [*AXES, *(f"plant.{p}" for p in parameters_of(entry_of(s)))],
     }
 
 

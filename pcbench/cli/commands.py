@@ -9,6 +9,7 @@ from pcbench.cli import checking, datasets, lists, observers, papers, reports, r
 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
+    "show": (lists.show, "a scenario in full, or as a study file to start from"),
     "run": (runs.run, "run a study, and leave its tables in a folder"),
     "report": (reports.report, "one HTML page of the results, or figures"),
     "trace": (runs.trace, "one run tick by tick, as a file"),

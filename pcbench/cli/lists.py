@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, console
+from pcbench.cli.shared import AsJson, Set, console
 
 
 def list_(
@@ -39,3 +39,33 @@ def list_(
         )
         if what is None:
             console().print("There are also: pcbench list axes, metrics, choices", highlight=False, markup=False)
+
+
+def show(
+    scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
+    as_toml: Annotated[
+        bool, typer.Option("--toml", help="print it as a study file to start from, every field with its unit")
+    ] = False,
+    changes: Set = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say all that a scenario is, or print it as a study of your own.
+
+    Example: pcbench show cart/white --toml > mine.toml
+    """
+    from pcbench.cli.catalogue import sheet
+    from pcbench.cli.screen import listing
+    from pcbench.errors import UserError
+    from pcbench.study import read, scenario_toml
+
+    if as_toml and as_json:
+        raise UserError("show: got --toml and --json, expected one of them; leave one out.")
+    found = read.scenario_of(scenario, changes)
+    if as_toml:
+        print(scenario_toml.as_study(found), end="")
+    elif as_json:
+        print(json.dumps({found.name: sheet(found)}, indent=2))
+    else:
+        listing.whole(found.name, sheet(found), console())
+        end = f"As a study of your own, every field of it: pcbench show {scenario} --toml > mine.toml"
+        console().print(end, highlight=False, markup=False, soft_wrap=True)

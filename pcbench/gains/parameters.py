@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from pcbench.errors import UserError
-from pcbench.observers import entry_of
+from pcbench.observers import Entry
 from pcbench.observers.parts.options import TUNABLE, extra
 
 Vector = NDArray[np.float64]
@@ -47,20 +47,21 @@ class Free(NamedTuple):
         return (many + self.shape[0]) // 2 if self.kind == "covariance" else many
 
 
-def tunable(label: str) -> list[str]:
+def tunable(entry: Entry) -> list[str]:
     """Return the names of the options of an observer that may be tuned."""
-    return [name for name, field in entry_of(label).options.model_fields.items() if TUNABLE in extra(field)]
+    return [name for name, field in entry.options.model_fields.items() if TUNABLE in extra(field)]
 
 
 def start(
-    label: str, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
+    label: str, entry: Entry, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
 ) -> tuple[list[Free], Vector]:
-    """Return the free parameters and where they start: as the options say, or where they leave it open as was `designed`.
+    """Return the free parameters and where they start.
 
-    `names` None: all that may be tuned and have a start that an option can hold. Raises UserError where a name is not of an
+    They start at their options' values, or where one is None or a word at the number of that name that was `designed`.
+    `names` None: every tunable option that has such a start. Raises UserError where a name is not of an
     option that may be tuned, where nothing says where it starts, or where there is nothing to tune.
     """
-    allowed, found, values = tunable(label), list[Free](), list[Vector]()
+    allowed, found, values = tunable(entry), list[Free](), list[Vector]()
     for name in allowed if names is None else names:
         if name not in allowed:
             raise UserError(
@@ -68,7 +69,7 @@ def start(
             )
         value = getattr(options, name)
         value = designed.get(name) if value is None or isinstance(value, str) else value
-        one = None if value is None else _free(label, name, value, sum(f.size for f in found))
+        one = None if value is None else _free(entry, name, value, sum(f.size for f in found))
         if one is None or not _holds(options, *one):
             if names is None:
                 continue
@@ -84,9 +85,9 @@ def start(
     return found, np.concatenate(values)
 
 
-def _free(label: str, name: str, value: Any, first: int) -> tuple[Free, Vector]:
+def _free(entry: Entry, name: str, value: Any, first: int) -> tuple[Free, Vector]:
     """One parameter, and its numbers at a value."""
-    number, field = np.asarray(value, float), entry_of(label).options.model_fields[name]
+    number, field = np.asarray(value, float), entry.options.model_fields[name]
     kind, edges = _kind(field), extra(field)[TUNABLE]
     kind = "covariance" if kind == "positive" and number.ndim == 2 and number.size > 1 else kind
     number = number.reshape(()) if number.size == 1 and kind != "real" else number

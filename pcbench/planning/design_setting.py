@@ -7,7 +7,7 @@ from jax.tree_util import Partial
 
 from pcbench.dynamics import linear
 from pcbench.errors import unknown
-from pcbench.plants import PLANTS, numbers_of, parameters_in, varied
+from pcbench.plants import entry_of, numbers_of, parameters_in, varied
 from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import per_lane, sampling, shared
 from pcbench.study.cells import Cell
@@ -19,7 +19,7 @@ def setting(cell: Cell) -> Setting:
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     belief, noise = s.belief, s.sampling.noise_std
     period, delay = [0] * len(noise), [0] * len(noise)
-    plant, many = PLANTS[s.plant], len(belief.unknown_std)
+    plant, many = entry_of(s), len(belief.unknown_std)
     params = plant.prepare(numbers_of(s), s.dt, n) if plant.model else None
     for clock in clocks:
         for j in clock.channels:
@@ -55,10 +55,11 @@ def setting(cell: Cell) -> Setting:
 
 def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
     """The model that observers would be told with other parameters."""
+    known = parameters_in(s)
     for name in parameters:
-        if name not in parameters_in(s):
-            raise unknown(f"{s.name}: parameter_range", f"parameter of plant {s.plant}", name, parameters_in(s))
-    return PLANTS[s.plant].nominal(varied(numbers_of(s), parameters))
+        if name not in known:
+            raise unknown(f"{s.name}: parameter_range", f"parameter of plant {s.plant}", name, known)
+    return entry_of(s).nominal(varied(numbers_of(s), parameters))
 
 
 def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:

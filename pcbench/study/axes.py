@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from pcbench.errors import UserError, shown, unknown
-from pcbench.plants import drifts, parameters_in, positive_of, signs_of
+from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule.sampling import PROFILES
 
@@ -15,7 +15,10 @@ SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
 STATES = ("process_std",)  # one value, or one for each state; a column of the tables only where it is an axis
-TIMES = ("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error")  # whole ticks
+TIMES = (  # whole ticks
+    *("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error"),
+    "command_jitter",
+)
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
 AXES = (
     *CHANNELS,
@@ -28,13 +31,15 @@ AXES = (
     "actuator_delay",
     *STATES,
 )
+COMMANDS = ("command_jitter", "command_loss", "command_std")  # axes of loops that a study closes
 
 
 def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
     parameters = [f"plant.{p}" for p in parameters_in(base)]
-    if name not in AXES and name not in parameters:
-        raise unknown(where, f"axis of {base.name}", name, [*AXES, *parameters])
+    known = [*axes_of(base), *parameters]
+    if name not in known:
+        raise unknown(where, f"axis of {base.name}", name, known)
     if not values:
         raise UserError(f"{where}: got an empty list, expected at least one value; leave the axis out or fill it.")
     out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
@@ -48,6 +53,11 @@ def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value
     return out
 
 
+def axes_of(s: Scenario) -> tuple[str, ...]:
+    """Return the axes that a scenario has, beside its plant's parameters."""
+    return (*AXES, *COMMANDS) if s.loop.controller not in ("", "pd") else AXES
+
+
 def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
     if name == "profile":
@@ -57,11 +67,11 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
         n = number(value, where, least)
         if name in TIMES:
             _whole_ticks(name, n, base, where)
-        if name.removeprefix("plant.") in positive_of(base.plant) and n <= 0:
+        if name.removeprefix("plant.") in entry_of(base).positive and n <= 0:
             raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
-        if name.removeprefix("plant.") in signs_of(base.plant) and abs(n) != 1:
+        if name.removeprefix("plant.") in entry_of(base).signs and abs(n) != 1:
             raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
-        if name == "loss" and n > 1:
+        if name in ("loss", "command_loss") and n > 1:
             raise UserError(
                 f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."
             )

@@ -1,4 +1,7 @@
-"""What proves a gain: an inequality re-checked in float64 by eigenvalues, with its margin."""
+"""The record of a proof of a gain: the inequality, its margin, the solver. Each theorem's `certify` does the check in float64.
+
+`certified` refuses a margin that is too small; `uncertified` is of gains that nothing proves.
+"""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -17,7 +20,7 @@ class Certificate(NamedTuple):
     """The inequality that was re-checked, how far inside it the gain stands, and who found the gain."""
 
     inequality: str
-    margin: float  # > 0: certified
+    margin: float  # > 0: certified; inf: nothing was to be proven, as the inequality says
     solver: str
     status: str
     numbers: Mapping[str, Any] = MappingProxyType({})  # matrices and rates worth showing, by name
@@ -88,6 +91,11 @@ def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certi
             "change the gains, what they are designed from, or the sampling period."
         )
     return certificate
+
+
+def uncertified(why: str) -> Certificate:
+    """Return the certificate of gains that nothing proves: tables and `design` say `why`."""
+    return Certificate(inequality=f"none: {why}", margin=float("inf"), solver="none", status="uncertified")
 
 
 def least_eigenvalue(M: np.ndarray) -> float:

@@ -45,6 +45,14 @@ def test_the_study_runs_as_written(tmp_path):
     assert tomllib.loads(text)["name"] == "noise-map"
 
 
+def test_the_slower_camera_is_a_scenario_as_written(tmp_path):
+    (text,) = [b for b in blocks("toml") if "slower-camera" in b]
+    (cell,) = cells.cells_of(read.parse(tomllib.loads(text), "README.md"))
+    measured, base = cell.scenario.sampling, SCENARIOS["cart/white"]
+    assert (cell.scenario.name, measured.sampling_period, measured.delay) == ("slower-camera", (0.4,), (0.6,))
+    assert (measured.noise_std, cell.scenario.plant) == (base.sampling.noise_std, base.plant)
+
+
 @pytest.mark.slow
 def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
     (text,) = [b for b in blocks("toml") if '"motor"' in b]
@@ -114,7 +122,7 @@ def test_the_table_shown_is_the_one_that_comes_out():
 def test_every_observer_and_command_is_named():
     for name in OBSERVERS:
         assert f"`{name}`" in README
-    for command in ("list", "run", "trace", "design", "reproduce", "compare"):
+    for command in ("list", "show", "run", "trace", "design", "reproduce", "compare"):
         assert f"pcbench {command}" in README
     assert set(re.findall(r"(?:cart|arm|csth|helicopter)/[\w-]+", README)) <= set(SCENARIOS)
 
@@ -160,6 +168,7 @@ def test_every_option_that_the_readme_names_exists():
         "reproduce",
         "report",
         "check",
+        "show",
     ):
         there |= set(re.findall(r"--[a-z][a-z-]+", call(command, "--help").stdout))
     assert said <= there, said - there

@@ -4,10 +4,14 @@ from collections import Counter
 
 import pytest
 
+from pcbench import controllers, planning, plants
+from pcbench.controllers import CONTROLLERS
+from pcbench.controllers.pd import Options
+from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.scenarios.scenario import RECORDS
+from pcbench.scenarios.scenario import CODE, RECORDS
 from pcbench.study import Study
-from pcbench.study.cells import cells, identity
+from pcbench.study.cells import cell_of, cells, identity
 
 ARM = SCENARIOS["arm/sampled"]
 
@@ -15,7 +19,7 @@ ARM = SCENARIOS["arm/sampled"]
 def test_no_two_records_have_a_field_of_the_same_name():
     names = [*Scenario._fields, *(field for fields in RECORDS.values() for field in fields)]
     assert max(Counter(names).values()) == 1
-    assert set(ARM.flat()) == set(names) - set(RECORDS)
+    assert set(ARM.flat()) == set(names) - set(RECORDS) - set(CODE)
 
 
 def test_fields_are_changed_in_the_record_that_has_them_and_nowhere_else():
@@ -43,3 +47,14 @@ def test_a_name_that_is_no_field_is_refused(name):
 def test_folders_of_earlier_releases_know_their_cells_again(scenario, digest):
     (cell,) = cells(Study(name="t", scenarios=[scenario]), scenario)
     assert identity(cell, 0) == digest
+
+
+def test_a_scenario_may_carry_its_plant_and_its_controller_and_no_digest_says_so():
+    """The functions of a user's own: looked up before names are, and in no file."""
+    plain = SCENARIOS["helicopter/constant"]
+    plant, law = PLANTS["helicopter"]._replace(heavy=False), CONTROLLERS["pd"]._replace(options=Options)
+    own = plain.having(entry=plant, law=law, plant="mine", controller="mine")
+    assert (plants.entry_of(own), controllers.entry_of(own)) == (plant, law)
+    assert (plants.entry_of(plain), controllers.entry_of(plain)) == (PLANTS["helicopter"], CONTROLLERS["pd"])
+    assert own.having(plant="helicopter", controller="pd").flat() == plain.flat()
+    assert planning.arrays.width(cell_of(own)) != planning.arrays.width(cell_of(plain))

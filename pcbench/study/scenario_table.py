@@ -1,0 +1,77 @@
+"""What a study's table `[scenario]` may say: every field of a scenario, spelled flat, or `base` with some of them changed."""
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, Strict
+
+from pcbench.study import axes
+
+Number = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST)]  # Strict: no text, no true or false
+Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
+Size = Annotated[Number, Field(ge=0)]
+Switch = Annotated[bool, Strict()]
+PerChannel = Number | list[Number]
+
+
+class ScenarioTable(BaseModel):
+    """A scenario of a user's own. n states, s unknowns beside them, q outputs; what is left out is the base's, or a default."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    base: str | None = Field(None, description="a published scenario, of which the other keys change fields")
+    name: str | None = Field(
+        None, pattern=r"^\w[\w./+-]*$", max_length=100, description="what tables call it; default: the study's name"
+    )
+    summary: str | None = Field(None, description="in a few words")
+    source: str | None = Field(None, description="paper and section")
+    plant: str | None = Field(None, description="pcbench list plants")
+    observers: list[str] | None = Field(None, min_length=1, description="those that run unless a study names others")
+    dt: Positive | None = Field(None, description="s, the tick; default 0.001")
+    horizon: Positive | None = Field(None, description="s; default 10")
+    # what is true of the plant and told to no observer
+    x0: list[Number] | None = Field(None, description="[n] x(0)")
+    drift: Number | None = Field(None, description="scale of the plant's parameter drift")
+    parameters: dict[str, Any] | None = Field(None, description="the plant's, where they differ from its own")
+    process_std: list[Size] | None = Field(None, description="[n] of the noise added to each state at every tick")
+    unknown_input: str | None = Field(None, description="a signal's name, or one for each unknown input, with commas")
+    # what drives the plant
+    input: str | None = Field(None, description="a signal's name, or one for each input, with commas; default: sine")
+    controller: str | None = Field(None, description="what gives the commands of a closed loop; empty: it is open")
+    control: dict[str, Any] | None = Field(None, description="the controller's options")
+    actuator_delay: Size | None = Field(None, description="s, from command to plant; left out: the measurements'")
+    # how it is measured
+    sampling_period: PerChannel | None = Field(None, description="[q] s, one or one for each output")
+    delay: PerChannel | str | None = Field(None, description="[q] s, one or one for each output, or 'interval'")
+    noise_std: PerChannel | None = Field(None, description="[q] of one sample, one or one for each output")
+    profile: str | list[Number] | None = Field(None, description="of the intervals: a name, or s in turn")
+    jitter: Number | None = Field(None, description="s, a sample is taken up to this much early or late")
+    delay_jitter: Number | None = Field(None, description="s, a sample arrives up to this much later")
+    loss: Number | None = Field(None, description="probability that a sample never arrives")
+    early: Switch | None = Field(None, description="measuring began before t = 0: the first sample arrives at 0")
+    delay_swing: list[Number] | None = Field(
+        None, min_length=2, max_length=2, description="(a [s], w [rad/s]): every delay is delay + a sin(w t)"
+    )
+    continuous: Switch | None = Field(None, description="measured at every stage of the integration, without noise")
+    # what designers and observers assume
+    xhat0: list[Number] | None = Field(None, description="[n] xhat(0); default: zeros")
+    prior_std: list[Size] | None = Field(None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1")
+    model: dict[str, Any] | None = Field(None, description="the plant's parameters as observers know them")
+    drift_intensity: Size | None = Field(None, description="1/s, process noise through the input where it drifts")
+    unknown0: list[Number] | None = Field(None, description="[s] what observers take for the unknowns at the start")
+    unknown_std: list[Positive] | None = Field(None, description="[s] typical size of the unknowns; default: ones")
+    assumed_noise_std: list[Size] | None = Field(None, description="[q] for channels without noise")
+    assumed_process_std: list[Size] | None = Field(None, description="[n] for plants without process noise")
+    assumed_delay_error: Number | None = Field(None, description="s, samples are believed to be so much older")
+    start_box: list[Size] | None = Field(None, description="[n] a random start draws xhat(0) this close to x(0)")
+    # what runs are judged by
+    settle_band: list[Size] | None = Field(None, description="[n + s] |e| of a settled run; default: 5 % of the prior")
+    bound: Positive | list[Positive] | None = Field(None, description="a run has diverged when an |e| leaves it")
+    tail: Size | None = Field(None, description="s, where the tail starts; default: 30 % of the horizon")
+    signals: list[str] | None = Field(None, description='[n] names of states with units, such as "angle [rad]"')
+    unknowns: list[str] | None = Field(None, description="[s] names of unknowns with units")
+    headline: list[str] | None = Field(None, description="signals that a closing table shows")
+    options: dict[str, dict[str, Any]] | None = Field(None, description="of observers, by label")
+
+    def given(self) -> dict[str, Any]:
+        """Return what the table says of the scenario's fields."""
+        said = {key: getattr(self, key) for key in type(self).model_fields if key not in ("base", "name")}
+        return {key: value for key, value in said.items() if value is not None}
