@@ -26,3 +26,4 @@ class Entry(NamedTuple):
     # numbers -> dx/dt at the operating point that `nominal` is the slope at, and signals are deviations from, where it is one
     residual: Callable[[Any], Any] | None = None
     ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
+    drifts: bool = True  # whether `drift` has an effect; of a plant of one's own where it differs from the model
