@@ -113,7 +113,7 @@ def design(setting: Setting, options: Options) -> Design:
     q = setting.input_intensity if options.q is None else options.q
     inputs = np.zeros(0)
     if model.E is not None and options.input_walk:
-        size = np.square(setting.unknown_std)
+        size = np.square(setting.unknown_std[: model.E.shape[1]])
         model, inputs = linear.with_unknown_input(model), size
         P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
     R = setting.noise_variance if options.R is None else np.full(len(model.C), options.R)

@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float, Int
 class Posterior(NamedTuple):
     """Mean and covariance at the time of a sample, after it was used."""
 
-    mean: Float[Array, " n"]
-    P: Float[Array, "n n"]
+    mean: Float[Array, " N"]  # of all that a filter estimates
+    P: Float[Array, "N N"]
     taken: Int[Array, ""]  # tick
 
 
