@@ -57,6 +57,8 @@ _LAZY = {
     "Now": "protocols",
     "Arrival": "protocols",
     "Entry": "observers",
+    "plant": "plants",
+    "PlantEntry": "plants",
     "Setting": "synthesis.certificate",
     "Design": "synthesis.certificate",
     "Certificate": "synthesis.certificate",

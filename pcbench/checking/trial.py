@@ -110,7 +110,7 @@ def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
     own = np.asarray(truth(drafted.layout, traced.params, present(traced, jnp.asarray(0), True), traced.x0))[
         len(p.x0) :
     ]
-    true = own if known.field is not None else known.unknown0
+    true = own if known.field is not None or known.successor is not None else known.unknown0
     return Case(name, known._replace(unknown0=tuple(map(float, true))), p)
 
 

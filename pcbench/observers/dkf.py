@@ -126,7 +126,7 @@ def design(setting: Setting, options: Options) -> Design:
     q = assumed_noise.through(options.q, model.B.shape[1], setting.input_intensity, where)
     inputs = np.zeros(0)
     if model.E is not None and options.input_walk:
-        size = np.square(setting.unknown_std)
+        size = np.square(setting.unknown_std[: model.E.shape[1]])
         model, inputs = linear.with_unknown_input(model), size
         P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
     mix, C, R = assumed_noise.independent(setting, options.R, model.C, where)

@@ -5,9 +5,10 @@ arrival of a sample taken at t_m: tick by tick from the posterior of the sample 
 
     P <- F P F' + Q,  F = I + h J(z, u),  J the Jacobian (jax),    z <- one Runge-Kutta step under the tick's input
 
-then the update at t_m in Joseph form, one channel after the other, then the mean alone rolls forward to now under the stored
-inputs, and flows on. p is clipped to the plant's range after every update and tick. Where the model is linear the tick is its
-exact map, F its matrix, and the filter is `dkf` done tick by tick.
+then the update at t_m in Joseph form, one channel after the other (where y is not linear in z, by its Jacobian at the
+prediction), then the mean alone rolls forward to now under the stored inputs, and flows on. p is clipped to the plant's range
+after every update and tick. Where the model is linear the tick is its exact map, F its matrix, and the filter is `dkf` done
+tick by tick; where a plant is given by its step, that is the tick, F its Jacobian.
 
 R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
 and walk unknown_std^2 h for p. Time index: the estimate is of now, after the jump. A sample from before t = 0 has measured the
@@ -40,6 +41,7 @@ class Gains(NamedTuple):
     """n states, s unknowns, N = n + s, q outputs."""
 
     motion: Any  # (now, z[N]) -> z[N] one tick later
+    sensor: Any  # (now, x[n], p[s]) -> y[q]; None: C x, D u
     slope: Any  # (now, z[N]) -> F[N, N]
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
@@ -109,6 +111,9 @@ def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Po
         return within(gains, gains.motion(there, z)), F @ P @ F.T + gains.Q
 
     z, P = lax.fori_loop(before.taken, sample.taken, tick, (before.mean, before.P))
+    if gains.sensor is not None:
+        z, P = by_slope(gains, at(now, sample.taken), z, P, sample)
+        return Posterior(within(gains, z), P, sample.taken)
     value = sample.value if gains.mix is None else gains.mix @ sample.value
     n, none = gains.C.shape[1], jnp.zeros(gains.start.shape[0])
     for channel in range(gains.C.shape[0]):
@@ -118,6 +123,25 @@ def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Po
         z = z + K * (value[channel] - c @ z[:n])
         P = kalman.covariance(P, K, jnp.concatenate([c, none]), r)
     return Posterior(within(gains, z), P, sample.taken)
+
+
+def by_slope(gains: Gains, there: Now, z: Array, P: Array, sample: Measurement) -> tuple[Array, Array]:
+    """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
+    n, predicted = gains.C.shape[1], z
+
+    def output(z: Array) -> Array:
+        return gains.sensor(there, z[:n], z[n:])  # type: ignore[no-any-return]
+
+    innovation, C = sample.value - output(z), jax.jacfwd(output)(z)
+    if gains.mix is not None:
+        innovation, C = gains.mix @ innovation, gains.mix @ C
+    for channel in range(gains.C.shape[0]):
+        c, r, fresh = C[channel], gains.R[channel], sample.fresh[channel]
+        Pc = P @ c
+        K = kalman.gain(Pc, c @ Pc + r, fresh)
+        z = z + K * (innovation[channel] - c @ (z - predicted))
+        P = kalman.covariance(P, K, c, r)
+    return z, P
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -167,6 +191,17 @@ def slope(model: Any, room: Room, now: Now, z: Array) -> Array:
     return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, room, now, z))(z)
 
 
+def moved(successor: Any, room: Room, now: Now, z: Array) -> Array:
+    """Move a plant that is given by its step, with the unknowns p, room [s], which stand still."""
+    n = z.shape[0] - room.shape[0]
+    return jnp.concatenate([successor(now, z[:n], z[n:]), z[n:]])
+
+
+def moved_slope(successor: Any, room: Room, now: Now, z: Array) -> Array:
+    """Return the Jacobian of that."""
+    return jax.jacfwd(lambda z: moved(successor, room, now, z))(z)
+
+
 def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Array) -> Array:
     """Return dx/dt of a linear model pushed by f = known(x) + p."""
     return A @ x + B @ now.u + E @ (known(x) + p)
@@ -175,6 +210,9 @@ def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Arra
 def motion_of(setting: Setting) -> tuple[Any, Any]:
     """Return how a tick moves z, and its slope: exactly where the model is linear."""
     model, room = setting.model, np.zeros(len(setting.unknown_std))
+    if setting.successor is not None:
+        ways = (moved, moved_slope)
+        return tuple(jax.tree_util.Partial(way, setting.successor, room) for way in ways)  # type: ignore[return-value]
     if setting.field is None and (model.E is None or model.known is None):
         whole = linear.with_unknown_input(model) if model.E is not None else model
         Phi, Gamma = linear.one_tick(whole, setting.dt)
@@ -199,8 +237,9 @@ def design(setting: Setting, options: Options) -> Design:
     gains = Gains(
         motion=motion,
         slope=tangent,
+        sensor=setting.sensor,
         C=C,
-        D=setting.model.feedthrough,
+        D=setting.model.feedthrough * (setting.sensor is None),  # a sensor's output has the input's part in it
         R=R,
         mix=mix,
         Q=Q,

@@ -20,7 +20,9 @@ def setting(cell: Cell) -> Setting:
     belief, noise = s.belief, s.sampling.noise_std
     period, delay = [0] * len(noise), [0] * len(noise)
     plant, many = entry_of(s), len(belief.unknown_std)
-    params = plant.prepare(numbers_of(s), s.dt, n) if plant.model else None
+    told = (plant.model, plant.successor, plant.sensor, plant.parts)
+    params = plant.prepare(numbers_of(s), s.dt, n) if any(told) else None
+    field, successor, sensor, parts = (Partial(each, params) if each else None for each in told)
     for clock in clocks:
         for j in clock.channels:
             if isinstance(clock.profile, tuple):
@@ -46,8 +48,10 @@ def setting(cell: Cell) -> Setting:
         unknown_std=belief.unknown_std,
         unknown0=belief.unknown0 or (0.0,) * many,
         unknown_range=plant.ranges or ((-np.inf, np.inf),) * many,
-        field=Partial(plant.model, params) if plant.model else None,
-        parts=Partial(plant.parts, params) if plant.parts else None,
+        field=field,
+        successor=successor,
+        sensor=sensor,
+        parts=parts,
         variant=partial(_variant, s),
         intervals=tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
     )

@@ -5,12 +5,15 @@ from typing import Any
 
 from pcbench.plants import arm, cart, csth, helicopter, lti
 from pcbench.plants.entry import Entry
+from pcbench.plants.factory import plant
 from pcbench.scenarios import Scenario
 
-__all__ = ["PLANTS", "Entry"]
+PlantEntry = Entry  # its name in `pcbench`, where `Entry` is an observer's
+
+__all__ = ["PLANTS", "Entry", "PlantEntry", "plant"]
 
 
-PLANTS = {
+PLANTS: dict[str, Entry] = {
     "cart": Entry(
         plant=cart.PLANT,
         signals=cart.SIGNALS,
@@ -68,8 +71,8 @@ PLANTS = {
 
 def entry_of(scenario: Scenario) -> Entry:
     """Return a scenario's plant: the one that it carries itself, or else the one of its name."""
-    entry: Entry = PLANTS[scenario.plant] if scenario.entry is None else scenario.entry
-    return entry
+    found: Entry = PLANTS[scenario.plant] if scenario.entry is None else scenario.entry
+    return found
 
 
 def states_of(scenario: Scenario) -> tuple[tuple[str, str], ...]:
@@ -105,7 +108,8 @@ def drifts(scenario: Scenario) -> bool:
 
 def nonlinear(scenario: Scenario) -> bool:
     """Say whether observers are told a nonlinear model of a scenario's plant."""
-    return entry_of(scenario).model is not None
+    plant = entry_of(scenario)
+    return plant.model is not None or plant.successor is not None
 
 
 def parameters_of(plant: Entry) -> list[str]:

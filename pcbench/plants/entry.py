@@ -19,11 +19,13 @@ class Entry(NamedTuple):
     unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit)
     heavy: bool = False  # a tick costs so much that fewer lanes a call, and one tick in a loop's body, are as fast
     model: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> dx/dt; None: `nominal` is the model
+    successor: Callable[..., Any] | None = None  # likewise -> x one tick later, of a plant that is given by its step
+    sensor: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> y; None: `nominal`'s
     parts: Callable[..., Any] | None = None  # (params, u, x) -> a, phi of accelerations a p + phi with parameters p
     inverse: Callable[..., Any] | None = None  # (params, unknowns, path, rates, accelerations) -> u
     positive: tuple[str, ...] = ()  # parameters that must be greater than 0
     signs: tuple[str, ...] = ()  # parameters that are 1 or -1
-    # numbers -> dx/dt at the operating point that `nominal` is the slope at, and signals are deviations from, where it is one
-    residual: Callable[[Any], Any] | None = None
     ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
     drifts: bool = True  # whether `drift` has an effect; of a plant of one's own where it differs from the model
+    # numbers -> dx/dt at the operating point where `nominal` is the slope and of which signals are deviations; None: no such
+    residual: Callable[[Any], Any] | None = None

@@ -6,7 +6,8 @@ import numpy as np
 
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, Entry
-from pcbench.plants import nonlinear
+from pcbench.plants import entry_of as plant_of
+from pcbench.plants import nonlinear, numbers_of, states_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule import sampling
 from pcbench.study import limits
@@ -20,6 +21,10 @@ def fits(s: Scenario, where: str) -> None:
     if measured.continuous:
         _at_every_stage(s, where)
     _loop(s, where)
+    if s.truth.drift and "drift" not in numbers_of(s)._fields:
+        raise UserError(
+            f"{where}: got a drift of {s.truth.drift:g} in {s.name}, whose plant {s.plant} has none, expected 0; leave it out."
+        )
     for clock in clocks(s):
         least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:
@@ -103,9 +108,25 @@ def _long_enough(s: Scenario, name: str, mean: float, least: float, where: str) 
         )
 
 
+def _at_rest(label: str, s: Scenario, where: str) -> bool:
+    """Whether a plant has a linear model at its operating point; raise UserError where that is no equilibrium."""
+    residual = plant_of(s).residual
+    if residual is None:
+        return False
+    moves = residual(numbers_of(s))
+    if moves.any():
+        i = int(np.argmax(np.abs(moves)))
+        raise UserError(
+            f"{where}: {label} in {s.name} got an operating point that is no equilibrium ({states_of(s)[i][0]} changes by "
+            f"itself, by {moves[i]:.3g}), expected one, where the plant has a linear model; move the point, leave {label} out, "
+            "or take ekf."
+        )
+    return True
+
+
 def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
     """Raise UserError where an observer cannot work on a scenario's schedule."""
-    if nonlinear(s) and not entry.nonlinear:
+    if nonlinear(s) and not entry.nonlinear and not _at_rest(label, s, where):
         able = ", ".join(name for name, each in OBSERVERS.items() if each.nonlinear)
         raise UserError(
             f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} "

@@ -61,6 +61,8 @@ class Setting(NamedTuple):
     field: Any = None  # (now, x[n], unknowns[s]) -> dx/dt[n], where the model is not linear
     parts: Any = None  # (u[m], x[2d]) -> a[d], phi[d] of accelerations a p + phi, where the plant is such a chain
     variant: Any = None  # (parameters by name) -> the Model with those; raises UserError for a name that is none
+    successor: Any = None  # (now, x[n], unknowns[s]) -> x[n] one tick later, where the plant is given so
+    sensor: Any = None  # (now, x[n], unknowns[s]) -> y[q]; None: the model's
     intervals: tuple[int, ...] = ()  # every interval [ticks] between samples of a shared clock; empty: the period alone
 
     @property

@@ -36,6 +36,11 @@ def test_what_stands_there_as_a_comment_is_a_value_that_changes_nothing(name):
     assert one.digest == other.digest
 
 
+def test_a_tail_is_said_even_where_it_is_the_records_default():
+    """Left out of a table, it would begin after 30 % of the horizon."""
+    assert "\ntail = 3.0" in scenario_toml.as_study(SCENARIOS["cart/white"].having(horizon=20.0))
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_it_gives_the_same_numbers_bit_for_bit(name, tmp_path):
     printed = tmp_path / "mine.toml"

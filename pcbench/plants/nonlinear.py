@@ -1,0 +1,170 @@
+"""A plant given by its equations, as functions of a user's own; see `plants.factory`.
+
+    x' = field(numbers, now, x)  or  x one tick later = step(numbers, now, x),        y = output(numbers, now, x)
+
+State, input and measured output are deviations from an operating point (x0, u0) and y0, its output under the numbers as they
+were declared; the user's functions are given the whole x and u. So a linear observer works on the Jacobians there (jax), and
+`ekf` takes derivatives where its estimate is. Unknown inputs and parameters are numbers that observers are not told: an input
+is a signal, held over a tick, a parameter stands still. A tick of a field is one Runge-Kutta step.
+"""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from pcbench.dynamics.integrate import rk4
+from pcbench.dynamics.linear import Model
+from pcbench.errors import UserError
+from pcbench.machine import process
+from pcbench.protocols import Leaf, Now
+from pcbench.scenarios.signals import inputs
+
+REST = 1e-9  # what dx/dt at an equilibrium may be by rounding, as a part of the operating point's size
+
+
+class Equations(NamedTuple):
+    """The functions, what they take, and the operating point; n states, m inputs, q outputs."""
+
+    field: Callable[[Any, Now, Array], Any] | None  # (numbers, now, x) -> dx/dt [n]
+    step: Callable[[Any, Now, Array], Any] | None  # (numbers, now, x) -> x one tick later [n]
+    output: Callable[[Any, Now, Array], Any]  # (numbers, now, x) -> y [q]
+    tick: float | None  # s, of `step`
+    numbers: Any  # the type of the user's NamedTuple
+    inputs: tuple[str, ...]  # numbers that are unknown inputs
+    parameters: tuple[str, ...]  # numbers that are unknown parameters
+    x0: tuple[float, ...]  # [n]
+    u0: tuple[float, ...]  # [m]
+    y0: tuple[float, ...]  # [q]
+
+
+class Params(NamedTuple):
+    """The numbers as arrays, the operating point, and the unknown inputs of every tick; N ticks, r unknown inputs."""
+
+    numbers: Any
+    x0: Float[Leaf, " n"]
+    u0: Float[Leaf, " m"]
+    y0: Float[Leaf, " q"]
+    f: Float[Leaf, "rows r"]  # N + 1 rows
+
+
+def own(equations: Equations, numbers: Any) -> Any:
+    """Return the user's NamedTuple of numbers with arrays in it; unknown inputs are 0."""
+    said = numbers._asdict() | dict.fromkeys(equations.inputs, 0.0)
+    return equations.numbers(**{name: np.asarray(said[name], float) for name in equations.numbers._fields})
+
+
+def prepare(equations: Equations, numbers: Any, dt: float, ticks: int) -> Params:
+    """Return the numbers for ticks 0 .. `ticks` of `dt` seconds; raise UserError where `step` is of another tick."""
+    e = equations
+    if e.tick is not None and abs(dt - e.tick) > 1e-9 * e.tick:
+        raise UserError(
+            f"plant: got a tick of {dt:g} s where step moves by {e.tick:g} s, expected the same; write dt = {e.tick:g}."
+        )
+    f = inputs(numbers.unknown_input, dt * np.arange(ticks + 1.0), len(e.inputs)) if e.inputs else np.zeros((1, 0))
+    return Params(own(e, numbers), np.array(e.x0), np.array(e.u0), np.array(e.y0), f)
+
+
+def whole(params: Params, now: Now) -> Now:
+    """Return the present with the whole input in place of its deviation."""
+    return now._replace(u=now.u + params.u0, past_u=lambda age: now.past_u(age) + params.u0)
+
+
+def knowing(equations: Equations, params: Params, values: Float[Array, " s"]) -> Any:
+    """Return the user's numbers with the unknown inputs and parameters [s] in their places."""
+    names = (*equations.inputs, *equations.parameters)
+    return params.numbers._replace(**{name: values[i] for i, name in enumerate(names)})
+
+
+def model(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
+    """Return dx/dt with unknowns p under the held now.u."""
+    e, numbers = equations, knowing(equations, params, p)
+    return jnp.asarray(e.field(numbers, whole(params, now), x + params.x0))  # type: ignore[misc]
+
+
+def successor(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
+    """Return x one tick later with unknowns p under the held now.u."""
+    e, numbers = equations, knowing(equations, params, p)
+    if e.step is not None:
+        return jnp.asarray(e.step(numbers, whole(params, now), x + params.x0)) - params.x0
+    return rk4(lambda t, x: model(e, params, now._replace(t=t), x, p), now.t, x, now.dt)  # type: ignore[no-any-return]
+
+
+def sensor(equations: Equations, params: Params, now: Now, x: Float[Array, " n"], p: Float[Array, " s"]) -> Array:
+    """Return what is measured with unknowns p."""
+    numbers = knowing(equations, params, p)
+    return jnp.asarray(equations.output(numbers, whole(params, now), x + params.x0)) - params.y0
+
+
+def unknown(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " s"]:
+    """Return the unknown inputs held over the tick, then the unknown parameters."""
+    true = [params.f[now.tick, i] for i in range(len(equations.inputs))]
+    true += [jnp.asarray(getattr(params.numbers, name)) for name in equations.parameters]
+    return jnp.stack(true) if true else jnp.zeros(0)
+
+
+def field(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Return dx/dt at now.t under the held now.u."""
+    return model(equations, params, now, x, unknown(equations, params, now, x))
+
+
+def step(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " n"]:
+    """Advance x by one tick under the held now.u."""
+    return successor(equations, params, now, x, unknown(equations, params, now, x))
+
+
+def output(equations: Equations, params: Params, now: Now, x: Float[Array, " n"]) -> Float[Array, " q"]:
+    """Return what is measured."""
+    return sensor(equations, params, now, x, unknown(equations, params, now, x))
+
+
+class Slopes(NamedTuple):
+    """The Jacobians at the operating point, and by how much it moves there by itself."""
+
+    model: Model
+    excess: np.ndarray  # [n] dx/dt, or of a `step` the change over a tick; 0 where it is rounding
+
+
+@lru_cache(maxsize=64)
+def slopes(equations: Equations, numbers: Any) -> Slopes:
+    """Return the linear model at the operating point, by jax, for numbers as observers know them."""
+    e, n, m, r = equations, len(equations.x0), len(equations.u0), len(equations.inputs)
+    with process.float64():
+        params = jax.tree.map(jnp.asarray, prepare(e, numbers, e.tick or 0.0, 0))
+        # unknown inputs are 0 there, whatever signal they are
+        rest = jnp.concatenate([jnp.zeros(r), unknown(e, params, _now(e, jnp.zeros(m)), jnp.zeros(n))[r:]])
+
+        def moved(x: Array, u: Array, p: Array) -> Array:
+            return (successor if e.step is not None else model)(e, params, _now(e, u), x, p)
+
+        def seen(x: Array, u: Array, p: Array) -> Array:
+            return sensor(e, params, _now(e, u), x, p)
+
+        at = (jnp.zeros(n), jnp.zeros(m), rest)
+        A, B, E = (np.asarray(each) for each in jax.jacfwd(moved, (0, 1, 2))(*at))
+        C, D, _ = (np.asarray(each) for each in jax.jacfwd(seen, (0, 1, 2))(*at))
+        excess = np.asarray(moved(*at))
+    size = 1.0 + max(np.abs([*e.x0, *e.u0]).max(), np.abs(A).max())
+    found = Model(A, B, C, D if D.any() else None, e.step is not None, E[:, :r] if r else None)
+    return Slopes(found, np.where(np.abs(excess) > REST * size, excess, 0.0))
+
+
+def _now(equations: Equations, u: Array) -> Now:
+    """The first tick, with u held since ever."""
+    dt = jnp.asarray(equations.tick or 0.0)
+    return Now(jnp.asarray(0.0), jnp.asarray(0), dt, u, lambda age: u)
+
+
+def nominal(equations: Equations, numbers: Any) -> Model:
+    """Return the linear model at the operating point."""
+    return slopes(equations, numbers).model
+
+
+def residual(equations: Equations, numbers: Any) -> np.ndarray:
+    """Return dx/dt at the operating point, [n]: 0 where it is an equilibrium."""
+    return slopes(equations, numbers).excess
