@@ -37,6 +37,7 @@ _LAZY = {
     "Design": "synthesis.certificate",
     "Certificate": "synthesis.certificate",
     "certified": "synthesis.certificate",
+    "uncertified": "synthesis.certificate",
     "held": "dynamics.linear",
 }
 __all__ = [*_LAZY, "__version__"]

@@ -16,6 +16,7 @@ from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import alone, drafts, padding
 from pcbench.plants import signals_of
+from pcbench.study import read
 from pcbench.study.read import Described, grid_of, one_cell
 from pcbench.synthesis.certificate import Design
 
@@ -69,6 +70,8 @@ def run(
             progress=progress,
             say=say,
         ).checked()
+        for sentence in read.unstable(grid):
+            say(sentence)
         made = versions.prepare(grid, out, fresh, progress)
         return fair_table.report(made, run_study.execute(made.grid, out, how), out, how)
 

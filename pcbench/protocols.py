@@ -42,9 +42,9 @@ class Arrival(NamedTuple):
 
     value: Float[Array, " q"]  # measured; meaningful where fresh
     fresh: Bool[Array, " q"]
-    age: Int[Array, " q"]  # ticks since the sample was taken
+    age: Int[Array, " q"]  # ticks since the sample was taken, as the observer believes it
     index: Int[Array, " q"]  # type: ignore[assignment]  # which sample of its channel this is (0 is the first)
-    note: Float[Array, " noted"]  # what the observer noted when the sample was taken
+    note: Float[Array, " noted"]  # what the observer noted at the tick at which it believes the sample was taken
     since: Int[Array, ""]  # ticks since the last tick at which anything arrived (counted from 0 before the first)
 
 
@@ -113,12 +113,30 @@ class Command(Protocol):
     ) -> Float[Array, " m"]: ...
 
 
+class StartLaw(Protocol):
+    """Return what a law keeps from tick to tick, as it is before tick 0, from the estimate at 0."""
+
+    def __call__(self, params: Params, estimate: Array, /) -> Memory: ...
+
+
+class RememberingCommand(Protocol):
+    """Return the command of now, and what the law keeps, from what it has kept."""
+
+    def __call__(
+        self, params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], kept: Memory, /
+    ) -> tuple[Float[Array, " m"], Memory]: ...
+
+
 class Controller(NamedTuple):
-    """A control law as pure functions of its numbers `params`; m inputs, r states that are to follow a set point."""
+    """A control law as pure functions of its numbers `params`; m inputs, r states that are to follow a set point.
+
+    A law that keeps something from tick to tick has `start`, and a `command` that takes and returns it.
+    """
 
     target: Target
     before: Before
-    command: Command
+    command: Command | RememberingCommand
+    start: StartLaw | None = None
 
 
 class Init(Protocol):

@@ -71,6 +71,11 @@ def run(
             progress=stoppable(progress),
             say=say,
         )
+    if result.study.use:
+        from pcbench.plots import one_run
+
+        for scenario in result.study.scenarios:  # while the code of the user's own observers is at hand
+            one_run.of(result.study, scenario, into)
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": asked.name, "out": into, "provenance": result.provenance, "stats": stats}

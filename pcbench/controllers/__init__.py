@@ -5,9 +5,12 @@ from typing import Any, NamedTuple
 
 from pydantic import BaseModel
 
-from pcbench.controllers import pd
+from pcbench.controllers import lqr, pd, pid, state_feedback
+from pcbench.controllers.parts.sizes import Sizes
+from pcbench.controllers.parts.told import Told
 from pcbench.protocols import Controller
 from pcbench.scenarios import Scenario
+from pcbench.synthesis.lqr import Law
 
 
 class Entry(NamedTuple):
@@ -15,10 +18,33 @@ class Entry(NamedTuple):
 
     controller: Callable[[Any], Controller]  # options ->
     options: type[BaseModel]
-    prepare: Callable[..., Any]  # (options, delay, dt [s], rows, ticks, model, inverse) -> params
+    prepare: Callable[[Any, Told], Any]  # options -> params
+    summary: str
+    check: Callable[[Any, Sizes], None] | None = (
+        None  # raises UserError where options do not fit; None: it is for one plant
+    )
+    linear: Callable[[Any, Told], Law] | None = None  # the law about its set point, as eigenvalues need it
 
 
-CONTROLLERS = {"pd": Entry(pd.controller, pd.Options, pd.prepare)}
+def _pd(options: Any, told: Told) -> Any:
+    return pd.prepare(options, told.delay, told.dt, told.rows, told.ticks, told.field, told.inverse)
+
+
+CONTROLLERS = {
+    "pd": Entry(pd.controller, pd.Options, _pd, "PD of two angles along a path, for the helicopter"),
+    "state-feedback": Entry(
+        state_feedback.controller,
+        state_feedback.Options,
+        state_feedback.prepare,
+        "u = -K (xhat - x_ref) on the estimate",
+        state_feedback.check,
+        state_feedback.linear,
+    ),
+    "lqr": Entry(
+        lqr.controller, lqr.Lqr, lqr.prepare, "state feedback by weights, for the sampled plant", lqr.check, lqr.linear
+    ),
+    "pid": Entry(pid.controller, pid.Options, pid.prepare, "PID on the outputs of the estimate", pid.check, pid.linear),
+}
 
 
 def entry_of(scenario: Scenario) -> Entry:

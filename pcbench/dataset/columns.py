@@ -1,7 +1,4 @@
-"""The columns of the three tables, their units and meaning, and rows from results. No jax.
-
-Other programs read this: a change is a new SCHEMA number.
-"""
+"""The columns of the tables that other programs read, with units and meaning: a change is a new SCHEMA number. No jax."""
 
 from typing import Any
 
@@ -9,7 +6,8 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from pcbench.statistics import QUANTILES, RUN_METRICS
+from pcbench.dataset import loop_columns
+from pcbench.statistics import QUANTILES
 
 # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...;
 # 5: intervals of what cannot be negative are not; blocks know their observer's options, provenance.json its files' digests
@@ -25,7 +23,8 @@ AXIS_UNITS = {
     "delay_jitter": "s",
     "loss": "1",
     "assumed_delay_error": "s",
-}
+    "process_std": "unit of the state",
+} | loop_columns.AXIS_UNITS
 MEANING = {
     "study": "name of the study",
     "scenario": "published experiment",
@@ -40,6 +39,7 @@ MEANING = {
     "actuator_delay": "from command to plant, in a closed loop, the mean where it varies with time; null: that of the samples, "
     "or no loop",
     "noise_std": "standard deviation of one sample's noise; a list where output channels differ",
+    "process_std": "standard deviation of a tick's noise on the states; a list where they differ",
     "drift": "scale of the scenario's parameter drift: 0 nominal; on the cart 1 as printed, on the arm and the helicopter its "
     "amplitude",
     "profile": "of the sampling intervals: periodic, sine, uniform (random for each seed), or the intervals [s] in turn",
@@ -51,8 +51,7 @@ MEANING = {
     "signal": "state, unknown input or parameter whose error e = x - xhat is measured",
     "carries_input": "whether the observer's prediction to the present carries the unknown input it has found; null: it finds "
     "none, or predicts nothing",
-    "carries_input_a": "carries_input of the first observer",
-    "carries_input_b": "carries_input of the second observer",
+    **{f"carries_input_{one}": f"carries_input of observer_{one}" for one in "ab"},
     "unit": "unit of the signal; beside a metric, of that metric",
     "mae": "mean |e| over ticks 0 .. N-1",
     "rmse": "square root of the mean of e^2 over ticks 0 .. N-1",
@@ -85,7 +84,8 @@ MEANING = {
     "prob_a_better": "fraction of runs in which a is better; a tie (equal to 1e-9) counts half, a diverged run loses",
     "p_value": "two-sided paired t-test of mean_diff = 0; null where the runs do not vary",
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",
-} | {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
+} | loop_columns.MEANING
+MEANING |= {q: f"{int(q[1:])} % quantile over runs" for q in QUANTILES}
 MEANING |= {f"{q}_low": f"lower end of the 95 % interval of {q}; null: open" for q in QUANTILES}
 MEANING |= {f"{q}_high": f"upper end of the 95 % interval of {q}; null: open" for q in QUANTILES}
 INTERVALS = (
@@ -104,8 +104,8 @@ def unit_of(metric: str, unit: str) -> str:
     """Return the unit of a metric of a signal that is measured in `unit`."""
     if metric in SECONDS:
         return "s"
-    if metric in ("efficiency", "divergence", "unsettled"):
-        return "1"
+    if metric in loop_columns.UNITS:
+        return loop_columns.UNITS[metric]
     return f"({unit})^2" if metric.endswith("mse") and not metric.endswith("rmse") else unit
 
 
@@ -133,7 +133,7 @@ def runs_table(
         "signal": _words(names, np.tile(np.arange(many), len(seeds))),
         "unit": _words(units, np.tile(np.arange(many), len(seeds))),
         "carries_input": None,
-        **{metric: _column(results.get(metric), many, len(seeds)) for metric in RUN_METRICS},
+        **{m: _column(results.get(m), many, len(seeds)) for m in loop_columns.shown(results)},
         "status": _words(("settled", "unsettled", "diverged"), np.where(bad, 2, results["unsettled"]).T.ravel()),
         "diverged": np.repeat(results["diverged"], many),
         "first_bad_time": np.repeat(results["first_bad_time"], many),

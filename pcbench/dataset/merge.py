@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, fill, ownership, parquet, store, summary
+from pcbench.dataset import block_files, fill, kept_code, ownership, parquet, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, common, counted
@@ -59,6 +59,8 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
             progress.step(1)
     whole = _whole(holdings)
     ownership.begin(into, whole)
+    for target in targets:
+        kept_code.copy(target, into)
     doubled = 0
     for mine in parts.values():
         for name, content, twice in _pieces(mine):

@@ -8,7 +8,7 @@ import tomllib
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from pcbench.dataset import block_files, repair, store
+from pcbench.dataset import block_files, kept_code, repair, store
 from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.study import Study, read
@@ -22,7 +22,8 @@ BESIDE = ("tuning/", "training/")  # of a study whose gains are tuned: made befo
 KEPT = ("options", "scenarios", "observers", "cells")  # under [resolved]
 NOT_TOML_EITHER = (*NOT_TOML, KeyError, TypeError, AttributeError)
 SHOWN = 3  # differences that a refusal names
-GROWS = ("seeds", "first_seed", "axes", "observers", "scenarios", "options", "lti", "resolved")
+GROWS = ("seeds", "first_seed", "axes", "observers", "use", "scenarios", "options", "lti", "resolved")
+GONE = {"drift_sign": 1}  # a choice of earlier releases, as it was where it was not chosen
 
 
 class Owned(NamedTuple):
@@ -71,15 +72,18 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
     return Owned(study, every, to_toml(study, every))
 
 
-def opened(target: store.Target) -> Owned:
-    """Return the study that stands in a target, with its cells; raise UserError where there is none."""
+def opened(target: store.Target, run: bool = False) -> Owned:
+    """Return the study that stands in a target, with its cells; raise UserError where there is none.
+
+    The code of a user's own observers is loaded from the dataset's copy where it is to be `run`, and else left alone.
+    """
     said = store.text(target, TEXT)
     if said is None:
         raise UserError(
             f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
         )
     there = _read(target, said)
-    study, every = _grid(target, there)
+    study, every = read.grid(_said(there), f"{target.name}/{TEXT}", kept_code.loader(target, there, run))
     return Owned(study, numbered(every, there["resolved"]["cells"]), said.decode())
 
 
@@ -103,7 +107,7 @@ def numbers_in(owned: Owned) -> dict[str, list[str]]:
 
 
 def begin(target: store.Target, owned: Owned) -> None:
-    """Make the target the study's own, before anything is written there; what closes an older run goes."""
+    """Prepare the folder: delete the closing tables of an earlier run (with `fresh` its blocks too), then write study.toml."""
     store.make(target)
     for name in CLOSING:
         store.remove(target, name)
@@ -111,7 +115,9 @@ def begin(target: store.Target, owned: Owned) -> None:
         for name in store.names(target, "runs"):
             if block_files.block_of(name):
                 store.remove(target, name)
+        kept_code.remove(target)
     renew(target, owned)
+    kept_code.keep(target, owned.study)
 
 
 def renew(target: store.Target, owned: Owned) -> None:
@@ -120,12 +126,9 @@ def renew(target: store.Target, owned: Owned) -> None:
         store.put(target, TEXT, owned.text.encode())
 
 
-def _grid(target: store.Target, there: dict[str, Any]) -> Grid:
-    return read.grid(_said(there), f"{target.name}/{TEXT}")
-
-
 def _study(target: store.Target, there: dict[str, Any]) -> Study:
-    return read.described(_said(there) | {"seeds": 1}, f"{target.name}/{TEXT}")
+    where, load = f"{target.name}/{TEXT}", kept_code.loader(target, there, False)
+    return read.described(_said(there) | {"seeds": 1}, where, load)
 
 
 def _said(there: dict[str, Any]) -> dict[str, Any]:
@@ -201,7 +204,12 @@ def changes(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
                 yield f"observers: {name} there, not here"
         yield from _deep(f"options of {scenario}", old["options"].get(scenario, {}), new["options"][scenario], names)
         yield from _deep(scenario, old["scenarios"].get(scenario, {}), new["scenarios"][scenario])
-    yield from _deep("options.scenario", old["options"]["scenario"], new["options"]["scenario"])
+    chosen = {k: v for k, v in old["options"]["scenario"].items() if GONE.get(k) != v}
+    yield from _deep("options.scenario", chosen, new["options"]["scenario"])
+    for label, digest in old.get("code", {}).items():
+        now = new.get("code", {}).get(label, digest)
+        if digest != now:
+            yield f"the code of {label}: {there['use'][label]} there, {here['use'][label]} here"
     yield from _lost(there, here)
 
 

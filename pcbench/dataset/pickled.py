@@ -9,33 +9,44 @@ from pathlib import Path
 from types import MappingProxyType
 
 from pcbench import plants
-from pcbench.observers import base_of, entry_of
+from pcbench.observers import base_of
 from pcbench.planning import controller
 from pcbench.planning.padding import Plan
+from pcbench.study import own_observers
 
 
 def pack(p: Plan) -> bytes | Plan:
-    """Return a planned cell as bytes; unchanged where its observers' numbers are of a type that no other process knows."""
+    """Return a planned cell as bytes; unchanged where its observers' numbers are of a type that no other process knows.
+
+    A user's own code goes before the numbers, which may be of its types.
+    """
     plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
     proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
     layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
-    cell = p.cell._replace(scenario=p.cell.scenario.having(**plain), options={})
+    cell = p.cell._replace(scenario=p.cell.scenario.having(**plain), options={}, own={})
+    codes = {o: mine.code for o, mine in p.cell.own.items() if o in p.labels}
     try:
-        return pickle.dumps(p._replace(cell=cell, layout=layout, certificates=proofs))
+        return pickle.dumps((codes, pickle.dumps(p._replace(cell=cell, layout=layout, certificates=proofs))))
     except (pickle.PicklingError, AttributeError):
         return p
 
 
 def unpack(parcel: bytes | Plan) -> Plan:
-    """Return the planned cell that `pack` was given, with the functions of this process."""
+    """Return the planned cell that `pack` was given, with the functions of this process.
+
+    Raises UserError where a user's own code cannot be run here.
+    """
     if isinstance(parcel, Plan):
         return parcel
-    p: Plan = pickle.loads(parcel)
-    s = p.cell.scenario
+    codes, numbers = pickle.loads(parcel)
+    own = {o: own_observers.of(code, o) for o, code in codes.items()}
+    p: Plan = pickle.loads(numbers)
+    cell = p.cell._replace(own=own)
+    s = cell.scenario
     names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
-    each = tuple((name, entry_of(o).observer) for name, o in zip(names, p.labels, strict=True))
-    plant, law = plants.entry_of(s).plant, controller.controller(p.cell)
-    return p._replace(layout=p.layout._replace(plant=plant, observers=each, controller=law))
+    each = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
+    plant, law = plants.entry_of(s).plant, controller.controller(cell)
+    return p._replace(cell=cell, layout=p.layout._replace(plant=plant, observers=each, controller=law))
 
 
 def lay_aside(p: Plan, path: Path) -> Path | Plan:

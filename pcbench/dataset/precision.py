@@ -59,7 +59,8 @@ def parse(text: str | None, most: int | None) -> Precision | None:
 def rounds(goal: Precision | None, target: store.Target, owned: Owned, say: Callable[[str], None]) -> Iterator[SeedsOf]:
     """Yield the seeds that every cell is to have next, until all have reached the goal or the budget is spent.
 
-    Each round looks at the seeds of the last one alone, whatever else stands: a run that was stopped ends as one that was not.
+    Each round decides from the seeds that the last one asked for, not from others that stand: so a run that was stopped and
+    goes on asks for the seeds of one that was not.
     """
     if goal is None:
         return

@@ -94,7 +94,7 @@ def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = 
     Blocks are drawn with `seed`. The closing tables are made again and compared too.
     """
     target = store.target(out)
-    owned = ownership.opened(target)
+    owned = ownership.opened(target, run=sample != 0)
     digests = ownership.digests(owned)
     there, wrong, good = block_files.present(target), [], []
     progress.begin("checking", len(there))

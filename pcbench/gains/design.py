@@ -9,11 +9,12 @@ from pydantic import BaseModel, ValidationError
 
 from pcbench.errors import UserError, unknown
 from pcbench.machine import process
-from pcbench.observers import entry_of
+from pcbench.observers import Entry
 from pcbench.observers.parts.options import WAY, extra
 from pcbench.planning import setting
 from pcbench.study import Study
 from pcbench.study.cells import Cell
+from pcbench.study.labels import absolute, label_of
 from pcbench.study.read import Described, one_cell
 from pcbench.synthesis.certificate import Design
 
@@ -31,9 +32,11 @@ def design(
     Raises UserError for another word, DesignError where the gains are not certified.
     """
     study, cell = one_cell(scenario, [observer], overrides or [])
+    label = label_of(observer)
     if method is not None:
-        study, cell = one_cell(_changed(study, observer, {_way(observer, method): method}), [observer], [])
-    return study, cell, entry_of(observer).design(setting(cell), cell.options[observer])
+        way = _way(cell.entry(label), label, method)
+        study, cell = one_cell(_changed(study, label, {way: method}), [label], [])
+    return study, cell, cell.entry(label).design(setting(cell), cell.options[label])
 
 
 def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str, Any]:
@@ -42,16 +45,18 @@ def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str
     Under [resolved.certificate] stands what proves them; a study that is read leaves it aside. What is returned has been
     designed anew from these options, so it can be run.
     """
-    model, options = entry_of(observer).options, cell.options[observer]
+    observer = label_of(observer)
+    model, options = cell.entry(observer).options, cell.options[observer]
     numbers = _as_options(model, options, found)
     chosen = options.model_dump(exclude_none=True)
     if numbers:
-        found_again = {k: v for k, v in chosen.items() if k not in _way_of(observer)} | numbers
+        found_again = {k: v for k, v in chosen.items() if k not in _way_of(cell.entry(observer))} | numbers
         chosen = _proven_again(study, cell, observer, found_again) or chosen
     c = found.certificate
     proof = {"inequality": c.inequality, "margin": _finite(c.margin), "solver": c.solver, "status": c.status}
     proof |= {"fallback": c.fallback, "decay_rate": _finite(c.rate)}
     raw = study.model_dump(exclude_none=True, exclude_defaults=True)
+    raw |= {"use": absolute(study.use)} if study.use else {}
     given = {k: v for k, v in raw.get("options", {}).items() if k != observer}
     raw["name"] = study.name if study.name.endswith(f"-{observer}") else f"{study.name}-{observer}"
     options_table = {"options": given | {observer: chosen}} if given or chosen else {}
@@ -77,10 +82,11 @@ def trade_off(
     Columns: the option, `rate` [1/s] of the decay promised (NaN: none), `margin`, `solver`, `fallback`, `refused` (empty: it
     stands), and the certificate's numbers, small arrays entry by entry. Raises UserError where every value is refused.
     """
-    study, _cell = one_cell(scenario, [observer], overrides or [])
+    study, cell = one_cell(scenario, [observer], overrides or [])
+    observer = label_of(observer)
     name, rows, reasons = option.replace("-", "_"), [], []
-    if name not in entry_of(observer).options.model_fields:
-        raise unknown(f"--sweep of {observer}", "option", option, entry_of(observer).options.model_fields)
+    if name not in (fields := cell.entry(observer).options.model_fields):
+        raise unknown(f"--sweep of {observer}", "option", option, fields)
     for value in values:
         row: dict[str, Any] = {
             name: value,
@@ -110,17 +116,17 @@ def _changed(study: Study, observer: str, options: dict[str, Any]) -> Study:
     return study.model_copy(update={"options": study.options | {observer: given | options}})
 
 
-def _way_of(observer: str) -> list[str]:
+def _way_of(entry: Entry) -> list[str]:
     """The option that says how an observer's gains are found, if it has one."""
-    return [name for name, field in entry_of(observer).options.model_fields.items() if extra(field).get(WAY)]
+    return [name for name, field in entry.options.model_fields.items() if extra(field).get(WAY)]
 
 
-def _way(observer: str, method: str) -> str:
+def _way(entry: Entry, observer: str, method: str) -> str:
     """The option to set for a method; raise UserError where the observer has no such."""
-    names = _way_of(observer)
+    names = _way_of(entry)
     if not names:
         raise UserError(f"--method: got '{method}', but {observer} has one way to find its gains; leave it out.")
-    valid = get_args(entry_of(observer).options.model_fields[names[0]].annotation)
+    valid = get_args(entry.options.model_fields[names[0]].annotation)
     if method not in valid:
         raise unknown("--method", f"way to find gains of {observer}", method, valid)
     return names[0]
@@ -153,7 +159,7 @@ def _proven_again(study: Study, cell: Cell, observer: str, chosen: dict[str, Any
     for each in (*slower, {k: v for k, v in chosen.items() if k != "decay" or not v}):
         try:
             here = _changed(study.model_copy(update={"options": {}}), observer, each)
-            entry_of(observer).design(setting(cell), one_cell(here, [observer], [])[1].options[observer])
+            cell.entry(observer).design(setting(cell), one_cell(here, [observer], [])[1].options[observer])
         except UserError:
             continue
         return each

@@ -12,7 +12,6 @@ from pcbench.errors import UserError
 from pcbench.gains import gradient
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
-from pcbench.observers import entry_of
 from pcbench.planning import in_memory
 from pcbench.planning.padding import Plan
 from pcbench.simulation import batch
@@ -41,7 +40,7 @@ def method_for(asked: str | None, aim: Objective, p: Plan, where: str) -> str:
         raise UserError(f"{where}: --method: got '{asked}', expected {' or '.join(METHODS)}; leave it out.")
     against = {
         f"{aim.metric} has no gradient": not aim.smooth,
-        "its steps cannot be differentiated": not entry_of(p.labels[0]).smooth,
+        "its steps cannot be differentiated": not p.cell.entry(p.labels[0]).smooth,
         "each run has a schedule of its own": not isinstance(p.problem.schedule, Schedule),
         "a closed loop is not differentiated": p.layout.controller is not None,
     }

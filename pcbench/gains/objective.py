@@ -10,7 +10,7 @@ from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import jumps
 from pcbench.simulation import differentiable
-from pcbench.statistics import COMPARED, POOLED
+from pcbench.statistics import COMPARED, OF_RUN, POOLED
 
 MEASURES = (*COMPARED, *POOLED)
 
@@ -54,6 +54,7 @@ def objective_of(objective: str, scenario: Scenario, signal: str | None, where: 
     ticks = round(scenario.horizon / scenario.dt)
     loop, jumping = bool(scenario.loop.controller), jumps(scenario.truth.unknown_input, scenario.dt, ticks).size > 0
     there = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
+    there = [m for m in there if m not in OF_RUN]  # of no signal
     if objective not in there:
         raise unknown(f"{where}: --objective", "metric to tune for here", objective, there)
     names = [name for name, _ in signals_of(scenario)]

@@ -1,8 +1,9 @@
 """The free parameters of an observer: options that may be tuned, as numbers without bounds.
 
 An option says so itself (`tunable`). A positive number is its logarithm here, one between two numbers its logit, a matrix its
-entries over their natural size: so every vector of numbers is an option that may be written into a study, and a step
-means the same in all of them. Gains follow by the observer's own design, which certifies them or refuses.
+entries over their natural size, a covariance its Cholesky factor, whose diagonal is a logarithm too: so every vector of numbers
+is an option that may be written into a study, and a step means the same in all of them. Gains follow by the observer's own
+design, which certifies them or refuses.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,13 +16,14 @@ from pydantic import BaseModel, ValidationError
 from pydantic.fields import FieldInfo
 
 from pcbench.errors import UserError
-from pcbench.observers import entry_of
+from pcbench.observers import Entry
 from pcbench.observers.parts.options import TUNABLE, extra
 
 Vector = NDArray[np.float64]
 NOTHING = 1e-15  # of a matrix' size: 0
 MOVED, SAME = 0.1, 1e-9  # gains that differ by less of themselves when a parameter moves so far do not depend on it
 LEAST = 1e-12  # a positive number that is 0 by default starts here
+CLIPPED = (np.log(LEAST) / 2, -np.log(LEAST) / 2)  # of the logarithm of a standard deviation
 
 
 class NothingFree(UserError):
@@ -32,7 +34,7 @@ class Free(NamedTuple):
     """One option; its `size` numbers are `first` .. `first + size - 1` of all."""
 
     name: str
-    kind: str  # positive, between or real
+    kind: str  # positive, between, real or covariance
     shape: tuple[int, ...]
     low: float  # of what lies between two numbers: the lower,
     scale: float  # and how far above it the upper is; of a real: what 1 means
@@ -41,23 +43,25 @@ class Free(NamedTuple):
     @property
     def size(self) -> int:
         """Return how many numbers it is."""
-        return int(np.prod(self.shape))
+        many = int(np.prod(self.shape))
+        return (many + self.shape[0]) // 2 if self.kind == "covariance" else many
 
 
-def tunable(label: str) -> list[str]:
+def tunable(entry: Entry) -> list[str]:
     """Return the names of the options of an observer that may be tuned."""
-    return [name for name, field in entry_of(label).options.model_fields.items() if TUNABLE in extra(field)]
+    return [name for name, field in entry.options.model_fields.items() if TUNABLE in extra(field)]
 
 
 def start(
-    label: str, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
+    label: str, entry: Entry, options: BaseModel, designed: Mapping[str, Any], names: list[str] | None, where: str
 ) -> tuple[list[Free], Vector]:
-    """Return the free parameters and where they start: as the options say, or where they leave it open as was `designed`.
+    """Return the free parameters and where they start.
 
-    `names` None: all that may be tuned and have a start that an option can hold. Raises UserError where a name is not of an
+    They start at their options' values, or where one is None or a word at the number of that name that was `designed`.
+    `names` None: every tunable option that has such a start. Raises UserError where a name is not of an
     option that may be tuned, where nothing says where it starts, or where there is nothing to tune.
     """
-    allowed, found, values = tunable(label), list[Free](), list[Vector]()
+    allowed, found, values = tunable(entry), list[Free](), list[Vector]()
     for name in allowed if names is None else names:
         if name not in allowed:
             raise UserError(
@@ -65,7 +69,7 @@ def start(
             )
         value = getattr(options, name)
         value = designed.get(name) if value is None or isinstance(value, str) else value
-        one = None if value is None else _free(label, name, value, sum(f.size for f in found))
+        one = None if value is None else _free(entry, name, value, sum(f.size for f in found))
         if one is None or not _holds(options, *one):
             if names is None:
                 continue
@@ -81,10 +85,11 @@ def start(
     return found, np.concatenate(values)
 
 
-def _free(label: str, name: str, value: Any, first: int) -> tuple[Free, Vector]:
+def _free(entry: Entry, name: str, value: Any, first: int) -> tuple[Free, Vector]:
     """One parameter, and its numbers at a value."""
-    number, field = np.asarray(value, float), entry_of(label).options.model_fields[name]
+    number, field = np.asarray(value, float), entry.options.model_fields[name]
     kind, edges = _kind(field), extra(field)[TUNABLE]
+    kind = "covariance" if kind == "positive" and number.ndim == 2 and number.size > 1 else kind
     number = number.reshape(()) if number.size == 1 and kind != "real" else number
     low, high = edges if edges else (0.0, float(np.abs(number).max()) if kind == "real" else 1.0)
     scale = high - low if high - low > LEAST else 1.0  # a gain of 0 says nothing of its size
@@ -129,8 +134,8 @@ def written(free: list[Free], at: Vector) -> dict[str, Any]:
     """Return the free parameters as a study's TOML writes them."""
     out = {}
     for f in free:
-        part = at[f.first : f.first + f.size].reshape(f.shape)
-        out[f.name] = _bounded(part, f).tolist()
+        part = at[f.first : f.first + f.size]
+        out[f.name] = _bounded(part if f.kind == "covariance" else part.reshape(f.shape), f).tolist()
     return out
 
 
@@ -139,12 +144,24 @@ def _bounded(z: Vector, f: Free) -> Vector:
         return np.asarray(np.exp(np.clip(z, np.log(LEAST), -np.log(LEAST))))
     if f.kind == "between":
         return np.asarray(f.low + f.scale / (1 + np.exp(-z)))
+    if (
+        f.kind == "covariance"
+    ):  # L L', the logarithms of L's diagonal, below it parts of the diagonal entry of their row
+        i, j = np.tril_indices(f.shape[0])
+        L = np.zeros(f.shape)
+        L[i, j] = np.where(i == j, 1.0, z)
+        L *= np.exp(np.clip(z[i == j], *CLIPPED))[:, None]
+        return L @ L.T
     return np.where(np.abs(z) < NOTHING, 0.0, z * f.scale)
 
 
 def _unbounded(value: Vector, f: Free) -> Vector:
     if f.kind == "positive":
         return np.asarray(np.log(np.maximum(value, LEAST)))
+    if f.kind == "covariance":
+        L = np.linalg.cholesky(value + LEAST * np.abs(value).max() * np.eye(len(value)))
+        i, j = np.tril_indices(len(L))
+        return np.where(i == j, np.log(np.diag(L))[i], (L / np.diag(L)[:, None])[i, j])
     if f.kind == "between":
         inside = np.clip((value - f.low) / f.scale, LEAST, 1 - LEAST)
         return np.asarray(np.log(inside / (1 - inside)))
@@ -161,6 +178,7 @@ def _kind(field: FieldInfo) -> str:
 
 
 def _inside(annotation: Any) -> list[Any]:
-    """The declarations of each type that an option's value may have."""
-    declared = [m for kind in get_args(annotation) for m in getattr(kind, "__metadata__", ())]
-    return [m for each in declared for m in (each.metadata if isinstance(each, FieldInfo) else [each])]
+    """The declarations of each type that an option's value, or an entry of it, may have."""
+    declared = getattr(annotation, "__metadata__", ())
+    own = [m for each in declared for m in (each.metadata if isinstance(each, FieldInfo) else [each])]
+    return own + [m for kind in get_args(annotation) for m in _inside(kind)]

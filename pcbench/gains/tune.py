@@ -18,11 +18,12 @@ from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.observers import entry_of
+from pcbench.observers import Entry
 from pcbench.planning import padding
 from pcbench.study import Study, given, read
 from pcbench.study.as_toml import digest
 from pcbench.study.cells import Cell
+from pcbench.study.labels import absolute, label_of
 from pcbench.synthesis.certificate import Design, Setting
 
 BUDGET = 60
@@ -75,6 +76,7 @@ def tune(
     _check(budget, training, judges, where)
     with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
         study, cell = read.one_cell(scenario, [observer], overrides or [])
+        observer = label_of(observer)
         where = f"{where} in {cell.scenario.name}"
         aim = objective_of(objective, cell.scenario, signal, where)
         how_far = f"{method or 'the method that fits'}, seeds {training}, {', '.join(only or ['all'])} free"
@@ -86,11 +88,11 @@ def tune(
             return Tuning(objective=aim, **done)
         known = planning.setting(cell)
         study, cell, designed = _startable(study, cell, observer, known)
-        options = cell.options[observer]
-        every, start = freed(observer, known, options, designed, only, where)
+        options, entry = cell.options[observer], cell.entry(observer)
+        every, start = freed(observer, entry, known, options, designed, only, where)
 
         def design(at: Vector) -> Any:
-            return entry_of(observer).design(known, parameters.put(options, every, at)).gains
+            return entry.design(known, parameters.put(options, every, at)).gains
 
         (p,) = padding.fit(list(planning.drafts([cell])))
         evaluation.check_estimates(p, aim, where)
@@ -124,7 +126,7 @@ def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple
     A gain found for a rate stands at its edge, where another proof of the same rate may fail.
     """
     options = cell.options[observer]
-    designed = entry_of(observer).design(known, options)
+    designed = cell.entry(observer).design(known, options)
     decay = getattr(options, "decay", None)
     if not decay:
         return study, cell, designed
@@ -134,13 +136,19 @@ def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple
 
 
 def freed(
-    observer: str, known: Setting, options: BaseModel, designed: Design, only: list[str] | None, where: str
+    observer: str,
+    entry: Entry,
+    known: Setting,
+    options: BaseModel,
+    designed: Design,
+    only: list[str] | None,
+    where: str,
 ) -> tuple[list[parameters.Free], Vector]:
     """Return the free parameters that gains depend on here, and where they start; errors as of `parameters.start`."""
-    every, at = parameters.start(observer, options, designed.certificate.numbers, only, where)
+    every, at = parameters.start(observer, entry, options, designed.certificate.numbers, only, where)
 
     def gains(there: Vector) -> list[Any]:
-        return gradient.numbers(entry_of(observer).design(known, parameters.put(options, every, there)).gains)
+        return gradient.numbers(entry.design(known, parameters.put(options, every, there)).gains)
 
     used = parameters.used(every, at, gains)
     if not used:
@@ -149,7 +157,7 @@ def freed(
             f"{where}: got free parameters ({names}) that its gains do not depend on as they are found here, expected one that "
             "they do; change the way they are found, or tune another observer."
         )
-    return parameters.start(observer, options, designed.certificate.numbers, used, where)
+    return parameters.start(observer, entry, options, designed.certificate.numbers, used, where)
 
 
 def _descend(
@@ -197,6 +205,7 @@ def _check(budget: int, training: Seeds, judges: Seeds, where: str) -> None:
 def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:
     """The study with the observer's options put in, as TOML writes it."""
     raw = study.model_dump(exclude_none=True, exclude_defaults=True)
+    raw |= {"use": absolute(study.use)} if study.use else {}
     options = raw.get("options", {})
     mine = options.get(observer, {}) | chosen
     return raw | ({"options": options | {observer: mine}} if mine else {})

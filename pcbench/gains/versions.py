@@ -24,9 +24,9 @@ from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.observers import entry_of
 from pcbench.study import Study, given, observers_of, scenarios_of
 from pcbench.study.cells import Grid
+from pcbench.study.names import entry_in
 from pcbench.study.read import grid_of, one_cell
 
 JUDGES = counted(tune.JUDGES.first, 256)
@@ -64,7 +64,7 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress 
         return ExplicitStudy(grid, [])
     if study.tunings == ["design"]:
         labels = dict.fromkeys(o for s in study.scenarios for o in observers_of(study, s))
-        designed = {o: study.options.get(o, {}) | dict(entry_of(o).designed or {}) for o in labels}
+        designed = {o: study.options.get(o, {}) | dict(entry_in(study, o).designed or {}) for o in labels}
         return ExplicitStudy(_with(study, {o: how for o, how in designed.items() if how}), [])
     if len(study.scenarios) > 1:
         raise UserError(
@@ -78,7 +78,7 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress 
     _ours(study, out, fresh)
     scenario = scenarios_of(study)[study.scenarios[0]]
     paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
-    versions, options = _untuned(paper)
+    versions, options = _untuned(study, paper)
     if "tuned" in study.tunings:
         starts = _better(study, versions, options, aim, progress)
         for observer, start in starts.items():
@@ -140,12 +140,12 @@ def _ours(study: Study, out: str | Path | None, fresh: bool) -> None:
         store.remove(target, name)
 
 
-def _untuned(papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str, dict[str, Any]]]:
+def _untuned(study: Study, papers: dict[str, dict[str, Any]]) -> tuple[list[Version], dict[str, dict[str, Any]]]:
     """The versions as printed and by design, and the options of each."""
     versions: list[Version] = []
     options: dict[str, dict[str, Any]] = {}
     for observer, paper in papers.items():
-        ways: dict[str, Mapping[str, Any] | None] = {"paper": {}, "design": entry_of(observer).designed}
+        ways: dict[str, Mapping[str, Any] | None] = {"paper": {}, "design": entry_in(study, observer).designed}
         for tuning, more in ways.items():
             if more is not None:
                 versions.append(Version(f"{observer}-{tuning}", observer, tuning))
@@ -176,16 +176,17 @@ def _better(
 
 def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
     """Say whether a version has free parameters that its gains depend on."""
-    if not parameters.tunable(version.observer):
+    if not parameters.tunable(entry_in(study, version.observer)):
         return False
     here = _at_first(study).model_copy(
         update={"options": study.options | {version.observer: options}, "tuning": "paper"}
     )
     cell = one_cell(here, [version.observer], [])[1]
     known, chosen = planning.setting(cell), cell.options[version.observer]
-    designed = entry_of(version.observer).design(known, chosen)
+    entry = cell.entry(version.observer)
+    designed = entry.design(known, chosen)
     try:
-        return bool(tune.freed(version.observer, known, chosen, designed, None, study.name))
+        return bool(tune.freed(version.observer, entry, known, chosen, designed, None, study.name))
     except parameters.NothingFree:
         return False
 

@@ -6,8 +6,9 @@ form, one channel after the other), then predict to now exactly as PCCEBO does:
     P-_m = E P_(m-1) E' + Q,   K = P- c (c'P- c + r)^-1,   P_m = (I - K c') P- (I - K c')' + K r K'
     xhat(t) = e^{A (t - t_m)} xhat_m + I(t_m, t)
 
-R is the variance of one sample, the prior is N(xhat(0), P0). With q = 0 and x(0) drawn from the prior, P is the Bayesian
-bound of every causal estimator, and this filter attains it. Where a scenario has no measurement noise, R = 1e-12.
+R is the variance of one sample (outputs whose noise is correlated are made independent first), the prior is N(xhat(0), P0).
+With what is true of R and Q, and x(0) drawn from the prior, P is the Bayesian bound of every causal estimator, and this filter
+attains it. Where a scenario has no measurement noise, R = 1e-12.
 With `bias_variance` a constant input bias b ~ N(0, that variance) is estimated beside the state: x' = A x + B (u + b).
 Where a plant has an unknown input, x' = A x + B u + E f, f is estimated too, as a random walk from N(0, size^2) on: the
 estimate of the present carries it, and the signal is f less its part that is a known function of the state.
@@ -29,7 +30,8 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import covariance_after
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import require_detectable
-from pcbench.observers.parts import kalman, prediction
+from pcbench.observers.parts import assumed_noise, kalman, prediction
+from pcbench.observers.parts.assumed_noise import Size, Sizes, Variances
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
@@ -47,6 +49,7 @@ class Gains(NamedTuple):
     C: Float[Leaf, "q n"]
     D: Float[Leaf, "q m"]
     R: Float[Leaf, " q"]  # variance of one sample
+    mix: Any  # [q, q] of the outputs, so that their noise is independent; None: it is
     P0: Float[Leaf, "n n"]
     room: Room  # for samples that may be overtaken
     states: Float[Room, " plant"]  # what the estimate has of the filter's
@@ -58,8 +61,17 @@ class Options(BaseModel):
     """What the filter assumes, where it is not what the scenario has."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    R: float | None = tunable(None, gt=0, description="assumed variance of one sample; default: the scenario's")
-    q: float | None = tunable(None, ge=0, description="assumed intensity of process noise through the input")
+    R: Variances | None = tunable(
+        None,
+        description="assumed variance of one sample: for all outputs, for each, or in full; default: the scenario's",
+    )
+    q: Size | list[Size] | None = tunable(
+        None, description="assumed intensity of process noise through the input, or through each"
+    )
+    Q: Sizes | None = tunable(
+        None,
+        description="assumed covariance of a tick's process noise: for each state, or in full; default: the scenario's",
+    )
     bias_variance: float | None = Field(
         None, gt=0, description="prior variance of a constant input bias, estimated beside the state; default: no bias"
     )
@@ -80,10 +92,11 @@ def update(gains: Gains, before: Posterior, sample: Measurement) -> Posterior:
     """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
     free = prediction.at(gains.motion, Point(before.mean, before.taken), sample.taken)
     P = covariance_after(gains.motion.powers, gains.noise, sample.taken - before.taken, before.P)
+    value = sample.value if gains.mix is None else gains.mix @ sample.value
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
         K = kalman.gain(P @ c, c @ P @ c + r, fresh)
-        free = free + K * (sample.value[channel] - c @ (sample.note + free))
+        free = free + K * (value[channel] - c @ (sample.note + free))
         P = kalman.covariance(P, K, c, r)
     return Posterior(free, P, sample.taken)
 
@@ -110,32 +123,36 @@ def design(setting: Setting, options: Options) -> Design:
     if options.bias_variance is not None:
         model, m = linear.with_input_bias(model), model.B.shape[1]
         P0 = np.block([[P0, np.zeros((n, m))], [np.zeros((m, n)), options.bias_variance * np.eye(m)]])
-    q = setting.input_intensity if options.q is None else options.q
+    q = assumed_noise.through(options.q, model.B.shape[1], setting.input_intensity, where)
     inputs = np.zeros(0)
     if model.E is not None and options.input_walk:
         size = np.square(setting.unknown_std[: model.E.shape[1]])
         model, inputs = linear.with_unknown_input(model), size
         P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
-    R = setting.noise_variance if options.R is None else np.full(len(model.C), options.R)
+    mix, C, R = assumed_noise.independent(setting, options.R, model.C, where)
     moves = prediction.motion_of(model, setting)
     Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
-    Q[:n, :n] += setting.process_noise
+    Q[:n, :n] += assumed_noise.process(setting, options.Q, where)
     noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)
     gains = Gains(
         motion=moves,
         noise=noise,
-        C=model.C,
+        C=C,
         D=model.feedthrough,
         R=R,
+        mix=mix,
         P0=P0,
         room=setting.room,
         states=np.zeros(n),
-        inputs=np.zeros(len(inputs)),
+        inputs=np.zeros(
+            len(inputs) if len(inputs) == len(setting.unknown_std) else 0
+        ),  # all that is unknown, or nothing
         known=setting.model.known if len(inputs) else None,
     )
     carries = True if len(inputs) else None
     proof = _certify(gains, model, Q, setting)
-    proof = proof._replace(numbers={**proof.numbers, "q": q})
+    own = assumed_noise.option("Q", assumed_noise.process(setting, options.Q, where))
+    proof = proof._replace(numbers={**proof.numbers, "q": q, **own})
     return Design(gains, certified(proof, where), carries)
 
 

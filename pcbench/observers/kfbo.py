@@ -15,7 +15,7 @@ Options: `lag_aware` uses d + te/2 in place of d (te must be even in ticks); `sa
 Y_i - C z(t_i) instead of the measurement, z' = A z + B u(t - d) + K (Y_i - C z(t_i)), which can be unstable.
 """
 
-from typing import Annotated, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -25,6 +25,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from pcbench.dynamics import linear
 from pcbench.errors import UserError
+from pcbench.observers.parts import assumed_noise
+from pcbench.observers.parts.assumed_noise import Sizes, Variance, Variances
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.observers.parts.options import tunable
 from pcbench.protocols import Arrival, Leaf, Now, Observer
@@ -60,10 +62,15 @@ class Options(BaseModel):
     """Weights of the Riccati equation and the two variants."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    R: Annotated[float, Field(gt=0)] | Literal["noise"] = tunable(
-        1.0, description="assumed intensity of measurement noise; 'noise': a sample's variance times the period"
+    R: Variances | Literal["noise"] = tunable(
+        1.0,
+        description="assumed intensity of measurement noise: of all outputs, of each, or in full; 'noise': a sample's variance "
+        "times the period",
     )
-    Q: float = Field(0.002, gt=0, description="assumed intensity of process noise through the input")
+    Q: Variance | Sizes = Field(
+        0.002,
+        description="assumed intensity of process noise: a number through the input, one for each state, or in full",
+    )
     lag_aware: bool = Field(False, description="use d + te/2 in place of d")
     sampled_innovation: bool = Field(False, description="hold the innovation, not the measurement")
 
@@ -119,10 +126,17 @@ def design(setting: Setting, options: Options) -> Design:
         )
     delay, period = setting.delay[0], setting.period[0]
     A, B, C, h, m = model.A, model.B, model.C, setting.dt, model.B.shape[1]
-    R = options.R * np.eye(len(C)) if options.R != "noise" else np.diag(setting.noise_variance * setting.period * h)
-    stationary = riccati.continuous(model, options.Q * B @ B.T, R, where)
+    if options.R == "noise":
+        R = np.diag(setting.noise_variance * setting.period * h)
+    else:
+        R = assumed_noise.covariance(options.R, len(C), f"{where}: R", "output")
+    if isinstance(options.Q, list):
+        Q = assumed_noise.covariance(options.Q, len(A), f"{where}: Q", "state")
+    else:
+        Q = options.Q * B @ B.T
+    stationary = riccati.continuous(model, Q, R, where)
     certificate = certified(stationary.certificate, where)
-    certificate = certificate._replace(numbers={**certificate.numbers, "R": np.diag(R)})
+    certificate = certificate._replace(numbers={**certificate.numbers, **assumed_noise.option("R", R)})
     K = stationary.K
     if options.lag_aware and (period % 2 or len(set(setting.period)) > 1):
         raise UserError(

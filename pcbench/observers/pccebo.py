@@ -8,7 +8,8 @@
 As piecewise continuous systems: one integrates the input, the other is the estimate, re-initialised at each arrival.
 Without noise and with a true model the error is e(t) = e^{A (t - t_m)} e_m, e_m = (I - L C) Phi e_(m-1), whatever u is.
 
-A sample that comes after a newer one is put in its place (`parts/reordering`); one that is lost lengthens the interval of (8a).
+(11) and (12) are in `parts/prediction`. A sample that comes after a newer one is put in its place (`parts/reordering`); one
+that is lost lengthens the interval of (8a).
 
 Source: Mohammed, Wang, Tian, Turk. J. Elec. Eng. & Comp. Sci. 25 (2017) 3738-3751, doi 10.3906/elk-1606-160.
 Different from print: (7) and (8a) hold the input over a whole sampling period, here the integral is exact; (11) is

@@ -7,12 +7,13 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pcbench import plants
-from pcbench.errors import UserError
-from pcbench.observers import base_of, entry_of
+from pcbench.errors import UserError, raised
+from pcbench.observers import base_of
 from pcbench.planning import controller, padding
 from pcbench.planning.design_setting import setting
 from pcbench.planning.least_error import bound
 from pcbench.planning.padding import Plan
+from pcbench.plants import lti
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch
 from pcbench.simulation.problem import Layout, Problem
@@ -60,7 +61,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     s, known = cell.scenario, known or setting(cell)
     true, belief, choices = s.truth, s.belief, cell.choices
     plant, n = plants.entry_of(s), cell.times.ticks
-    designs = {o: _design(o, known, given) for o, given in options.items()}
+    designs = {o: _design(o, cell, known, given) for o, given in options.items()}
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
     numbers = ({"drift": true.drift} if "drift" in plant.numbers._fields else {}) | cell.parameters
     numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
@@ -84,18 +85,21 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         process_std=np.array(true.process_std),
         jumps=np.array([tick for tick in jumps(true.unknown_input, s.dt, n - 1) if tick >= cell.times.tail], int),
         scatter=np.array(belief.start_box) * around,
+        network=controller.network(cell),
+        weights=controller.weights(cell),
     )
     layout = Layout(
         plant=plant.plant,
-        observers=tuple((names[o], entry_of(o).observer) for o in options),
+        observers=tuple((names[o], cell.entry(o).observer) for o in options),
         width=width(cell),
         ring=room,
         random_start=drawn or choices.start_spread > 0,
-        strides=_strides(schedule, options, plant.heavy),
+        strides=_strides(schedule, plant.heavy or any(cell.entry(o).heavy for o in options)),
         continuous=s.sampling.continuous,
         drifting=bool(true.drift and plant.plant.of_run),
         controller=controller.controller(cell),
         scattered=bool(belief.start_box),
+        pending=controller.pending(cell),
     )
     return Plan(
         cell=cell,
@@ -109,17 +113,20 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     )
 
 
-def _strides(schedule: AnySchedule, options: dict[str, BaseModel], heavy: bool) -> bool:
+def _strides(schedule: AnySchedule, heavy: bool) -> bool:
     """Whether flow goes by two ticks: not where nearly every tick has an event, nor where a body takes long to compile."""
     dense = isinstance(schedule, shared.Schedule) and schedule.event.mean() >= 0.5
-    return not (dense or heavy or any(entry_of(o).heavy for o in options))
+    return not (dense or heavy)
 
 
 def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
-    """The input of an open loop, [N+1, m]; where a controller gives it, one row of NaN: nothing may read it."""
+    """The input of an open loop, [N+1, m]; where a controller gives it, one row of NaN: nothing may read it.
+
+    Zeros where the output of a plant is C x + D u: D is 0 in a closed loop.
+    """
     s, m = cell.scenario, known.model.B.shape[1]
     if s.loop.controller:
-        return np.full((1, m), np.nan)
+        return np.full((1, m), 0.0 if plants.entry_of(s).plant is lti.PLANT else np.nan)
     u = inputs(s.loop.input, s.dt * np.arange(cell.times.ticks + 1, dtype=float), m)
     if u.shape[1] != m:
         raise UserError(
@@ -142,8 +149,17 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySche
     return schedule, shared.in_flight(schedule)
 
 
-def _design(observer: str, known: Setting, options: BaseModel) -> Design:
-    found = entry_of(observer).design(known, options)
+def _design(observer: str, cell: Cell, known: Setting, options: BaseModel) -> Design:
+    try:
+        found = cell.entry(observer).design(known, options)
+    except UserError:
+        raise
+    except Exception as error:
+        if observer not in cell.own:
+            raise
+        raise UserError(
+            f"observer {observer}: design got {raised(error)}, expected Design(gains, Certificate); mend that line."
+        ) from error
     if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
         raise UserError(
             f"observer {observer}: design returned {type(found).__name__}, expected Design(gains, Certificate)."

@@ -1,4 +1,4 @@
-"""What closes a loop: the controller with its numbers, and the actuator line with room for what a schedule can ask for."""
+"""What closes a loop: the controller with its numbers, the way of its commands, and room for what a schedule can ask for."""
 
 from typing import Any, NamedTuple
 
@@ -9,9 +9,10 @@ from pydantic import BaseModel
 from pcbench import controllers
 from pcbench.plants import entry_of, numbers_of
 from pcbench.protocols import Controller
-from pcbench.simulation import actuator
-from pcbench.simulation.schedule import shared
-from pcbench.study import times
+from pcbench.simulation import actuator, metrics
+from pcbench.simulation import network as network_of
+from pcbench.simulation.schedule import per_lane, shared
+from pcbench.study import loops, times
 from pcbench.study.cells import Cell
 
 
@@ -35,22 +36,71 @@ def controller(cell: Cell) -> Controller | None:
 
 
 def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
-    """Return how far a loop looks.
+    """Return the ticks of commands to keep behind and beyond.
 
-    Observers ask for inputs since the sample before those that may still be overtaken; the controller looks ahead until its
-    command acts.
+    `back`: so that inputs since the oldest sample that may still be used again can be read, the actuator's delay included.
+    `ahead`: past the end, until the last command acts.
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
     believed_older = max(cell.times.error, 0)
-    oldest = shared.oldest(shared.samples(cell.times.clocks, ticks), overtaking) + believed_older
+    if cell.times.random:
+        oldest = min(per_lane.oldest(cell.times.clocks, ticks, overtaking), ticks)
+    else:
+        oldest = shared.oldest(shared.samples(cell.times.clocks, ticks), overtaking)
     longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
-    return Reach(actuator.rows_needed(delay, s.dt, ticks, oldest + 1), times.whole(longest, s) + 2)
+    back = actuator.rows_needed(delay, s.dt, ticks, oldest + believed_older + 1)
+    return Reach(back, times.whole(longest, s) + 2 + times.whole(s.loop.command_jitter, s))
 
 
 def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:
     """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end."""
     s, plant = cell.scenario, entry_of(cell.scenario)
-    delay, params = times.actuator_delay(s), plant.prepare(numbers_of(s), s.dt, ticks)
-    model, inverse = Partial(plant.model, params), Partial(plant.inverse, params)
-    law = controllers.entry_of(s).prepare(options(cell), delay, s.dt, reach.back, ticks, model, inverse)
-    return law, actuator.line(delay, s.dt, reach.back, ticks + reach.ahead)
+    params = plant.prepare(numbers_of(s), s.dt, ticks)
+    told = loops.told(s)._replace(
+        ticks=ticks,
+        rows=reach.back,
+        ahead=reach.ahead,
+        field=Partial(plant.model, params) if plant.model else None,
+        inverse=Partial(plant.inverse, params) if plant.inverse else None,
+    )
+    law = controllers.entry_of(s).prepare(options(cell), told)
+    if loops.held(s):
+        return law, actuator.held_line(told.late, reach.back, ticks + reach.ahead)
+    return law, actuator.line(told.delay, s.dt, reach.back, ticks + reach.ahead)
+
+
+def pending(cell: Cell) -> int:
+    """Return the room of the network to the plant; 0 where all runs share an actuator line."""
+    numbers = network(cell)
+    if not numbers:
+        return 0
+    return network_of.room(int(numbers.every), int(numbers.delay), int(numbers.jitter))
+
+
+def network(cell: Cell) -> Any:
+    """Return the numbers of the network to the plant; () where there is none."""
+    s = cell.scenario
+    loop = s.loop
+    if not (loop.command_jitter or loop.command_loss or loop.command_std):
+        return ()
+    told = loops.told(s)
+    return network_of.Numbers(
+        every=np.asarray(told.every(options(cell).period)),  # type: ignore[attr-defined]
+        delay=np.asarray(times.whole(loop.actuator_delay or 0.0, s)),
+        jitter=np.asarray(times.whole(loop.command_jitter, s)),
+        loss=np.asarray(loop.command_loss),
+        std=np.full(told.model.B.shape[1], loop.command_std),
+    )
+
+
+def weights(cell: Cell) -> Any:
+    """Return the weights of the cost; () of an open loop, and of one whose effort no table shows."""
+    s = cell.scenario
+    if not loops.held(s):
+        return ()
+    given, (n, m) = options(cell), loops.told(s).model.B.shape
+    Q1, Q2 = getattr(given, "Q1", None), getattr(given, "Q2", None)
+    if Q1 is None:
+        return metrics.Weights(np.zeros((0, 0)), np.zeros((0, 0)))
+    sizes = loops.sizes(s, "controller")
+    return metrics.Weights(loops.matrix(Q1, (n, n), "Q1", sizes), loops.matrix(Q2, (m, m), "Q2", sizes))

@@ -42,7 +42,7 @@ def setting(cell: Cell) -> Setting:
         P0=np.diag(np.square(belief.prior_std)),
         input_intensity=belief.drift_intensity if s.truth.drift else 0.0,
         overtaking=_overtaking(clocks, n),
-        process_std=s.truth.process_std or belief.assumed_process_std,
+        process_std=belief.assumed_process_std or s.truth.process_std,
         error=cell.times.error,
         reach=max(-(-late // every) for late, every in zip(delay, period, strict=True)),
         unknown_std=belief.unknown_std,

@@ -34,10 +34,13 @@ def results(planned: Plan, outcomes: Iterable[tuple[batch.Job, Outcome]]) -> Res
     parts: dict[str, list[dict[str, NDArray[Any]]]] = {label: [] for label in planned.labels}
     n, tail, dt = planned.cell.times.ticks, planned.cell.times.tail, planned.cell.scenario.dt
     falls = bool((planned.problem.jumps < n).any())
+    weights = planned.problem.weights
+    costs = isinstance(weights, metrics.Weights) and np.size(weights.Q1) > 0
     for _, outcome in outcomes:
         for label, (name, _) in zip(planned.labels, planned.layout.observers, strict=True):
             left = outcome.streams[name], outcome.watches[name], outcome.final[name]
-            parts[label].append(metrics.read(*left, n, tail, dt, falls, outcome.tracking or None))
+            effort = outcome.effort or None
+            parts[label].append(metrics.read(*left, n, tail, dt, falls, outcome.tracking or None, effort, costs))
     return {label: {m: np.concatenate([p[m] for p in each], -1) for m in each[0]} for label, each in parts.items()}
 
 

@@ -14,7 +14,7 @@ from pcbench.synthesis.certificate import Setting
 def bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
     s = cell.scenario
-    wrong = nonlinear(s) or s.truth.drift or cell.parameters or s.truth.unknown_input
+    wrong = nonlinear(s) or s.truth.drift or cell.parameters or s.truth.unknown_input or s.loop.command_std
     exact = not wrong and all(s.sampling.noise_std)  # no bound without noise
     clocks = cell.times.clocks
     if not exact or cell.times.random:

@@ -44,6 +44,7 @@ class Capacity(NamedTuple):
     back: int = 0  # ticks a closed loop looks back
     ahead: int = 0  # and ahead
     falls: int = 0  # jumps of the unknown input
+    pending: int = 0  # commands on their way over a network
     rows: tuple[tuple[tuple[str, int], int], ...] = ()  # by plant and leaf of its numbers
 
 
@@ -60,6 +61,7 @@ def room_of(p: Plan) -> Capacity:
         back=_rounded(back),
         ahead=_rounded(ahead),
         falls=len(p.problem.jumps),
+        pending=_rounded(p.layout.pending),
         rows=tuple(rows.items()),
     )
 
@@ -89,7 +91,9 @@ def fitted(p: Plan, room: Capacity) -> Plan:
     layout = p.layout._replace(ring=room.ring)
     if p.reach:
         law, line = controller.close(p.cell, controller.Reach(room.back, room.ahead), p.cell.times.ticks)
-        problem, layout = problem._replace(control=law, line=line), layout._replace(commands=room.back)
+        pending = room.pending if layout.pending else 0
+        problem = problem._replace(control=law, line=line)
+        layout = layout._replace(commands=room.back, pending=pending)
     return p._replace(problem=problem, layout=layout)
 
 

@@ -5,6 +5,7 @@
 
 `scenario` and `signal` may be left out: then the first scenario and its first headline signal are meant. Axes of a study that a
 figure does not show stand at their first value, or where `at` says. Intervals are 95 %. Errors are e = x - xhat.
+What each shows is found in `frames`; the page of `report` draws the same with Vega.
 """
 
 from pcbench.plots.gains import fair, trade_off

@@ -85,6 +85,11 @@ def time(result: Result, *, scenario: str | None = None, signal: str | None = No
     scenario = frames.scenario_of(result, scenario)
     signal = frames.signal_of(result, scenario, signal)
     whole = one_run.of(result.study, scenario, result.out)
+    if whole is None:
+        raise UserError(
+            f"plots.time: got no kept run of {scenario} and observers whose code is not here, expected one of the two; "
+            "run the study again from its own file."
+        )
     part = whole[whole.signal == signal]
     figure, ((ax,),) = sheet()
     look = styles(frames.rows(result, scenario, signal, "mae").observer)

@@ -19,17 +19,19 @@ from pcbench.planning import setting
 from pcbench.plants import signals_of
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells
+from pcbench.study.own_observers import is_absent
 
 KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
 POINTS = 300  # ticks that are kept
 UNIT = 1e-12  # a row of C shows a state as it is when it differs from a unit vector by less
 
 
-def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
+def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame | None:
     """Return signal, series, kind, t [s], value of one run; made where it does not stand in the folder `out`.
 
     `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, measured (as it has arrived and is
-    held; of signals that an output shows as they are) or target (of a closed loop).
+    held; of signals that an output shows as they are) or target (of a closed loop). None where it does not stand there and the
+    code of an observer of a user's own is not here.
     """
     target = None if out is None else store.target(str(out))
     name = f"examples/{scenario.replace('/', '%2F')}.parquet"
@@ -39,6 +41,8 @@ def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame:
     kept = None if found is None else parquet.whole(found)
     if kept is not None and kept.schema.metadata.get(KEY) == key:
         return kept.to_pandas()
+    if any(map(is_absent, first.own.values())):
+        return None
     made = _made(study, first)
     if target is not None:
         table = pa.Table.from_pandas(made, preserve_index=False)

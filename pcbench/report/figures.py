@@ -11,7 +11,7 @@ from pcbench import plots
 from pcbench.dataset import store
 from pcbench.dataset.result import Result
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.plots import frames
+from pcbench.plots import frames, one_run
 
 DPI = 160
 KINDS = ("svg", "png")
@@ -55,7 +55,8 @@ def drawn(result: Result, metric: str, signals: list[str] | None) -> Iterator[tu
             if len(axes) >= 2:
                 yield f"{name}-map", plots.heatmaps(result, **here)
                 yield f"{name}-winners", plots.winners(result, **here)
-            yield f"{name}-time", plots.time(result, scenario=scenario, signal=signal)
+            if one_run.of(result.study, scenario, result.out) is not None:
+                yield f"{name}-time", plots.time(result, scenario=scenario, signal=signal)
         lost = frames.rows(result, scenario, None, "divergence")
         if len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
             yield f"{head}-divergence", plots.divergence(result, scenario=scenario)

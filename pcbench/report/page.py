@@ -120,7 +120,8 @@ def _charts(result: Result, scenario: str, metric: str, signals: list[str] | Non
     run = one_run.of(result.study, scenario, result.out)
     shown = dict.fromkeys(lost.observer)
     at = chart.where(lost, [], "Shown at")
-    yield lines.time(run[run.signal == signal], list(shown), signal, units[signal], result.study.first_seed, at)
+    if run is not None:
+        yield lines.time(run[run.signal == signal], list(shown), signal, units[signal], result.study.first_seed, at)
 
 
 def _what(result: Result) -> str:

@@ -18,7 +18,9 @@ class Truth(NamedTuple):
     x0: tuple[float, ...]  # [n]
     drift: float = 0.0  # scale of the plant's parameter drift
     parameters: Mapping[str, Any] = NOTHING  # of the plant, where they differ from its own
-    process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick; empty: none
+    process_std: tuple[
+        Any, ...
+    ] = ()  # [n] of the noise added to each state at every tick, or a root [n, n] of its covariance
     unknown_input: str = ""  # name in `signals`, or one for each with commas; empty: the plant has none
 
 
@@ -30,6 +32,9 @@ class Loop(NamedTuple):
     control: Mapping[str, Any] = NOTHING  # the controller's options
     actuator_delay: float | None = None  # s, from command to plant; None: that of the measurements
     law: Any = None  # the entry of a controller of a user's own; None: the one of its name
+    command_jitter: float = 0.0  # s, a command comes up to this much later, in each run its own way
+    command_loss: float = 0.0  # probability that a command never comes: the last one is held
+    command_std: float = 0.0  # of the noise of one command
 
 
 class Sampling(NamedTuple):
@@ -57,7 +62,7 @@ class Belief(NamedTuple):
     unknown0: tuple[float, ...] = ()  # [s] at the start; empty: zeros
     unknown_std: tuple[float, ...] = ()  # [s] their typical size
     assumed_noise_std: tuple[float, ...] = ()  # [q] for channels without noise; empty: none
-    assumed_process_std: tuple[float, ...] = ()  # [n] for plants without process noise; empty: none
+    assumed_process_std: tuple[float, ...] = ()  # [n] in place of the plant's process noise; empty: as it is
     assumed_delay_error: float = 0.0  # s, samples are believed to be so much older than they are
     start_box: tuple[float, ...] = ()  # [n] a random start draws xhat(0) this close to x(0); empty: x(0), from P0
 
@@ -80,6 +85,7 @@ RECORDS = {
     "belief": Belief._fields,
     "scoring": Scoring._fields,
 }
+OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("entry", "law")  # functions, which no digest and no file holds
 
@@ -121,5 +127,8 @@ class Scenario(NamedTuple):
 
     def flat(self) -> dict[str, Any]:
         """Return every field by its name, the records' among them: what digests are made of and `study.toml` says."""
-        names = [name for name in (*self._fields, *RECORD_OF) if name not in RECORDS and name not in CODE]
+        hidden = {
+            name for name in OF_COMMANDS if not self.value(name)
+        }  # earlier folders know their cells without these
+        names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE, *hidden)]
         return {name: self.value(name) for name in names}

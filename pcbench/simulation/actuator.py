@@ -39,6 +39,12 @@ def line(delay: Delay, dt: float, rows: int, ticks: int) -> Line:
     return Line(np.where(straight, 1, n - whole), np.where(straight, 1.0, read - whole))
 
 
+def held_line(late: int, rows: int, ticks: int) -> Line:
+    """Return the line whose input over a tick is the command of `late` ticks before, for ticks -`rows` .. `ticks`."""
+    many = rows + ticks + 1
+    return Line(np.full(many, max(late, 1)), np.full(many, float(late == 0)))
+
+
 def rows_needed(delay: Delay, dt: float, ticks: int, oldest: int) -> int:
     """Return the rows of a ring from which inputs up to `oldest` ticks old can be read."""
     return oldest + int(line(delay, dt, 0, ticks).lag.max()) + 2

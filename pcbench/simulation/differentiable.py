@@ -19,7 +19,7 @@ from pcbench.simulation.events_shared import prepare, where_any
 from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.metrics import Stream
 from pcbench.simulation.problem import Layout, Problem, State
-from pcbench.simulation.start import process_noise
+from pcbench.simulation.start import drawing
 
 SMOOTH = ("mae", "mse", "rmse", "peak")  # and each of them over the tail: what a gradient can be asked of
 Streams = dict[str, Stream]
@@ -33,11 +33,11 @@ def metrics(layout: Layout, p: Problem, ticks: int, tail: int, root_seed: Array,
     """
     layout = layout._replace(watch=False)
     events, state = prepare(layout, p, root_seed, seeds)
-    happen, w = where_any(p, events), process_noise(p, root_seed, seeds)
+    happen, drawn = where_any(p, events), drawing(layout, p, root_seed, seeds)
 
     def tick(carried: tuple[State, Streams], k: Array) -> tuple[State, Streams]:
         state, late = carried
-        new, e = steps.tick(layout, p, k, state, w(k), happen, partial(steps.errors, layout, p))
+        new, e = steps.tick(layout, p, k, state, drawn(k), happen, partial(steps.errors, layout, p))
         later = over(lambda k, late, e: {o: sums.update(late[o], jnp.where(k >= tail, e[o], 0.0)) for o in e})
         return lanes.like(new, state, layout.width), lanes.like(later(k, late, e), late, layout.width)
 

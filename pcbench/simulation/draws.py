@@ -14,6 +14,7 @@ from jax import Array
 from pcbench.simulation.lanes import primitives
 
 STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "process": 5}
+STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8}
 
 
 def run_keys(root_seed: Array, seeds: Array, stream: str, channels: int) -> list[Array]:
@@ -40,6 +41,12 @@ def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1
         jax.vmap(lambda i, j=j: normals([keys[j]], jnp.array([i]))[0, 0])(jnp.arange(samples)) for j in range(channels)
     ]
     return jnp.stack(each)
+
+
+def uniform(keys: list[Array], index: Array) -> Array:
+    """Draw a uniform number in [0, 1) of sample `index` for each channel and run: [channels, L]."""
+    draw = jax.vmap(jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, index), dtype=jnp.float64)))
+    return draw(jnp.stack(keys))
 
 
 def uniforms(root_seed: Array, seeds: Array, stream: str, channel: Array, samples: int, numbers: int) -> Array:

@@ -134,7 +134,7 @@ def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
 
 
 def _noted(events: Events, k: Array, state: State, c: Chunk) -> Notes:
-    return note(events.layout, events.p, k, state._replace(memories=_taken_out(events, state.memories, c)))
+    return note(events.layout, events.p, k, _taken_out(events, state, c))
 
 
 def _deliver(events: Events, k: Array, state: State) -> State:
@@ -157,13 +157,18 @@ def _jumped(events: Events, k: Array, state: State, c: Chunk) -> Kept:
     which = _at(events.agenda.which, c.row, c.lane)
     values, notes = (ring.at[:, which % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
     packet = Packet(lanes.split(values), _unflat(notes, events.first_notes))
-    mine = _taken_out(events, state.memories, c)
-    after = jump(layout, events.p, k, state._replace(memories=mine), _row(events, k, c, which), packet)
-    return packed.put_back(state.memories, events.form.pack(lanes.like(after, mine, CHUNK)), c.lane)
+    mine = _taken_out(events, state, c)
+    after = jump(layout, events.p, k, mine, _row(events, k, c, which), packet)
+    return packed.put_back(state.memories, events.form.pack(lanes.like(after, mine.memories, CHUNK)), c.lane)
 
 
-def _taken_out(events: Events, kept: Kept, c: Chunk) -> Any:
-    return events.form.whole(packed.pick(kept, c.lane))
+def _taken_out(events: Events, state: State, c: Chunk) -> State:
+    """What observers see of some runs: their memories, and in a closed loop their commands."""
+    mine = state._replace(memories=events.form.whole(packed.pick(state.memories, c.lane)))
+    if not events.layout.controller:
+        return mine
+    commands, watches = lanes.pick((state.commands, state.watches), c.lane)
+    return mine._replace(commands=commands, watches=watches)
 
 
 def _noise(p: Problem, times: Times, root_seed: Array, seeds: Array) -> list[Array]:

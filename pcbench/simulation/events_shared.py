@@ -40,9 +40,9 @@ def where_any(p: Problem, events: Happen) -> Happen:
 
 
 def rings(layout: Layout, p: Problem, keys: list[Array], state: State) -> State:
-    """Give the network its room, with the packets on it that were taken before tick 0: they have measured the start.
+    """Make rings of ring + 1 packets, and put those on the network that were taken before tick 0: they have measured x(0).
 
-    A packet that nothing was noted for carries the note of the start (it is believed to be from before tick 0).
+    If observers believe a packet to be from before tick 0, nothing was noted for it; it carries the note of the start.
     """
     one = state.flight.values
     values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)

@@ -13,29 +13,33 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.simulation import events_per_lane, events_shared, lanes, steps
+from pcbench.simulation.closed_loop import control
+from pcbench.simulation.metrics import Weights
 from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
 from pcbench.simulation.schedule.per_lane import Times
-from pcbench.simulation.start import process_noise
+from pcbench.simulation.start import drawing
 
 
 class Events(NamedTuple):
-    """How events happen, and in what form the memories are kept between them."""
+    """What lets events happen, and how memories are packed between them."""
 
     happen: steps.Happen
     following: Callable[[Array, State], Array]  # (tick, state after its events) -> the next event's tick
-    whole: Callable[[Any], Memories] = lambda kept: kept  # as kept -> the observers' memories
-    moved: Callable[[Memories, Any], Any] = lambda memories, kept: memories  # memories after a flow, as kept -> as kept
+    whole: Callable[[Any], Memories] = lambda kept: kept  # packed -> the observers' memories
+    moved: Callable[[Memories, Any], Any] = lambda memories, kept: (
+        memories
+    )  # (after a flow, packed before it) -> packed
 
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
     """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`."""
     events, state = _events(layout, p, root_seed, seeds)
-    empty, end = {"streams": state.streams, "tracking": state.tracking}, p.windows[-1, 0]
-    w = process_noise(p, root_seed, seeds)
+    empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
+    end, drawn = p.windows[-1, 0], drawing(layout, p, root_seed, seeds)
 
     def tick(k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))
-        new = lanes.like(steps.tick(layout, p, k, full, w(k))[0], full, layout.width)
+        new = lanes.like(steps.tick(layout, p, k, full, drawn(k))[0], full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
 
     def flow(start: Array, stop: Array, state: State) -> State:
@@ -56,15 +60,17 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
 
     def window(state: State, edges: Array) -> tuple[State, Any]:
         _, state = lax.while_loop(lambda c: c[0] < edges[1], lambda c: segment(edges[1], *c), (edges[0], state))
-        return state._replace(**empty), (state.streams, state.tracking)
+        return state._replace(**empty), (state.streams, state.tracking, state.effort)
 
     state, sums = lax.scan(window, state, p.windows)
     state = state._replace(memories=events.whole(state.memories))
-    last = steps.estimate(layout, p, end, state)  # of the last tick its error is all that is needed
-    left = (last.streams, last.tracking), last.watches, steps.errors(layout, p, end, state)
+    last = steps.score(layout, p, end, state)  # of the last tick its error is all that is needed
+    if isinstance(p.weights, Weights):  # or its command, where the input counts
+        last = control(layout, p, end, last, drawn(end).command)
+    left = (last.streams, last.tracking, last.effort), last.watches, steps.errors(layout, p, end, state)
     sums, left = jax.tree.map(lambda a: lanes.whole(a, layout.width), (sums, left), is_leaf=lanes.is_lanes)
-    streams, tracking = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])
-    return Outcome(streams=streams, watches=left[1], final=left[2], tracking=tracking)
+    streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])
+    return Outcome(streams=streams, watches=left[1], final=left[2], tracking=tracking, effort=effort)
 
 
 def _events(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:

@@ -4,7 +4,7 @@ Errors are read after the jump of each tick, on ticks 0 .. N-1. Sums run over a 
 of its windows; the last is the tail).
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -24,8 +24,33 @@ class Watch(NamedTuple):
     """What is kept of one run over the whole horizon; n signals."""
 
     unsettled: Array  # [n] the tick after the last one at which |e| left its band
-    recovery: Array  # [n] ticks from a jump of the unknown input to the last exit before the next; the most of any jump
+    recovery: Array  # [n] ticks from a jump of the unknown input until |e| is in its band to stay, until the next; the largest
     first_bad: Array  # first tick at which an error was not finite or beyond the bound, or -1
+
+
+class Weights(NamedTuple):
+    """Of the cost x'Q1 x + u'Q2 u; empty where there is none and the input alone is summed."""
+
+    Q1: Any  # [n, n]
+    Q2: Any  # [m, m]
+
+
+class Effort(NamedTuple):
+    """What is kept of one run's input and cost in one window."""
+
+    cost: Array  # sum of x'Q1 x + u'Q2 u
+    square: Array  # sum of u'u
+
+
+def start_effort() -> Effort:
+    """Return the effort of an empty window."""
+    return Effort(jnp.zeros(()), jnp.zeros(()))
+
+
+def spend(effort: Effort, weights: Weights, x: Array, u: Array) -> Effort:
+    """Take the state x[n] and the input u[m] of one tick into the window."""
+    cost = x @ weights.Q1 @ x + u @ weights.Q2 @ u if np.size(weights.Q1) else jnp.zeros(())
+    return Effort(effort.cost + cost, effort.square + u @ u)
 
 
 def start(n: int) -> Stream:
@@ -70,21 +95,30 @@ def read(
     dt: float,
     jumps: bool = False,
     tracking: Stream | None = None,
+    effort: Effort | None = None,
+    costs: bool = False,
 ) -> dict[str, NDArray]:
-    """Return every metric, [n, L] each, from windows [W, n, L], all but the first in the tail, the watch, and the last e.
+    """Return every metric by name, [n, L]. Of `streams` [W, n, L] window 0 is before the tail, the others are the tail.
+
+    `final` is e of tick N-1.
 
     `settling_time` [s] is the time of the last exit from the band; a run still outside at the end is given the horizon.
     Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.
-    Of a closed loop `tracking` [W, r, L] gives the rms of set point less state, of the first r states: [r, L].
+    Of a closed loop `tracking` [W, r, L] gives the rms of set point less state, of the first r states: [r, L]; and
+    `effort` [W, L] the input's rms and, where it `costs`, the mean cost: one number a run, [1, L].
     A diverged run has NaN for every metric; `diverged` [L] and `first_bad_time` [L, s] (NaN where none) tell it apart.
     `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
     whole = Stream(streams.absolute.sum(0), streams.square.sum(0), streams.peak.max(0))
     late = Stream(streams.absolute[1:].sum(0), streams.square[1:].sum(0), streams.peak[1:].max(0))
     out: dict[str, NDArray] = {}
-    if tracking is not None:
-        for prefix, first, count in (("", 0, ticks), ("tail_", 1, ticks - tail)):
+    for prefix, first, count in (("", 0, ticks), ("tail_", 1, ticks - tail)):
+        if tracking is not None:
             out[prefix + "tracking_rmse"] = np.sqrt(np.asarray(tracking.square)[first:].sum(0) / count)
+        if effort is not None and costs:
+            out[prefix + "cost"] = np.asarray(effort.cost)[first:].sum(0)[None] / count
+        if effort is not None:
+            out[prefix + "input_rms"] = np.sqrt(np.asarray(effort.square)[first:].sum(0)[None] / count)
     for prefix, s, count in (("", whole, ticks), ("tail_", late, ticks - tail)):
         out[prefix + "mae"] = np.asarray(s.absolute) / count
         out[prefix + "mse"] = np.asarray(s.square) / count

@@ -7,7 +7,7 @@ import numpy as np
 from jax import Array
 
 from pcbench.protocols import Controller, Gains, Leaf, Memory, Now, Observer, Plant
-from pcbench.simulation import actuator, metrics
+from pcbench.simulation import actuator, metrics, network
 
 PerLane = Any  # Lanes where it differs between lanes, an Array where it does not; inside a one-lane function, an Array
 Memories = dict[str, Memory]  # by observer label, a pytree of PerLane
@@ -15,7 +15,7 @@ Notes = dict[str, PerLane]  # by observer label: [r]
 
 
 class Layout(NamedTuple):
-    """What fixes the compiled program; everything else is traced."""
+    """What is compiled into the program, with the shapes and the structure of a `Problem`, whose numbers are traced."""
 
     plant: Plant
     observers: tuple[tuple[str, Observer], ...]  # (label, functions)
@@ -29,10 +29,14 @@ class Layout(NamedTuple):
     controller: Controller | None = None  # of a closed loop, which has one observer
     commands: int = 0  # rows of the closed loop's ring of commands
     scattered: bool = False  # xhat(0) = xhat0 + scatter (2 uniform - 1) instead of xhat0
+    pending: int = 0  # commands that a network on the way to the plant has room for; 0: there is an actuator line
 
 
 class Problem(NamedTuple):
-    """The numbers of one cell: everything traced. N ticks, n states, s unknowns beside them, m inputs, q outputs."""
+    """The numbers of one cell, all traced: another cell of these shapes runs the same program.
+
+    N ticks, n states, s unknowns beside them, m inputs, q outputs.
+    """
 
     params: Any  # the plant's
     gains: dict[str, Gains]  # by observer label
@@ -46,11 +50,13 @@ class Problem(NamedTuple):
     band: Leaf  # [n + s] settling band of |e|
     bound: Leaf  # [n + s] beyond it a run has diverged
     windows: Leaf  # [W, 2] first tick and end of each window; the last is one tick, N-1
-    process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick; [0]: none
+    process_std: Leaf = np.zeros(0)  # [n] of the noise added to each state at every tick, or [n, n] a root; [0]: none
     jumps: Leaf = np.zeros(0, int)  # [J] ticks of the tail at which the unknown input jumps
     control: Any = ()  # the controller's numbers
     line: actuator.Line = actuator.NONE
     scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
+    network: Any = ()  # network.Numbers, where commands are sent over one
+    weights: Any = ()  # metrics.Weights of a closed loop whose input and cost are summed
 
 
 class Packet(NamedTuple):
@@ -69,8 +75,10 @@ class State(NamedTuple):
     flight: Any  # packets on the network, in rings: `events_shared` and `events_per_lane` have their own
     streams: dict[str, metrics.Stream]
     watches: dict[str, metrics.Watch]
-    commands: Any = ()  # [R, m] of a closed loop
+    commands: Any = ()  # [R, m] of a closed loop; network.Commands where they are sent over a network
     tracking: Any = ()  # metrics.Stream of the set point less the state, in a closed loop
+    law: Any = ()  # what the controller keeps
+    effort: Any = ()  # metrics.Effort of a closed loop
 
 
 class Outcome(NamedTuple):
@@ -80,6 +88,7 @@ class Outcome(NamedTuple):
     watches: dict[str, metrics.Watch]  # [n, L]
     final: dict[str, Array]  # [n, L] the error at tick N-1
     tracking: Any = ()  # Stream [W, r, L] of a closed loop
+    effort: Any = ()  # Effort [W, L] of a closed loop
 
 
 def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
@@ -89,9 +98,12 @@ def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
     """
 
     def past_u(age: Array) -> Array:
+        newest = k if decided else k - 1
+        if isinstance(commands, network.Commands):
+            return network.applied(commands, k - age, newest)
         if isinstance(commands, tuple):
             return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
-        return actuator.read(p.line, commands, k - age, k if decided else k - 1)
+        return actuator.read(p.line, commands, k - age, newest)
 
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 

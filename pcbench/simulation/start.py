@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.simulation import draws, lanes, metrics, steps
+from pcbench.simulation import draws, lanes, metrics, network, steps
 from pcbench.simulation.closed_loop import before
 from pcbench.simulation.lanes import table
 from pcbench.simulation.lanes.entrywise import over
@@ -16,10 +16,15 @@ from pcbench.simulation.schedule.per_lane import Times
 from pcbench.simulation.steps import Row
 
 
-def process_noise(p: Problem, root_seed: Array, seeds: Array) -> Callable[[Array], PerLane]:
-    """Return what draws the process noise of tick k, a standard normal for each state; nothing where there is none."""
+def drawing(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Callable[[Array], steps.Drawn]:
+    """Return what draws the noise of tick k: of the process, a standard normal for each state; of a network's commands."""
     keys = draws.run_keys(root_seed, seeds, "process", p.process_std.shape[0])
-    return lambda k: lanes.split(draws.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
+    sent = network.drawing(p.network, root_seed, seeds) if layout.pending else lambda k: ()
+
+    def process(k: Array) -> PerLane:
+        return lanes.split(draws.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
+
+    return lambda k: steps.Drawn(process(k), sent(k))
 
 
 def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
@@ -29,7 +34,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     """
     k = jnp.asarray(0)
     memories = _memories(layout, p, root_seed, seeds)
-    commands, tracking = before(layout, p, memories)
+    loop = before(layout, p, memories)
     state = State(
         x=_plant(layout, p, root_seed, seeds),
         drawn=_drawn(layout, root_seed, seeds),
@@ -37,8 +42,10 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
         flight=(),
         streams={},
         watches={},
-        commands=commands,
-        tracking=tracking,
+        commands=loop.commands,
+        tracking=loop.tracking,
+        law=loop.law,
+        effort=loop.effort,
     )
     size = {label: found.shape[0] for label, found in steps.estimates(layout, p, state).items()}
     state = state._replace(
@@ -47,9 +54,9 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
         watches={label: metrics.start_watch(many) for label, many in size.items()} if layout.watch else {},
     )
     ready = jax.tree.map(lambda x: x if lanes.is_lanes(x) else jnp.asarray(x), state, is_leaf=lanes.is_lanes)
-    w, happen = process_noise(p, root_seed, seeds)(k), _everything(layout, p)
-    ready = ready._replace(commands=table(ready.commands))
-    return lanes.settle(lambda state: steps.tick(layout, p, k, state, w, happen)[0], ready, layout.width)
+    drawn, happen = drawing(layout, p, root_seed, seeds)(k), _everything(layout, p)
+    ready = ready._replace(commands=network.tabled(ready.commands) if layout.pending else table(ready.commands))
+    return lanes.settle(lambda state: steps.tick(layout, p, k, state, drawn, happen)[0], ready, layout.width)
 
 
 def _plant(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:
@@ -79,7 +86,7 @@ def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any
 
 
 def _everything(layout: Layout, p: Problem) -> steps.Happen:
-    """All that can happen at a tick, at once: what it makes different between lanes is to be kept per lane."""
+    """An event that measures, notes and jumps: `settle` traces a tick with it to find what differs between lanes."""
     q = p.noise_std.shape[0]
     noise = lanes.split(jnp.zeros((q, layout.width)))
     random = isinstance(p.schedule, Times)

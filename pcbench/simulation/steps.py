@@ -1,8 +1,8 @@
 """The steps of a tick, in their order: sense, deliver, estimate, control, flow; and `tick`, which takes them.
 
 Plant and observers are one-lane functions carried over the lanes by `lanes.entrywise`. At which ticks something is sensed or
-delivered say `events_shared` and `events_per_lane`. Observers share a plant in an open loop; in a closed loop there is one,
-with a plant of its own (`closed_loop`).
+delivered say `events_shared` and `events_per_lane`. In an open loop all observers watch one plant. A closed loop
+simulates a single observer, which drives a plant of its own (`closed_loop`).
 """
 
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from jax import Array
 from pcbench.dynamics.integrate import rk4
 from pcbench.protocols import Arrival, Memory, Now
 from pcbench.simulation import metrics
-from pcbench.simulation.closed_loop import control, off_target, unless_diverged
+from pcbench.simulation.closed_loop import control, off_target, pushed, unless_diverged
 from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.problem import (
     Layout,
@@ -32,6 +32,13 @@ Happen = Callable[[Array, State], State]  # (tick, state) -> state after all tha
 Read = Callable[[Array, State], Any]  # (tick, state) -> what is to be kept of it
 
 
+class Drawn(NamedTuple):
+    """What every run draws at a tick, whatever happens."""
+
+    process: PerLane  # [n] noise of the state before scaling; [0]: none
+    command: Any = ()  # network.Drawn, of a loop with a network
+
+
 class Row(NamedTuple):
     """What is known of an arrival besides what it brings; q outputs."""
 
@@ -42,22 +49,23 @@ class Row(NamedTuple):
 
 
 def nothing(k: Array, state: State) -> State:
-    """Happen not: at ticks between events nothing is sensed or delivered."""
+    """Return the state unchanged: the `happen` of a tick without events."""
     return state
 
 
 def tick(
-    layout: Layout, p: Problem, k: Array, state: State, w: PerLane, happen: Happen = nothing, read: Read | None = None
+    layout: Layout, p: Problem, k: Array, state: State, drawn: Drawn, happen: Happen = nothing, read: Read | None = None
 ) -> tuple[State, Any]:
     """Return the state at tick k + 1, and what `read` finds at tick k once its command is given.
 
-    This is the order of events, for every kind of run. `w` [n] is the tick's process noise before scaling; [0]: none.
+    This is the order of events. Recorded and differentiated runs pass `happen`; `loop.simulate` lets events happen itself where
+    there are any, and takes the ticks from there to the next without.
     """
     state = happen(k, state)  # 1. sense, 2. deliver
-    state = estimate(layout, p, k, state)  # 3.
-    state = control(layout, p, k, state)  # 4.
+    state = score(layout, p, k, state)  # 3. estimate
+    state = control(layout, p, k, state, drawn.command)  # 4. control
     seen = read(k, state) if read else None
-    return flow(layout, p, k, state, w), seen  # 5.
+    return flow(layout, p, k, state, drawn.process), seen  # 5. flow
 
 
 # 1. sense
@@ -132,8 +140,8 @@ def errors(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, PerL
     return subtract(actual(layout, p, k, state), estimates(layout, p, state))
 
 
-def estimate(layout: Layout, p: Problem, k: Array, state: State) -> State:
-    """Take the error at tick k into streams and watches, and in a closed loop what is off the set point."""
+def score(layout: Layout, p: Problem, k: Array, state: State) -> State:
+    """Take the error of every estimate at tick k into streams and watches, and in a closed loop what is off the set point."""
 
     def one_lane(k: Array, e: dict[str, Array], streams: Any, watches: Any, tracking: Any, x: Array) -> Any:
         if layout.controller:
@@ -156,11 +164,11 @@ def flow(layout: Layout, p: Problem, k: Array, state: State, w: PerLane) -> Stat
     def one_lane(k: Array, x: Array, drawn: Any, memories: Memories, watches: Any, commands: Any, w: Array) -> Any:
         now, params = present(p, k, True, commands), params_of(layout, p, drawn)
         if layout.continuous:
-            moved, flowed = _together(layout, p, params, now, x, memories)
+            moved, flowed = _together(layout, p, params, now, x, memories, commands)
         else:
-            moved = layout.plant.step(params, now, x)
+            moved = layout.plant.step(params, pushed(now, commands), x)
             flowed = {label: o.flow(p.gains[label], memories[label], now) for label, o in layout.observers}
-        moved = moved + p.process_std * w if w.size else moved
+        moved = moved + _scaled(p.process_std, w) if w.size else moved
         if layout.controller:
             return unless_diverged(watches, (moved, flowed), (x, memories))
         return moved, flowed
@@ -170,8 +178,13 @@ def flow(layout: Layout, p: Problem, k: Array, state: State, w: PerLane) -> Stat
     return state._replace(x=x, memories=memories)
 
 
+def _scaled(std: Any, w: Array) -> Array:
+    """Process noise [n] of the standard deviations std [n], or of the root std [n, n] of its covariance."""
+    return std @ w if std.ndim == 2 else std * w
+
+
 def _together(
-    layout: Layout, p: Problem, params: Any, now: Now, x: Array, memories: Memories
+    layout: Layout, p: Problem, params: Any, now: Now, x: Array, memories: Memories, commands: Any
 ) -> tuple[Array, Memories]:
     """Move plant and observers by one tick as one field: at every stage the observers see y of that stage."""
     plant_field: Any = layout.plant.field
@@ -180,6 +193,6 @@ def _together(
         there, (x, memories) = now._replace(t=t), z
         y = layout.plant.output(params, there, x)
         rates = {label: o.field(p.gains[label], memories[label], there, y) for label, o in layout.observers if o.field}
-        return plant_field(params, there, x), rates
+        return plant_field(params, pushed(there, commands), x), rates
 
     return rk4(field, now.t, (x, memories), now.dt)

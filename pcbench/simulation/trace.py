@@ -14,7 +14,7 @@ from pcbench.simulation import lanes
 from pcbench.simulation.closed_loop import aims, held
 from pcbench.simulation.events_shared import Shift, prepare, where_any
 from pcbench.simulation.problem import Layout, PerLane, Problem, State
-from pcbench.simulation.start import process_noise
+from pcbench.simulation.start import drawing
 from pcbench.simulation.steps import actual, estimates, tick
 
 
@@ -32,7 +32,7 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
     """Record one run tick by tick, tick N included; with a `shift`, on packets that are changed by it."""
     layout = layout._replace(width=1)
     events, state = prepare(layout, p, root_seed, seed[None], shift)
-    happen, w = where_any(p, events), process_noise(p, root_seed, seed[None])
+    happen, drawn = where_any(p, events), drawing(layout, p, root_seed, seed[None])
 
     def read(k: Array, state: State) -> Recording:
         return Recording(
@@ -44,7 +44,7 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
         )
 
     def step(state: State, k: Array) -> tuple[State, Recording]:
-        new, row = tick(layout, p, k, state, w(k), happen, read)
+        new, row = tick(layout, p, k, state, drawn(k), happen, read)
         return lanes.like(new, state, 1), row
 
     _, out = lax.scan(step, state, jnp.arange(p.schedule.event.shape[0]))

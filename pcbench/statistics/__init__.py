@@ -2,7 +2,8 @@
 
 The face of the modules below, each one idea:
 `moments` (means in parts), `estimates` (intervals of means and of fractions), `selection` (order statistics in two passes),
-`order_statistics` (their intervals), `description` (rows of `stats`), `comparison` (tests), `pairing` (rows of `pairs`).
+`order_statistics` (their intervals), `stack` (which metrics there are), `description` (rows of `stats`), `comparison` (tests),
+`pairing` (rows of `pairs`), `winning` (who wins on a map), `wording` (numbers as a person reads them).
 
 All intervals are 95 % over seeds. Diverged runs are counted, never averaged. Where the runs do not vary (no noise) an
 interval has no width and there is no test: p is NaN. Runs come in chunks, any number of them; what is kept of them does not
@@ -19,10 +20,10 @@ from pcbench.statistics.estimates import Z95, positive, reached, root, student, 
 from pcbench.statistics.moments import Values, moments
 from pcbench.statistics.order_statistics import COLUMNS, QUANTILES, positions, ranks, read
 from pcbench.statistics.pairing import ZERO, Meeting, Pair, meet, verdict, verdicts
-from pcbench.statistics.stack import CHUNK, COMPARED, POOLED, RUN_METRICS, Chunks, Results, stack
+from pcbench.statistics.stack import CHUNK, COMPARED, OF_RUN, POOLED, RUN_METRICS, Chunks, Results, stack
 
 __all__ = [
-    "CHUNK", "COLUMNS", "COMPARED", "POOLED", "QUANTILES", "RUN_METRICS", "SAME", "SEEN", "Z95", "ZERO",
+    "CHUNK", "COLUMNS", "COMPARED", "OF_RUN", "POOLED", "QUANTILES", "RUN_METRICS", "SAME", "SEEN", "Z95", "ZERO",
     "Chunks", "Results", "Row", "Values",
     "compare", "compared", "describe", "efficiency", "fraction", "holm", "mean", "pairs", "pooled", "quantiles",
     "size", "summarise",

@@ -12,7 +12,14 @@ RUN_METRICS = (
     *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
     *("tail_mae", "tail_rmse", "tail_mse", "tail_peak"),
     *("tracking_rmse", "tail_tracking_rmse"),
+    *("cost", "tail_cost", "input_rms", "tail_input_rms"),
 )  # recovery_time where an unknown input jumps, tracking_* of what a controller is to lead along a path
+OF_RUN = (
+    "cost",
+    "tail_cost",
+    "input_rms",
+    "tail_input_rms",
+)  # of a closed loop, one number a run: with its first signal
 SIGNED = ("final",)  # an error with its sign: all others cannot be negative
 COMPARED = tuple(m for m in RUN_METRICS if m not in SIGNED)  # a signed error is neither better nor worse
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}

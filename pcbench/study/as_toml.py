@@ -8,6 +8,7 @@ import tomli_w
 
 from pcbench.study import Study, choices_of, scenarios_of
 from pcbench.study.cells import Cell, numbering
+from pcbench.study.names import own_in
 
 
 def resolved(study: Study, every: list[Cell]) -> dict[str, Any]:
@@ -20,12 +21,21 @@ def resolved(study: Study, every: list[Cell]) -> dict[str, Any]:
     scenarios = {s: _without_null(json.loads(json.dumps(known[s].flat(), default=dict))) for s in study.scenarios}
     ran_by = {s: list(options[s]) for s in study.scenarios}
     said = {"options": options, "scenarios": scenarios, "observers": ran_by, "cells": numbering(every)}
+    if digests := {label: mine.code.digest for label in study.use if (mine := own_in(study, label))}:
+        said["code"] = digests
     return as_dict(study) | {"resolved": said}
 
 
 def as_dict(study: Study) -> dict[str, Any]:
     """Return a study as it can be run again; its tuning is left out, by now its gains are options like any others."""
-    return study.model_dump(exclude_none=True, exclude={"tuning", "tune"})
+    said = study.model_dump(exclude_none=True, exclude={"tuning", "tune", "use"})
+    return said | {"use": {label: _reference(study, label) for label in study.use}} if study.use else said
+
+
+def _reference(study: Study, label: str) -> str:
+    """MODULE:NAME as the dataset has it, with its own copy of a file."""
+    mine = own_in(study, label)
+    return mine.code.reference if mine else study.use[label]
 
 
 def _without_null(scenario: dict[str, Any]) -> dict[str, Any]:

@@ -14,16 +14,32 @@ from pcbench.simulation.schedule.sampling import PROFILES
 SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
-TIMES = ("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error")  # whole ticks
+STATES = ("process_std",)  # one value, or one for each state; a column of the tables only where it is an axis
+TIMES = (  # whole ticks
+    *("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error"),
+    "command_jitter",
+)
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
-AXES = (*CHANNELS, "drift", "profile", "jitter", "delay_jitter", "loss", "assumed_delay_error", "actuator_delay")
+AXES = (
+    *CHANNELS,
+    "drift",
+    "profile",
+    "jitter",
+    "delay_jitter",
+    "loss",
+    "assumed_delay_error",
+    "actuator_delay",
+    *STATES,
+)
+COMMANDS = ("command_jitter", "command_loss", "command_std")  # axes of loops that a study closes
 
 
 def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
     parameters = [f"plant.{p}" for p in parameters_of(entry_of(base))]
-    if name not in AXES and name not in parameters:
-        raise unknown(where, f"axis of {base.name}", name, [*AXES, *parameters])
+    known = [*axes_of(base), *parameters]
+    if name not in known:
+        raise unknown(where, f"axis of {base.name}", name, known)
     if not values:
         raise UserError(f"{where}: got an empty list, expected at least one value; leave the axis out or fill it.")
     out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
@@ -32,11 +48,16 @@ def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value
     return out
 
 
+def axes_of(s: Scenario) -> tuple[str, ...]:
+    """Return the axes that a scenario has, beside its plant's parameters."""
+    return (*AXES, *COMMANDS) if s.loop.controller not in ("", "pd") else AXES
+
+
 def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
     if name == "profile":
         return _profile(value, base, where)
-    if name not in CHANNELS:
+    if name not in (*CHANNELS, *STATES):
         least = None if name in ("drift", "assumed_delay_error") or name.startswith("plant.") else 0.0
         n = number(value, where, least)
         if name in TIMES:
@@ -45,21 +66,19 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
             raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
         if name.removeprefix("plant.") in entry_of(base).signs and abs(n) != 1:
             raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
-        if name == "loss" and n > 1:
+        if name in ("loss", "command_loss") and n > 1:
             raise UserError(
                 f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."
             )
         return n
-    channels = len(base.sampling.delay)
-    each = value if isinstance(value, list) else [value] * channels
-    if len(each) != channels:
-        raise UserError(
-            f"{where}: got {len(each)} values, expected one or {channels} (a value for each output channel)."
-        )
+    many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
+    each = value if isinstance(value, list) else [value] * many
+    if len(each) != many:
+        raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
     if name == "delay" and isinstance(value, str):
         if value != INTERVAL:
             raise UserError(f"{where}: got {shown(value)}, expected seconds or '{INTERVAL}' (one sampling interval).")
-        return (INTERVAL,) * channels
+        return (INTERVAL,) * many
     numbers = [number(v, where, least=0.0) for v in each]
     if name in TIMES:
         for v in numbers:

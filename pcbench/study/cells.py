@@ -9,10 +9,13 @@ from typing import Any, NamedTuple
 from pydantic import BaseModel
 
 from pcbench.errors import UserError
+from pcbench.observers import Entry, entry_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
-from pcbench.study.axes import AXES
+from pcbench.study.axes import axes_of
+from pcbench.study.names import own_in
+from pcbench.study.own_observers import OwnObserver
 from pcbench.study.times import Timing, times_of, whole
 
 
@@ -26,6 +29,7 @@ class Cell(NamedTuple):
     choices: Choices
     times: Timing
     options: dict[str, BaseModel]  # by label of its observers, checked and complete
+    own: dict[str, OwnObserver]  # by label, of those that are the user's own
     told: dict[str, str]  # by label, the digest of those
     digest: str  # of all that decides its numbers except its observers; empty: it belongs to no study
 
@@ -33,6 +37,10 @@ class Cell(NamedTuple):
     def key(self) -> tuple[str, int]:
         """Return its scenario's name and its number: what a study knows it by."""
         return self.scenario.name, self.number
+
+    def entry(self, label: str) -> Entry:
+        """Return the entry of an observer, one of the study's own or pcbench's."""
+        return self.own[label].entry if label in self.own else entry_of(label)
 
     def having(self, **changes: Any) -> "Cell":
         """Return the cell with fields of its scenario changed, and its times with them; it belongs to no study then."""
@@ -63,6 +71,7 @@ def cell_of(
         choices=choices or Choices(),
         times=times_of(scenario),
         options={},
+        own={},
         told={},
         digest="",
     )
@@ -75,10 +84,11 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     limits.require_few_cells(math.prod(len(values) for values in axes.values()), whole(base.horizon, base), where)
     choices, out, apart = choices_of(study), [], channels_apart(study)
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
-    digests = {o: told(each) for o, each in options.items()}
+    mine = {o: found for o in options if (found := own_in(study, o))}
+    digests = {o: told(each, mine.get(o)) for o, each in options.items()}
     for index, point in enumerate(itertools.product(*axes.values())):
         given = dict(zip(axes, point, strict=True))
-        fields = {k: v for k, v in given.items() if k in AXES}
+        fields = {k: v for k, v in given.items() if k in axes_of(base)} | _told_too(given, base)
         changed = base.having(**fields, input=choices.input or base.loop.input)
         if choices.unknown_input:
             if not base.truth.unknown_input:
@@ -89,12 +99,22 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
             changed = changed.having(unknown_input=choices.unknown_input)
         _of_the_loop(changed, choices, where)
         fits.fits(changed, where if where == scenario else f"{where}: {scenario}")
-        values = {name: axis.plain(name, changed.value(name), name in apart) for name in AXES}
+        values = {
+            name: axis.plain(name, changed.value(name), name in apart)
+            for name in axes_of(base)
+            if name in given or name not in axis.STATES
+        }
         parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
         cell = cell_of(changed, index, values, dict(base.truth.parameters) | parameters, choices)
-        out.append(cell._replace(options=options, told=digests, digest=identity(cell, study.root_seed)))
+        out.append(cell._replace(options=options, own=mine, told=digests, digest=identity(cell, study.root_seed)))
     return out
+
+
+def _told_too(given: dict[str, Any], base: Scenario) -> dict[str, Any]:
+    """Process noise of a cell that designers are told as it is, where they are told the scenario's own as it is."""
+    told = "process_std" in given and base.belief.assumed_process_std == base.truth.process_std
+    return {"assumed_process_std": given["process_std"]} if told else {}
 
 
 def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
@@ -104,6 +124,11 @@ def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
         raise UserError(
             f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, where no controller gives "
             "commands, expected a closed loop such as helicopter/constant; leave it out."
+        )
+    if given and s.loop.controller != "pd":
+        raise UserError(
+            f"{where}: options.scenario.{given[0]}: got {choices.loop()[given[0]]!r} for {s.name}, whose loop is closed by "
+            f"{s.loop.controller}, expected pd, which alone has it; leave it out."
         )
     if choices.input and s.loop.controller:
         raise UserError(
@@ -115,7 +140,7 @@ def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
 def channels_apart(study: Study) -> set[str]:
     """Return the axes whose channels differ in some cell of a study: in its tables every cell has a list there."""
     known, out = scenarios_of(study), set()
-    for name in axis.CHANNELS:
+    for name in (*axis.CHANNELS, *axis.STATES):
         given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
         if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
             out.add(name)
@@ -135,8 +160,10 @@ def identity(cell: Cell, root_seed: int) -> str:
     return _hashed(said)[:16]
 
 
-def told(options: BaseModel) -> str:
-    """Return the digest of an observer's options, which together with the cell decide its numbers."""
+def told(options: BaseModel, own: OwnObserver | None = None) -> str:
+    """Return the digest of an observer's options, and of its code where it is a user's own: what else decides its numbers."""
+    if own:
+        return _hashed([options.model_dump(exclude_none=True), own.code.digest])[:16]
     return _hashed(options.model_dump())[:16]
 
 

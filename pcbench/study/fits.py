@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from pcbench.errors import UserError
-from pcbench.observers import OBSERVERS, entry_of
+from pcbench.observers import OBSERVERS, Entry
 from pcbench.plants import entry_of as plant_of
 from pcbench.plants import nonlinear, numbers_of, states_of
 from pcbench.scenarios import INTERVAL, Scenario
@@ -73,6 +73,8 @@ def _loop(s: Scenario, where: str) -> None:
                 "expected a closed loop such as helicopter/constant; leave it out."
             )
         return
+    if not measured.early:  # of a loop for any plant: its sampler is any, its commands have a delay of their own
+        return
     if measured.jitter or measured.delay_jitter or measured.loss or measured.profile == "uniform":
         raise UserError(
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
@@ -122,21 +124,21 @@ def _at_rest(label: str, s: Scenario, where: str) -> bool:
     return True
 
 
-def works_on(label: str, s: Scenario, where: str) -> None:
+def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
     """Raise UserError where an observer cannot work on a scenario's schedule."""
-    if nonlinear(s) and not entry_of(label).nonlinear and not _at_rest(label, s, where):
-        able = ", ".join(name for name, entry in OBSERVERS.items() if entry.nonlinear)
+    if nonlinear(s) and not entry.nonlinear and not _at_rest(label, s, where):
+        able = ", ".join(name for name, each in OBSERVERS.items() if each.nonlinear)
         raise UserError(
             f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} "
             f"out, or take one of {able}."
         )
-    if s.sampling.continuous and entry_of(label).observer.field is None:
-        able = ", ".join(name for name, entry in OBSERVERS.items() if entry.observer.field)
+    if s.sampling.continuous and entry.observer.field is None:
+        able = ", ".join(name for name, each in OBSERVERS.items() if each.observer.field)
         raise UserError(
             f"{where}: {label} in {s.name} got continuous measurements, expected samples: it is no vector field; leave {label} "
             f"out, take one of {able}, or a scenario that samples."
         )
-    takes, found, measured = entry_of(label).takes, clocks(s), s.sampling
+    takes, found, measured = entry.takes, clocks(s), s.sampling
     follows = INTERVAL in measured.delay and (measured.profile != "periodic" or measured.jitter > 0)
     if takes == "one constant delay" and (measured.delay_jitter or follows):
         spread = measured.delay_jitter

@@ -1,45 +1,26 @@
 """A study's own linear plant, `[lti]`: matrices with the experiment on them, checked and turned into a scenario."""
 
-import re
 from collections.abc import Iterable
-from typing import Annotated, Any
 
-import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict, ValidationInfo
+from pydantic import BaseModel, ConfigDict, Field
 
-from pcbench.errors import UserError, short, shown, unknown
+from pcbench.errors import UserError, shown, unknown
 from pcbench.scenarios import Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import SIGNALS, SINGLE
 from pcbench.study import axes, limits
-
-LEAST = 1e-100  # a number is 0 or at least this, so that its square is not 0
-# powers of ten by which a plant may grow over its horizon, so that powers of its map, up to the eighth, stay finite
-GROWTH = 30
-MOST = 50  # states, inputs, outputs or unknown inputs
-
-
-def _told_from_zero(number: float) -> float:
-    if 0 < abs(number) < LEAST:
-        raise ValueError(f"0 or a number of at least {LEAST:g} in size")
-    return number
-
-
-Bounded = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST)]  # Strict: no text, no true or false
-Number = Annotated[Bounded, AfterValidator(_told_from_zero)]
-Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
-Size = Annotated[Number, Field(ge=0)]
-
-
-def _rows(given: Any, info: ValidationInfo) -> Any:
-    """Refuse a flat list of numbers, saying how it is written as a matrix: a column for each input, a row for each output."""
-    if isinstance(given, list) and given and not any(isinstance(each, list) for each in given):
-        rows = [[each] for each in given] if info.field_name in ("B", "E") else [given]
-        raise ValueError(f"a list of rows; write {rows}")
-    return given
-
-
-Rows = Annotated[list[list[Number]], BeforeValidator(_rows)]
-PerChannel = Number | list[Number]
+from pcbench.study.lti_noise import Intensity, process_noise
+from pcbench.study.lti_shapes import (
+    Number,
+    PerChannel,
+    PerState,
+    Positive,
+    Rows,
+    Size,
+    dimensions,
+    require_slow,
+    signals,
+    vector,
+)
 
 
 class Lti(BaseModel):
@@ -57,6 +38,16 @@ class Lti(BaseModel):
     sampling_period: PerChannel = Field(description="[s], one or one for each output")
     delay: PerChannel | str = Field(description="[s], one or one for each output, or 'interval'")
     noise_std: PerChannel = Field(description="of one sample, one or one for each output")
+    process_std: PerState | None = Field(
+        None, description="of the noise added at every tick, one for all states or one for each; default: none"
+    )
+    G: Rows | None = Field(None, description="[n, g] how process noise enters; default: each state has its own")
+    QN: Intensity | None = Field(
+        None, description="of the process noise, [g, g], a number for each, or one: intensity [1/s]; with dt, a tick's"
+    )
+    assumed_process_std: PerState | None = Field(
+        None, description="what designers assume in place of the process noise that there is"
+    )
     input: str = Field("sine", description="a signal's name for all inputs, or one for each, with commas")
     unknown_input: str | None = Field(
         None, description="a signal's name for all, or one for each, with commas; default: sine"
@@ -79,14 +70,14 @@ class Lti(BaseModel):
 
     def scenario(self, name: str, where: str) -> Scenario:
         """Return the experiment as a scenario; raise UserError naming the key that does not fit."""
-        n, m, q = _shapes(self, where)
+        n, m, q = dimensions(self, where)
         if self.dt is not None and self.tick not in (None, self.dt):
             raise UserError(
                 f"{where}: got a discrete plant of dt = {self.dt:g} s and a tick of {self.tick:g} s, expected the same; "
                 f"leave tick out, or discretise the plant at {self.tick:g} s."
             )
         r = len(self.E[0]) if self.E else 0
-        signals = _named(self.input, SIGNALS, m, "inputs", f"{where}.input")
+        given_input = _named(self.input, SIGNALS, m, "inputs", f"{where}.input")
         if self.unknown_input is not None and not r:
             raise UserError(
                 f"{where}.unknown_input: got {shown(self.unknown_input)} without E, expected E [n, r] beside it."
@@ -94,10 +85,10 @@ class Lti(BaseModel):
         pushing = (
             _named(self.unknown_input or "sine", SINGLE, r, "unknown inputs", f"{where}.unknown_input") if r else []
         )
-        x0, xhat0 = _vector(self.x0, 1.0, n, f"{where}.x0"), _vector(self.xhat0, 0.0, n, f"{where}.xhat0")
+        x0, xhat0 = vector(self.x0, 1.0, n, f"{where}.x0"), vector(self.xhat0, 0.0, n, f"{where}.xhat0")
         apart = [abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=True)]
-        prior = _vector(self.prior_std, apart, n, f"{where}.prior_std")
-        size = _vector(self.unknown_std, 1.0, r, f"{where}.unknown_std", "unknown input")
+        prior = vector(self.prior_std, apart, n, f"{where}.prior_std")
+        size = vector(self.unknown_std, 1.0, r, f"{where}.unknown_std", "unknown input")
         if any(one < axes.SMALLEST for one in size):
             raise UserError(
                 f"{where}.unknown_std: got {shown(size)}, expected sizes greater than 0; write how large the input is."
@@ -107,30 +98,37 @@ class Lti(BaseModel):
         tick = self.dt or self.tick or 1e-3
         ticks = limits.ticks_of(self.horizon, tick, where)
         unknowns = tuple(("input" if r == 1 else f"input{i + 1}", "1") for i in range(r))
-        states = _signals(self.states, n, f"{where}.states")
+        states = signals(self.states, n, f"{where}.states")
         for signal, _ in unknowns:
             if signal in dict(states):
                 raise UserError(
                     f"{where}.states: got a state called '{signal}', expected another name (the unknown input has it)."
                 )
-        _require_slow(self, ticks, tick, where)
+        require_slow(self.A, self.dt is not None, ticks, tick, where)
         base = Scenario(
             name=name,
             summary="a plant of one's own",
             source="the study",
             plant="lti",
             observers=tuple(self.observers),
-            truth=Truth(x0=tuple(x0), unknown_input=", ".join(pushing)),
-            loop=Loop(input=", ".join(signals)),
+            truth=Truth(
+                x0=tuple(x0),
+                process_std=process_noise(self, tick, f"{where}"),
+                unknown_input=", ".join(pushing),
+            ),
+            loop=Loop(input=", ".join(given_input)),
             sampling=Sampling(sampling_period=(tick,) * q, delay=(0.0,) * q, noise_std=(0.0,) * q),
             belief=Belief(
                 xhat0=tuple(xhat0),
                 prior_std=tuple(prior),
                 model={key: getattr(self, key) for key in "ABCDE"} | {"discrete": self.dt is not None},
                 unknown_std=tuple(size),
+                assumed_process_std=tuple(vector(self.assumed_process_std, [], n, f"{where}.assumed_process_std"))
+                if self.assumed_process_std is not None
+                else (),
             ),
             scoring=Scoring(
-                settle_band=tuple(_vector(self.settle_band, band, n + r, f"{where}.settle_band", "signal")),
+                settle_band=tuple(vector(self.settle_band, band, n + r, f"{where}.settle_band", "signal")),
                 bound=self.bound,
                 tail=round(tail / tick) * tick,
                 signals=states,
@@ -142,43 +140,8 @@ class Lti(BaseModel):
         )
         if not 0 <= base.scoring.tail < base.horizon:
             raise UserError(f"{where}.tail: got {tail:g} s, expected less than the horizon of {self.horizon:g} s.")
-        given = {f: getattr(self, f) for f in axes.AXES if f in type(self).model_fields}
+        given = {f: getattr(self, f) for f in axes.AXES if f in type(self).model_fields and f not in axes.STATES}
         return base.having(**{f: axes.point(f, v, base, f"{where}.{f}") for f, v in given.items()})
-
-
-def _shapes(lti: Lti, where: str) -> tuple[int, int, int]:
-    """Return n, m, q; raise UserError naming the matrix whose shape does not fit."""
-    n, m, q, r = len(lti.A), len((lti.B or [[]])[0]), len(lti.C), len((lti.E or [[]])[0])
-    shapes = {"A": (n, n), "B": (n, m), "C": (q, n), "D": (q, m), "E": (n, max(r, 1))}
-    if max(n, m, q, r) > MOST:
-        raise UserError(
-            f"{where}: got {n} states, {m} inputs, {q} outputs and {r} unknown inputs, expected at most {MOST} of each; reduce "
-            "the model."
-        )
-    for name, shape in shapes.items():
-        rows = getattr(lti, name)
-        if rows is None:
-            continue
-        lengths = [len(row) for row in rows]
-        widths = sorted(set(lengths)) or [0]
-        if 0 in shape or len(rows) != shape[0] or widths != [shape[1]]:
-            got = f"{len(rows)} x {widths[0]}" if len(widths) == 1 else f"rows of lengths {shown(lengths)}"
-            raise UserError(
-                f"{where}.{name}: got {got}, expected {max(shape[0], 1)} x {max(shape[1], 1)} ({n} states, {m} inputs, "
-                f"{q} outputs" + (f", {r} unknown inputs)." if lti.E is not None else ").")
-            )
-    return n, m, q
-
-
-def _require_slow(lti: Lti, ticks: int, tick: float, where: str) -> None:
-    """Raise UserError where the plant grows so much over its horizon that its map cannot be computed."""
-    modes = np.linalg.eigvals(np.array(lti.A, float))
-    rate = float(np.log10(max(np.abs(modes).max(), LEAST)) if lti.dt else modes.real.max() * tick / np.log(10))
-    if rate * ticks > GROWTH:
-        raise UserError(
-            f"{where}.A: got a plant that grows by 1e{rate * ticks:.0f} over the horizon of {ticks * tick:g} s, expected "
-            f"at most 1e{GROWTH}; shorten the horizon to {GROWTH / rate * tick:.2g} s."
-        )
 
 
 def _named(text: str, valid: Iterable[str], many: int, what: str, where: str) -> list[str]:
@@ -190,30 +153,3 @@ def _named(text: str, valid: Iterable[str], many: int, what: str, where: str) ->
     if len(names) not in (1, many):
         raise UserError(f"{where}: got {len(names)} signals, expected one, or one for each of {many} {what}.")
     return names
-
-
-def _vector(given: list[float] | None, default: Any, n: int, where: str, what: str = "state") -> list[float]:
-    if given is None:
-        return list(np.broadcast_to(np.asarray(default, float), n))
-    if len(given) != n:
-        raise UserError(f"{where}: got {len(given)} numbers, expected {n}, one for each {what}.")
-    return given
-
-
-def _signals(states: list[str] | None, n: int, where: str) -> tuple[tuple[str, str], ...]:
-    """State names and units from texts such as "angle [rad]"."""
-    if states is None:
-        return tuple((f"x{i + 1}", "1") for i in range(n))
-    if len(states) != n:
-        raise UserError(f"{where}: got {len(states)} names, expected {n}, one for each state.")
-    out = []
-    for text in states:
-        found = re.fullmatch(r"\s*([A-Za-z]\w*)\s*(?:\[([^\]]+)\])?\s*", text)
-        if not found:
-            raise UserError(f"{where}: got '{short(text)}', expected a name with a unit, such as 'angle [rad]'.")
-        out.append((found[1], found[2] or "1"))
-    names = [name for name, _ in out]
-    for name in names:
-        if names.count(name) > 1:
-            raise UserError(f"{where}: got '{short(name)}' twice, expected each once; rename one.")
-    return tuple(out)

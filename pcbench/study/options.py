@@ -5,10 +5,11 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from pcbench.errors import UserError, shown, unknown
-from pcbench.observers import OBSERVERS, base_of, entry_of
+from pcbench.observers import OBSERVERS
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
 from pcbench.study import axes
+from pcbench.study.names import base_in, entry_in
 from pcbench.study.schema import Choices, Study
 from pcbench.study.sentences import sentence
 
@@ -17,13 +18,13 @@ LEAST = 1e-30  # a number of an option is 0 or at least this: the square of the 
 
 def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
     """Return an observer's options, checked and complete: see `given`."""
-    return checked_options(observer, given(study, scenario, observer), f"{study.name}: options.{observer}")
+    return checked_options(study, observer, given(study, scenario, observer), f"{study.name}: options.{observer}")
 
 
 def given(study: Study, scenario: Scenario, observer: str) -> dict[str, Any]:
     """Return the options as given: the study's over the scenario's, and those of a label over those of its observer."""
     out: dict[str, Any] = {}
-    for label in dict.fromkeys([base_of(observer) or observer, observer]):
+    for label in dict.fromkeys([base_in(study, observer) or observer, observer]):
         out |= dashes(dict(scenario.options.get(label, {}))) | dashes(study.options.get(label, {}))
     return out
 
@@ -33,12 +34,12 @@ def choices_of(study: Study) -> Choices:
     return Choices.model_validate(dashes(study.options.get("scenario", {})))
 
 
-def checked_options(name: str, given: dict[str, Any], where: str) -> BaseModel:
+def checked_options(study: Study, name: str, given: dict[str, Any], where: str) -> BaseModel:
     """Return the options in the table of an observer's label, or of 'scenario', checked and complete."""
-    if name != "scenario" and base_of(name) is None:
-        raise unknown(where, "observer with options (or 'scenario')", name, [*OBSERVERS, "scenario"])
-    model = Choices if name == "scenario" else entry_of(name).options
-    for key in dashes(given):
+    if name != "scenario" and base_in(study, name) is None:
+        raise unknown(where, "observer with options (or 'scenario')", name, [*study.use, *OBSERVERS, "scenario"])
+    model = Choices if name == "scenario" else entry_in(study, name).options
+    for key in dashes(given) if model.model_config.get("extra") != "allow" else ():
         if model is Choices and key == "drift_sign":
             raise UserError(
                 f"{where}: got drift_sign, expected it as a parameter of the cart; write axes.plant.drift_sign."

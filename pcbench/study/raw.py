@@ -11,6 +11,7 @@ from pcbench.plants import PLANTS, parameters_of
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import STUDIES, Choices, Study, underscored
 from pcbench.study import axes as axis
+from pcbench.study.labels import labelled
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
 NOT_TOML = (ValueError, RecursionError)  # what tomllib raises, also for numbers too long and lists too deep
@@ -18,6 +19,7 @@ NOT_TOML = (ValueError, RecursionError)  # what tomllib raises, also for numbers
 
 def raw_of(what: Described, overrides: list[str]) -> dict[str, Any]:
     """Return a study as a dict, with `key=value` overrides put in and _ for - in its keys; its values are not checked."""
+    folder: Path | None = None
     if isinstance(what, Study):
         raw = deepcopy(what.model_dump(exclude_none=True))
     elif not isinstance(what, str | Path):
@@ -27,12 +29,12 @@ def raw_of(what: Described, overrides: list[str]) -> dict[str, Any]:
     elif name in SCENARIOS:
         raw = {"name": name, "scenarios": [name]}
     elif name.endswith(".toml") or _is_file(name):
-        raw = _read(Path(name))
+        raw, folder = _read(Path(name)), Path(name).parent
     else:
         raise unknown("study", "study, scenario or TOML file", name, [*STUDIES, *SCENARIOS])
     for text in overrides:
         override(raw, text)
-    return named(raw, where_of(what, raw))
+    return named(raw, where_of(what, raw), folder)
 
 
 def where_of(what: Described, raw: dict[str, Any]) -> str:
@@ -40,7 +42,7 @@ def where_of(what: Described, raw: dict[str, Any]) -> str:
     return str(what) if isinstance(what, str | Path) else str(raw.get("name", "study"))
 
 
-def named(raw: dict[str, Any], where: str) -> dict[str, Any]:
+def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[str, Any]:
     """Return a raw study with _ for - in its keys, the table axes.plant as axes, and a single value of an axis as a list."""
     axes = raw.get("axes")
     if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # `plant.lam = [...]` is a table to TOML
@@ -49,8 +51,8 @@ def named(raw: dict[str, Any], where: str) -> dict[str, Any]:
             if key in axes:
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
-    raw = underscored(raw, where)
-    for table in ("lti", "scenario", "tune"):
+    raw = labelled(underscored(raw, where), where, folder)
+    for table in ("lti", "scenario", "tune", "controller"):
         if isinstance(raw.get(table), dict):
             raw[table] = underscored(raw[table], f"{where}: {table}")
     if isinstance(raw.get("axes"), dict):

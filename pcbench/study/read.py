@@ -3,6 +3,7 @@
 Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 from pydantic import ValidationError
@@ -11,9 +12,23 @@ from pcbench.errors import UserError, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
-from pcbench.study import KEYS, LTI, Study, checked_options, fits, labels_of, scenarios_of, sentence
+from pcbench.study import (
+    KEYS,
+    LTI,
+    Study,
+    checked_options,
+    fits,
+    labels_of,
+    loops,
+    own_observers,
+    scenarios_of,
+    sentence,
+)
 from pcbench.study.cells import Cell, Grid, cells
+from pcbench.study.own_observers import OwnObserver
 from pcbench.study.raw import Described, named, raw_of, where_of
+
+Load = Callable[[str, str, str], OwnObserver]  # (label, MODULE:NAME, where) -> the observer
 
 
 def load(what: str, overrides: list[str] | None = None) -> Study:
@@ -21,8 +36,10 @@ def load(what: str, overrides: list[str] | None = None) -> Study:
     return parse(raw_of(what, overrides or []), what)
 
 
-def described(raw: dict[str, Any], where: str) -> Study:
+def described(raw: dict[str, Any], where: str, load: Load = own_observers.named) -> Study:
     """Return the study that `raw` describes; its names and options are checked, its cells are not made.
+
+    `load` finds the observers of the user's own.
 
     Raises UserError naming the place in it that is wrong.
     """
@@ -34,6 +51,7 @@ def described(raw: dict[str, Any], where: str) -> Study:
         study = Study.model_validate(raw)
     except ValidationError as error:
         raise sentence(where, error, KEYS) from None
+    study._own = {label: load(label, text, f"{where}: {label}") for label, text in study.use.items()}
     known = scenarios_of(study, where)
     for name in study.scenarios:
         if name not in known:
@@ -47,9 +65,9 @@ def described(raw: dict[str, Any], where: str) -> Study:
         if study.scenario.observers is not None:
             _observers(study, study.scenario.observers, f"{where}: scenario.observers")
         for name, given in (study.scenario.options or {}).items():
-            checked_options(name, given, f"{where}: scenario.options.{name}")
+            checked_options(study, name, given, f"{where}: scenario.options.{name}")
     for name, given in study.options.items():
-        checked_options(name, given, f"{where}: options.{name}")
+        checked_options(study, name, given, f"{where}: options.{name}")
     return study
 
 
@@ -60,16 +78,22 @@ def _own(raw: dict[str, Any]) -> list[str]:
     return [LTI] * (raw.get("lti") is not None) + [str(name)] * (table is not None)
 
 
-def grid(raw: dict[str, Any], where: str) -> Grid:
+def grid(raw: dict[str, Any], where: str, load: Load = own_observers.named) -> Grid:
     """Return the study that `raw` describes with its cells; raise UserError naming the place in it that is wrong."""
-    study, every = described(raw, where), []
+    study, every = described(raw, where, load), []
     for name in study.scenarios:
         mine = cells(study, name, where)
         for observer in mine[0].options:
             for cell in mine:
-                fits.works_on(observer, cell.scenario, where)
+                fits.works_on(observer, cell.entry(observer), cell.scenario, where)
         every += mine
     return Grid(study, every)
+
+
+def unstable(found: Grid) -> list[str]:
+    """Return a sentence for every loop that its controller does not stabilise; raise DesignError where a law has no gain."""
+    said = [loops.warning(cell.scenario, found.study.name) for cell in found.cells]
+    return [sentence for sentence in dict.fromkeys(said) if sentence]
 
 
 def parse(raw: dict[str, Any], where: str) -> Study:

@@ -136,7 +136,7 @@ def _measured(s: Scenario, given: dict[str, Any], q: int, where: str) -> Scenari
     if len(s.sampling.delay) != q:
         s = s.having(delay=(0.0,) * q, sampling_period=(s.dt,) * q, noise_std=(0.0,) * q)
     changed = "dt" in given or "horizon" in given  # then times of a base may fit no more
-    for key in axes.AXES:
+    for key in (name for name in axes.AXES if name not in axes.STATES):
         if key in given or (changed and s.value(key) is not None):
             value = given.get(key, axes.plain(key, s.value(key), apart=True) if key != "profile" else s.value(key))
             value = INTERVAL if value == [None] * q else value

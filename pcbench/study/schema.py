@@ -2,10 +2,11 @@
 
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
 
 from pcbench.scenarios.signals import PATHS
 from pcbench.study.lti import Lti
+from pcbench.study.own_observers import OwnObserver
 from pcbench.study.scenario_table import ScenarioTable
 
 Values = list[Any]
@@ -59,6 +60,7 @@ class Study(BaseModel):
     name: str = Field(pattern=r"^\w[\w./+-]*$", max_length=100)
     scenarios: list[str] = Field(min_length=1)
     observers: list[str] | None = None
+    use: dict[str, str] = Field({}, description="MODULE:NAME of observers of one's own, by label")
     seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
     first_seed: int = Field(0, ge=0, le=4_000_000_000, strict=True)
     root_seed: int = Field(0, ge=0, lt=2**32, strict=True)
@@ -66,8 +68,10 @@ class Study(BaseModel):
     options: dict[str, dict[str, Any]] = {}
     lti: Lti | None = None
     scenario: ScenarioTable | None = None
+    controller: dict[str, Any] | None = Field(None, description="a law that closes the loop of every scenario")
     tuning: str | list[str] = Field("paper", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them")
     tune: Tune = Tune()
+    _own: dict[str, OwnObserver] = PrivateAttr({})  # by label of `use`, once the study is read
 
     @field_validator("tuning", mode="before")
     @classmethod

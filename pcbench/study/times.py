@@ -1,4 +1,4 @@
-"""Seconds to ticks: the one place where a scenario's times become whole numbers."""
+"""Seconds to ticks: a scenario's horizon, periods, delays and jitters as whole numbers, once for each cell."""
 
 from typing import NamedTuple
 

@@ -1,4 +1,7 @@
-"""What proves a gain: an inequality re-checked in float64 by eigenvalues, with its margin."""
+"""The record of a proof of a gain: the inequality, its margin, the solver. Each theorem's `certify` does the check in float64.
+
+`certified` refuses a margin that is too small; `uncertified` is of gains that nothing proves.
+"""
 
 from collections.abc import Mapping
 from types import MappingProxyType
@@ -17,7 +20,7 @@ class Certificate(NamedTuple):
     """The inequality that was re-checked, how far inside it the gain stands, and who found the gain."""
 
     inequality: str
-    margin: float  # > 0: certified
+    margin: float  # > 0: certified; inf: nothing was to be proven, as the inequality says
     solver: str
     status: str
     numbers: Mapping[str, Any] = MappingProxyType({})  # matrices and rates worth showing, by name
@@ -47,7 +50,9 @@ class Setting(NamedTuple):
     P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
     input_intensity: float  # process noise through the input that a designer assumes, per second
     overtaking: int = 0  # K: how many newer samples may arrive before one
-    process_std: tuple[float, ...] = ()  # [n] of the noise added to each state at every tick, as assumed; empty: none
+    process_std: tuple[
+        Any, ...
+    ] = ()  # [n] of a tick's noise as assumed, or a root [n, n] of its covariance; empty: none
     error: int = 0  # [ticks] the believed delay less the true one
     reach: int = 0  # [samples] the longest delay; it and `overtaking` are the most of a study's cells
     unknown_std: tuple[float, ...] = ()  # [s] typical size of the unknown inputs or parameters
@@ -68,7 +73,10 @@ class Setting(NamedTuple):
     @property
     def process_noise(self) -> np.ndarray:
         """Covariance [n, n] of the noise added to the state at every tick."""
-        return np.diag(np.square(self.process_std)) if self.process_std else np.zeros_like(self.P0)
+        S = np.asarray(self.process_std, float)
+        if not S.size:
+            return np.zeros_like(self.P0)
+        return S @ S.T if S.ndim == 2 else np.diag(np.square(S))
 
     @property
     def room(self) -> np.ndarray:
@@ -85,6 +93,11 @@ def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certi
             "change the gains, what they are designed from, or the sampling period."
         )
     return certificate
+
+
+def uncertified(why: str) -> Certificate:
+    """Return the certificate of gains that nothing proves: tables and `design` say `why`."""
+    return Certificate(inequality=f"none: {why}", margin=float("inf"), solver="none", status="uncertified")
 
 
 def least_eigenvalue(M: np.ndarray) -> float:

@@ -124,10 +124,10 @@ def radius(M: Matrix) -> float:
 
 
 def rounding(F: Matrix, d: int) -> float:
-    """How well the radius of F, over d samples, is known in float64.
+    """Return a bound on the rounding error of the spectral radius of F [n, n], a map over d samples.
 
-    Of itself, where its n poles are one: ten times eps^(1/n) of its balanced norm. From the map of one sample, whose n d shifts
-    are ones: an eps of each, which the power d of that map's radius holds.
+    An n-fold eigenvalue errs by about eps^(1/n) |F| (taken ten times, F balanced); raising the radius of the map of one
+    sample to the power d adds n d eps.
     """
     eps, (balanced, _) = np.finfo(float).eps, matrix_balance(F)
     return float(10 * eps ** (1 / len(F)) * np.linalg.norm(balanced, 2) + eps * len(F) * d)

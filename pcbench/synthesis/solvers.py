@@ -62,7 +62,7 @@ def proven(
 ) -> tuple[F, Certificate]:
     """Return the first solver's answer whose certificate's margin is above `least`, and the certificate.
 
-    `solve` takes a solver's name. Where one says itself that there is nothing better to be had (`hopeless`), no other is asked.
+    `solve` takes a solver's name. If `hopeless(answer)`, the answer itself shows that no gain does better: no other is asked.
     Raises DesignError with the largest margin where no answer stands, or with the last status where there is none.
     """
     tried: list[str] = []

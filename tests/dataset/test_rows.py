@@ -7,6 +7,7 @@ import pcbench
 from pcbench.dataset import columns, run_study
 from pcbench.errors import UserError
 from pcbench.statistics import RUN_METRICS
+from pcbench.study.axes import AXES
 
 SIGNALS = (("position", "m"), ("velocity", "m/s"), ("push", "N"))
 SEEDS = np.array([7, 8, 9])
@@ -65,3 +66,9 @@ def test_runs_stand_by_seed_with_their_signals_in_the_order_of_the_plant():
 def test_how_a_study_is_run_is_checked_before_any_work(how, sentence):
     with pytest.raises(UserError, match=sentence):
         run_study.How(**how).checked()
+
+
+def test_every_axis_has_a_unit_and_a_meaning():
+    """An axis without one would have no column in stats and pairs."""
+    assert set(columns.AXIS_UNITS) == set(AXES)
+    assert set(AXES) <= set(columns.MEANING)

@@ -65,13 +65,14 @@ def test_an_older_sample_does_not_take_the_place_of_a_newer_one():
         c=jnp.array([5.0, 6.0]), newest=jnp.array([3, 3])
     )
     note, value = jnp.array([1.0, 2.0]), jnp.array([0.25, 0.5])
+    now = Now(jnp.asarray(0.005), jnp.asarray(5), jnp.asarray(1e-3), jnp.zeros(2), lambda age: jnp.zeros(2))
     for fresh, index, c, newest in (
         ((True, True), (4, 2), (0.75, 6.0), (4, 3)),
         ((False, True), (9, 4), (5.0, 1.5), (3, 4)),
         ((True, True), (3, 3), (5.0, 6.0), (3, 3)),
     ):
         arrival = Arrival(value, jnp.array(fresh), jnp.zeros(2, int), jnp.array(index), note, jnp.asarray(1))
-        jumped = observer.jump(gains, memory, None, arrival)
+        jumped = observer.jump(gains, memory, now, arrival)
         assert (jumped.c.tolist(), jumped.newest.tolist()) == (list(c), list(newest))
 
 

@@ -89,7 +89,7 @@ IN_A_CLOSED_LOOP = {"high-gain"}
 
 
 def test_every_smooth_observer_has_its_gradient_checked():
-    with_options = {name for name, entry in OBSERVERS.items() if entry.smooth and parameters.tunable(name)}
+    with_options = {name for name, entry in OBSERVERS.items() if entry.smooth and parameters.tunable(entry)}
     assert with_options - IN_A_CLOSED_LOOP == set(SLOPES)
 
 
@@ -101,7 +101,14 @@ def test_gradients_are_those_of_finite_differences(observer):
     study, p = planned(scenario, (observer,))
     study = read.study_of(scenario, {"observers": [observer], "options": {observer: given}}, [])
     known, options = planning.setting(p.cell), options_of(study, p.cell.scenario, observer)
-    every, at = parameters.start(observer, options, {}, list(set(given) & set(parameters.tunable(observer))), "test")
+    every, at = parameters.start(
+        observer,
+        OBSERVERS[observer],
+        options,
+        {},
+        list(set(given) & set(parameters.tunable(OBSERVERS[observer]))),
+        "test",
+    )
     aim = objective_of(metric, p.cell.scenario, None, "test")
 
     def design(at):

@@ -83,7 +83,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
             WHITE | {"controller": "pd"},
             "scenario.controller: got 'pd' on cart, expected a plant that it is for: helicopter",
         ),
-        (WHITE | {"controller": "pid"}, "scenario.controller: 'pid' is no controller"),
+        (WHITE | {"controller": "pidd"}, "scenario.controller: 'pidd' is no controller"),
         ({"base": "helicopter/constant", "control": CIRCLE}, "control.path: 'circl' is no path; did you mean 'circle'"),
         ({"base": "helicopter/constant", "control": {"Kp": [1.0, 2.0]}}, "scenario.control: Kd is missing"),
         (WHITE | {"unknown_input": "sine"}, "scenario.unknown_input: got 'sine' for cart, expected none"),

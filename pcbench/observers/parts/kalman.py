@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 class Posterior(NamedTuple):
     """Mean and covariance at the time of a sample, after it was used."""
 
-    mean: Float[Array, " N"]  # of all that a filter estimates
+    mean: Float[Array, " N"]  # of the states, and of unknowns that are estimated beside them
     P: Float[Array, "N N"]
     taken: Int[Array, ""]  # tick
 

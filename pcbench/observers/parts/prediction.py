@@ -64,7 +64,7 @@ def note(gains: Any, memory: Memory, now: Now) -> Float[Array, " n"]:
 
 
 def flow(gains: Any, memory: Memory, now: Now) -> Memory:
-    """Advance by one tick under the held input."""
+    """Advance by one tick under the held input: pccebo's (12)."""
     motion: Motion = gains.motion
     pushed = motion.Gamma @ now.u
     return memory._replace(g=motion.Phi @ memory.g + pushed, xhat=motion.Phi @ memory.xhat + pushed)
@@ -84,7 +84,8 @@ def jumping(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, 
     def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         arrived = reordering.sample_of(now, arrival, gains.D)
         buffer, newest = reordering.replay(partial(update, gains), memory.buffer, arrived)
-        return Memory(memory.g, memory.g + at(gains.motion, point_of(newest), now.tick), buffer)
+        there = at(gains.motion, point_of(newest), now.tick)  # e^{A d} of the estimate less g, as noted with the sample
+        return Memory(memory.g, memory.g + there, buffer)  # pccebo's (11)
 
     return jump
 

@@ -84,7 +84,7 @@ def entries(x: Any) -> Any:
 
 
 def whole(x: Any, width: int) -> jax.Array:
-    """The array [..., L] of what may or may not be Lanes; of entries [W, L], as a scan leaves them, [W, *shape, L]."""
+    """One array with lanes last: an array is repeated for each lane; of Lanes that a scan left its axis is the first."""
     if not is_lanes(x):
         return jnp.broadcast_to(x[..., None], (*x.shape, width))
     parts = list(x.parts.flat)

@@ -34,23 +34,23 @@ class Place(NamedTuple):
 
 
 class Packing(NamedTuple):
-    """Where each leaf of a memory is kept; what flow moves has no place."""
+    """How memories are packed: leaves that `flow` changes stay arrays (place None), all others are rows of one array [M, L]."""
 
     tree: Any
     places: list[Place | None]
 
     def whole(self, kept: Kept) -> Any:
-        """Return the memories that are kept so."""
+        """Unpack: return the memories."""
         moving = iter(kept.moving)
         leaves = [next(moving) if place is None else _taken(kept.still, place) for place in self.places]
         return jax.tree.unflatten(self.tree, leaves)
 
     def moved(self, memories: Any, kept: Kept) -> Kept:
-        """Return what is kept after a flow to these memories."""
+        """Return what is packed, with the leaves that a flow has changed."""
         return kept._replace(moving=self._moving(self._leaves(memories)))
 
     def pack(self, memories: Any) -> Kept:
-        """Return memories as they are kept."""
+        """Pack memories."""
         leaves = self._leaves(memories)
         packed = [leaf for leaf, place in zip(leaves, self.places, strict=True) if place is not None]
         rows = [jnp.atleast_2d(entry).astype(float) for leaf in packed for entry in leaf.parts.flat]

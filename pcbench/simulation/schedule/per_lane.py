@@ -5,6 +5,7 @@ one of `loss`, addressed as all draws are, under the clock's first channel: chan
 Everything is whole ticks. `Times` is traced, so one compiled program serves every profile, jitter, delay and loss.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -133,6 +134,18 @@ def room(clocks: list[Clock], ticks: int, error: int) -> int:
     """Return how many packets the network must be able to hold, whatever the draws."""
     longest = max(sampling.ages(c, ticks)[1] for c in clocks) + abs(error)
     return sum(longest // sampling.intervals(c, ticks)[0] + 1 for c in clocks)
+
+
+def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
+    """Return the age that the sample before the newest, and before all that it may overtake, has when a sample arrives.
+
+    Where samples are lost, of as many in a row as are not seen in 1e12 samples.
+    """
+    age = max(sampling.ages(c, ticks)[1] for c in clocks)
+    interval = max(sampling.intervals(c, ticks)[-1] for c in clocks)
+    loss = max(c.loss for c in clocks)
+    lost = math.ceil(math.log(1e-12) / math.log(loss)) if 0 < loss < 1 else ticks * int(loss > 0)
+    return age + (2 * overtaking + 1 + lost) * interval
 
 
 def overtaking(clocks: list[Clock], ticks: int) -> int:

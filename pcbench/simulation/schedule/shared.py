@@ -148,7 +148,11 @@ def at_every_tick(ticks: int, channels: int) -> Schedule:
 
 
 def oldest(found: list[Sample], overtaking: int) -> int:
-    """Return the age, at the latest arrival, of the sample before the newest and before all that it may still overtake."""
+    """Return how old an input an observer may ask for.
+
+    Of sample i in the order of taking: the latest arrival among samples 0 .. i, less the tick at which sample i - (2 K + 1) was
+    taken, K = `overtaking`; the largest over i.
+    """
     each = np.array(sorted({(max(s.taken, 0), s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
     taken, arrives = each.T
     back = 2 * overtaking + 1

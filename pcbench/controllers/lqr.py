@@ -1,0 +1,58 @@
+"""lqr: state feedback with the gain that is best for a quadratic cost, for the plant sampled at the controller's period.
+
+    u = -K x least in sum x'Q1 x + u'Q2 u over decisions, the plant as observers know it under a held input
+
+K is `synthesis.lqr.gain`; law, set points and times as in `state_feedback`. By default it knows the (mean) delay of its
+command: acting on the predicted state is then optimal, the delay costs what cannot be helped. The delay of the measurements is
+the observer's: what is fed back is its estimate of the present. The weights are those of the metric `cost` too.
+"""
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.controllers import state_feedback
+from pcbench.controllers.parts import sizes as fit
+from pcbench.controllers.parts.common import Aims, Limit, Offset, Period, Weight
+from pcbench.controllers.parts.sizes import Sizes
+from pcbench.controllers.parts.told import Told
+from pcbench.dynamics.linear import Matrix
+from pcbench.synthesis import lqr
+
+
+class Lqr(BaseModel):
+    """The weights and what all laws have."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    Q1: Weight = Field(description="[n, n] of the state: a number, a diagonal, or rows")
+    Q2: Weight = Field(description="[m, m] of the input, likewise")
+    knows_delay: bool = Field(True, strict=True, description="predict the state to when the command acts")
+    period: Period = None
+    limit: Limit = None
+    offset: Offset = 0.0
+    set_point: Aims = {}
+
+
+def check(options: Lqr, sizes: Sizes) -> None:
+    """Raise UserError where the options do not fit the plant."""
+    fit.require_common(options, sizes, definite=True)
+
+
+def gain(options: Lqr, told: Told) -> Matrix:
+    """Return K [m, n]; raise DesignError where there is none."""
+    (Phi, Gamma), (n, m) = told.tick, told.model.B.shape
+    sizes = Sizes(told.states, m, len(told.model.C), told.dt, "controller")
+    Q1, Q2 = fit.matrix(options.Q1, (n, n), "Q1", sizes), fit.matrix(options.Q2, (m, m), "Q2", sizes)
+    return lqr.gain(*lqr.over_period((Phi, Gamma), told.every(options.period)), Q1, Q2, "controller lqr")
+
+
+def prepare(options: Lqr, told: Told) -> state_feedback.Params:
+    """Return the law's numbers."""
+    return state_feedback.numbers(options, told, gain(options, told))
+
+
+def linear(options: Lqr, told: Told) -> lqr.Law:
+    """Return the law about its set point."""
+    return state_feedback.of_gain(np.asarray(gain(options, told)))
+
+
+controller = state_feedback.controller

@@ -1,0 +1,92 @@
+"""Set points of states over time, and the state and input that belong to them.
+
+A set point gives some states a value r(t). The others, and the input, are those under which the plant rests, as well as it can:
+
+    x_ref of a chosen state = r,    (x_ref elsewhere, u_ref) = argmin |(Phi - I) x_ref + Gamma u_ref|, the least of all such
+"""
+
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict, model_validator
+
+from pcbench.dynamics.linear import Matrix
+
+Number = Annotated[float, Strict()]
+Positive = Annotated[float, Strict(), Field(gt=0)]
+
+
+class SetPoint(BaseModel):
+    """One state's set point: a step, a sine, or a table; one of them."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    step: Number | None = Field(None, description="its value from the time `at` on, 0 before")
+    at: Number = Field(0.0, description="of the step [s]")
+    sine: Number | None = Field(None, description="amplitude about `offset`")
+    frequency: Positive = Field(1.0, description="of the sine [Hz]")
+    offset: Number = Field(0.0, description="of the sine")
+    table: list[tuple[Number, Number]] | None = Field(
+        None, min_length=1, description="[[t [s], value], ...], each value held until the next time; 0 before the first"
+    )
+
+    @model_validator(mode="after")
+    def _one(self) -> "SetPoint":
+        kinds = [kind for kind in ("step", "sine", "table") if getattr(self, kind) is not None]
+        if len(kinds) != 1:
+            raise ValueError(f"one of step, sine, table, not {' and '.join(kinds) or 'none'}")
+        beside = {"step": {"at"}, "sine": {"frequency", "offset"}, "table": set()}[kinds[0]]
+        for key in self.model_fields_set - beside - set(kinds):
+            raise ValueError(f"no {key} beside {kinds[0]}")
+        times = [t for t, _ in self.table or ()]
+        if sorted(set(times)) != times:
+            raise ValueError("times that grow from row to row")
+        return self
+
+    def at_times(self, t: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return r(t), for t [T] in seconds."""
+        if self.step is not None:
+            return np.where(t >= self.at - 1e-9, self.step, 0.0)
+        if self.sine is not None:
+            return self.offset + self.sine * np.sin(2 * np.pi * self.frequency * t)
+        times, values = np.array(self.table, float).T
+        return np.append(0.0, values)[np.searchsorted(times - 1e-9, t, side="right")]
+
+
+def _step(given: Any) -> Any:
+    """A number is a step of that size at t = 0."""
+    return {"step": given} if isinstance(given, int | float) and not isinstance(given, bool) else given
+
+
+SetPoints = dict[str, Annotated[SetPoint, BeforeValidator(_step)]]  # by state
+
+
+class Reference(NamedTuple):
+    """What a law leads the plant to, a row a tick from tick 0 on."""
+
+    x: NDArray[np.float64]  # [T, n]
+    u: NDArray[np.float64]  # [T, m]
+
+
+def rest(Phi: Matrix, Gamma: Matrix, chosen: list[int]) -> Matrix:
+    """Return the map [n + m, r] from the set points of the chosen states to x_ref and u_ref."""
+    n, m = Gamma.shape
+    whole, free = np.hstack([Phi - np.eye(n), Gamma]), [i for i in range(n + m) if i not in chosen]
+    out = np.zeros((n + m, len(chosen)))
+    out[chosen, range(len(chosen))] = 1.0
+    out[free] = np.linalg.lstsq(whole[:, free], -whole[:, chosen], rcond=None)[0]
+    return out
+
+
+def reference(
+    given: Mapping[str, SetPoint], states: tuple[str, ...], tick: tuple[Matrix, Matrix], dt: float, rows: int
+) -> Reference:
+    """Return x_ref and u_ref of set points by state, at `rows` ticks of dt seconds from tick 0 on; of none, zeros."""
+    t, (Phi, Gamma) = dt * np.arange(rows, dtype=float), tick
+    n, m = Gamma.shape
+    if not given:
+        return Reference(np.zeros((rows, n)), np.zeros((rows, m)))
+    r = np.stack([point.at_times(t) for point in given.values()], 1)
+    both = r @ rest(Phi, Gamma, [states.index(name) for name in given]).T
+    return Reference(both[:, :n], both[:, n:])

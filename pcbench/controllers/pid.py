@@ -1,0 +1,158 @@
+"""PID control of the outputs of the estimate, in discrete time with period T, held between decisions.
+
+    e = C (x_ref - xhat),  y = C xhat
+    I+ = I + Ki T e                                         (each input's: only while its command is within its limit)
+    D+ = f D + (1 - f) (y - y_last) / T,  f = filter / (filter + T)
+    c = offset + Kp e + I+ - Kd D+, clipped to +-limit
+
+The derivative is that of the output, not of the set point, so that a step gives no kick. I, D start from 0, and y_last from the
+estimate of t = 0; before t = 0 commands are 0. Source: Astrom, Hagglund, Advanced PID Control, 3 and 13; backward differences.
+"""
+
+from collections.abc import Callable
+from typing import Annotated, Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field, Strict
+
+from pcbench.controllers.parts import sizes as fit
+from pcbench.controllers.parts.common import Aims, Cost, Limit, Number, Offset, Period, Rows
+from pcbench.controllers.parts.set_points import reference
+from pcbench.controllers.parts.sizes import Sizes
+from pcbench.controllers.parts.told import Told
+from pcbench.protocols import Controller, Leaf, Now
+from pcbench.synthesis import lqr
+
+Gain = Number | list[Number] | Rows
+
+
+class Options(BaseModel):
+    """Gains [m, q] from the outputs' errors to the inputs; one number, or a list, for as many inputs as outputs."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    Kp: Gain = Field(description="[m, q] proportional")
+    Ki: Gain = Field(0.0, description="[m, q] integral [1/s]; default: none")
+    Kd: Gain = Field(0.0, description="[m, q] derivative [s]; default: none")
+    filter: Annotated[float, Strict()] = Field(0.0, ge=0, description="time constant of the derivative's filter [s]")
+    period: Period = None
+    limit: Limit = None
+    offset: Offset = 0.0
+    set_point: Aims = {}
+    Q1: Cost = None
+    Q2: Cost = None
+
+
+class Params(NamedTuple):
+    """n states, m inputs, q outputs; T ticks from 0 on."""
+
+    C: Leaf  # [q, n]
+    Kp: Leaf  # [m, q]
+    KiT: Leaf  # [m, q] Ki T
+    Kd: Leaf  # [m, q]
+    T: Leaf  # [s]
+    filter: Leaf  # f
+    x_ref: Leaf  # [T, n]
+    offset: Leaf  # [m]
+    every: Leaf  # [ticks]
+    limit: Leaf  # [m]
+
+
+class Kept(NamedTuple):
+    """What the law keeps between decisions."""
+
+    u: Float[Array, " m"]
+    integral: Float[Array, " m"]
+    y: Float[Array, " q"]
+    slope: Float[Array, " q"]
+
+
+def _shape(sizes: Sizes) -> tuple[int, int]:
+    return sizes.m, sizes.q
+
+
+def check(options: Options, sizes: Sizes) -> None:
+    """Raise UserError where the options do not fit the plant."""
+    fit.matrix(options.Kp, _shape(sizes), "Kp", sizes)
+    for name in ("Ki", "Kd"):
+        if getattr(options, name) != 0.0:
+            fit.matrix(getattr(options, name), _shape(sizes), name, sizes)
+    fit.require_common(options, sizes)
+
+
+def prepare(options: Options, told: Told) -> Params:
+    """Return the law's numbers."""
+    (q, _), (_, m) = told.model.C.shape, told.model.B.shape
+    sizes, every = Sizes(told.states, m, q, told.dt, "controller"), told.every(options.period)
+    T = every * told.dt
+    Kp, Ki, Kd = (
+        np.zeros((m, q)) if given == 0.0 else fit.matrix(given, (m, q), "gain", sizes)
+        for given in (options.Kp, options.Ki, options.Kd)
+    )
+    limit = np.inf if options.limit is None else np.asarray(options.limit, float)
+    return Params(
+        C=told.model.C,
+        Kp=Kp,
+        KiT=Ki * T,
+        Kd=Kd,
+        T=np.asarray(T),
+        filter=np.asarray(options.filter / (options.filter + T)),
+        x_ref=reference(options.set_point, told.states, told.tick, told.dt, told.ticks + 1 + told.ahead).x,
+        offset=np.broadcast_to(np.asarray(options.offset, float), m).copy(),
+        every=np.asarray(every),
+        limit=np.broadcast_to(limit, m).copy(),
+    )
+
+
+def linear(options: Options, told: Told) -> lqr.Law:
+    """Return the law about its set point, of the state; it keeps (I, y_last, D)."""
+    p = prepare(options, told)
+    q, m, f = len(p.C), len(p.Kp), float(p.filter)
+    rate = (1 - f) / float(p.T)
+    A = np.zeros((m + 2 * q, m + 2 * q))
+    A[:m, :m] = np.diag(1.0 * p.KiT.any(1))  # what integrates nothing stays 0
+    A[m + q :, m : m + q], A[m + q :, m + q :] = -rate * np.eye(q), f * np.eye(q)
+    B = np.vstack([-p.KiT @ p.C, p.C, rate * p.C])
+    out = np.hstack([np.eye(m), np.zeros((m, q)), -p.Kd])  # the command has I and D of now
+    return lqr.Law(A, B, out @ A, out @ B - p.Kp @ p.C)
+
+
+def target(params: Params, tick: Array) -> Float[Leaf, " n"]:
+    """Return x_ref at a tick."""
+    return params.x_ref[tick]
+
+
+def before(params: Params, tick: Array, estimate: Array) -> Float[Array, " m"]:
+    """Return the command of a tick below 0: none."""
+    return jnp.zeros(params.Kp.shape[0])
+
+
+def start(params: Params, estimate: Array) -> Kept:
+    """Return what the law keeps before tick 0."""
+    m, (q, n) = params.Kp.shape[0], params.C.shape
+    return Kept(jnp.zeros(m), jnp.zeros(m), params.C @ estimate[:n], jnp.zeros(q))
+
+
+def command(
+    params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], kept: Kept
+) -> tuple[Float[Array, " m"], Kept]:
+    """Return the command of now and what is kept."""
+    y = params.C @ estimate[: params.C.shape[1]]
+    e = params.C @ params.x_ref[now.tick] - y
+    slope = params.filter * kept.slope + (1 - params.filter) * (y - kept.y) / params.T
+    wanted = kept.integral + params.KiT @ e
+    free = params.offset + params.Kp @ e + wanted - params.Kd @ slope
+    u = jnp.clip(free, -params.limit, params.limit)
+    new, decides = Kept(u, jnp.where(u == free, wanted, kept.integral), y, slope), now.tick % params.every == 0
+    after = Kept(*(jnp.where(decides, a, b) for a, b in zip(new, kept, strict=True)))
+    return after.u, after
+
+
+PID = Controller(target, before, command, start)
+
+
+def controller(options: Any) -> Controller:
+    """Return the law."""
+    return PID

@@ -1,0 +1,148 @@
+"""State feedback of the estimate about a set point, held between decisions.
+
+    c = offset + u_ref - K (xhat - x_ref), clipped to +-limit, every `period`
+
+x_ref and u_ref belong to the set points (`parts.set_points`). With `knows_delay` the law takes the state predicted to the time
+at which its command acts, under the inputs that are on their way, and the set point of that time:
+
+    xhat(t + d) = Phi^d xhat(t) + sum_i Phi^(d-1-i) Gamma u(t + i),  i = 0 .. d - 1
+
+with d the mean delay to the plant in ticks. The loop is closed at t = 0: before, commands are 0. Of an estimate that has
+unknown inputs or parameters too, the states are taken.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float
+from pydantic import BaseModel, ConfigDict, Field
+
+from pcbench.controllers.parts import sizes as fit
+from pcbench.controllers.parts.common import Aims, Cost, Limit, Offset, Period, Rows
+from pcbench.controllers.parts.set_points import reference
+from pcbench.controllers.parts.sizes import Sizes
+from pcbench.controllers.parts.told import Told
+from pcbench.protocols import Controller, Leaf, Now
+from pcbench.synthesis import lqr
+
+
+class Options(BaseModel):
+    """The gain and what all laws have."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    K: Rows = Field(description="[m, n]: u = -K (xhat - x_ref)")
+    knows_delay: bool = Field(False, strict=True, description="predict the state to when the command acts")
+    period: Period = None
+    limit: Limit = None
+    offset: Offset = 0.0
+    set_point: Aims = {}
+    Q1: Cost = None
+    Q2: Cost = None
+
+
+class Params(NamedTuple):
+    """n states, m inputs; T ticks from 0 on."""
+
+    K: Leaf  # [m, n]
+    x_ref: Leaf  # [T, n]
+    u_ref: Leaf  # [T, m], with the offset
+    every: Leaf  # [ticks] between decisions
+    limit: Leaf  # [m]
+    late: Leaf  # [ticks] predicted
+    Phi: Leaf  # [n, n] of a tick
+    Gamma: Leaf  # [n, m]
+
+
+def check(options: Options, sizes: Sizes) -> None:
+    """Raise UserError where the options do not fit the plant."""
+    fit.matrix(options.K, (sizes.m, sizes.n), "K", sizes)
+    fit.require_common(options, sizes)
+
+
+def prepare(options: Options, told: Told) -> Params:
+    """Return the law's numbers."""
+    return numbers(options, told, np.array(options.K, float))
+
+
+def numbers(options: Any, told: Told, K: np.ndarray) -> Params:
+    """Return the numbers of a law with the gain K, for options that have what all laws have."""
+    Phi, Gamma = told.tick
+    aims = reference(options.set_point, told.states, (Phi, Gamma), told.dt, told.ticks + 1 + told.ahead)
+    m = Gamma.shape[1]
+    limit = np.inf if options.limit is None else np.asarray(options.limit, float)
+    return Params(
+        K=K,
+        x_ref=aims.x,
+        u_ref=aims.u + np.asarray(options.offset, float),
+        every=np.asarray(told.every(options.period)),
+        limit=np.broadcast_to(limit, m).copy(),
+        late=np.asarray(told.late if options.knows_delay else 0),
+        Phi=Phi,
+        Gamma=Gamma,
+    )
+
+
+def linear(options: Options, told: Told) -> lqr.Law:
+    """Return the law about its set point."""
+    return of_gain(np.array(options.K, float))
+
+
+def of_gain(K: np.ndarray) -> lqr.Law:
+    """Return state feedback as a linear law that keeps nothing."""
+    m, n = K.shape
+    return lqr.Law(np.zeros((0, 0)), np.zeros((0, n)), np.zeros((m, 0)), -K)
+
+
+def target(params: Params, tick: Array) -> Float[Leaf, " n"]:
+    """Return x_ref at a tick."""
+    return params.x_ref[tick]
+
+
+def before(params: Params, tick: Array, estimate: Array) -> Float[Array, " m"]:
+    """Return the command of a tick below 0: none."""
+    return jnp.zeros(params.K.shape[0])
+
+
+def start(params: Params, estimate: Array) -> Float[Array, " m"]:
+    """Return the last command, before tick 0."""
+    return jnp.zeros(params.K.shape[0])
+
+
+def now_at(
+    params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], last: Float[Array, " m"]
+) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+    """Return the command of now, twice: as it is, and as it is kept until the next decision."""
+    return decided(params, now, estimate[: params.K.shape[1]], now.tick, last)
+
+
+def predicted(
+    params: Params, now: Now, estimate: Array, coming: Callable[[Array], Array], last: Float[Array, " m"]
+) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+    """Return the command of now, made from the state predicted to when it acts."""
+
+    def step(i: Array, x: Array) -> Array:
+        return params.Phi @ x + params.Gamma @ coming(i)
+
+    x = lax.fori_loop(0, params.late, step, estimate[: params.K.shape[1]])
+    return decided(params, now, x, now.tick + params.late, last)
+
+
+def decided(
+    params: Params, now: Now, x: Float[Array, " n"], row: Array, last: Float[Array, " m"]
+) -> tuple[Float[Array, " m"], Float[Array, " m"]]:
+    """Return the command made of x against the set point of a tick, or the last one between decisions; twice."""
+    u = params.u_ref[row] - params.K @ (x - params.x_ref[row])
+    u = jnp.where(now.tick % params.every == 0, jnp.clip(u, -params.limit, params.limit), last)
+    return u, u
+
+
+PLAIN = Controller(target, before, now_at, start)
+PREDICTIVE = Controller(target, before, predicted, start)
+
+
+def controller(options: Any) -> Controller:
+    """Return the law that the options ask for."""
+    return PREDICTIVE if options.knows_delay else PLAIN

@@ -1,0 +1,99 @@
+"""What a filter assumes of noise: one variance for all, one for each, or a full covariance.
+
+Noise that is correlated between outputs is made independent before a filter uses it, channel by channel: with
+R = L diag(r) L', L unit lower triangular, L^-1 y = L^-1 C x + L^-1 v has the variances r.
+"""
+
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.errors import UserError, shown
+from pcbench.synthesis.certificate import Setting
+
+Variance = Annotated[float, Field(gt=0)]
+Size = Annotated[float, Field(ge=0)]
+Variances = Variance | list[Variance] | list[list[float]]  # one for all outputs, one for each, or in full
+Sizes = list[Size] | list[list[float]]  # one for each state, or in full
+ROUNDING = 1e-12  # part of the largest entry by which a matrix may fall short of a covariance
+
+
+class Independent(NamedTuple):
+    """Outputs whose noise is independent."""
+
+    mix: Matrix | None  # [q, q] what makes it so of the outputs; None: it is
+    C: Matrix  # [q, n] of these outputs
+    R: Matrix  # [q] their variances
+
+
+def covariance(given: Any, many: int, where: str, each: str) -> Matrix:
+    """Return a number, `many` numbers or rows as a matrix; raise UserError where that is no covariance of so many."""
+    found = np.asarray(given, float) if _regular(given) else np.zeros(0)
+    if found.shape not in ((), (many,), (many, many)):
+        raise UserError(
+            f"{where}: got {shown(given)}, expected {many} number{'s' if many > 1 else ''}, one for each {each}, or a matrix "
+            f"of {many} x {many}."
+        )
+    if found.ndim < 2:
+        return np.asarray(found * np.eye(many))
+    size = max(float(np.abs(found).max()), 1e-300)
+    if np.abs(found - found.T).max() > ROUNDING * size or np.linalg.eigvalsh(found)[0] < -ROUNDING * size:
+        raise UserError(
+            f"{where}: got {shown(given)}, expected a covariance: symmetric, with no eigenvalue below 0; mend its entries."
+        )
+    return found
+
+
+def _regular(given: Any) -> bool:
+    """Whether rows are of one length."""
+    rows = [len(row) if isinstance(row, list) else 0 for row in given] if isinstance(given, list) else []
+    return len(set(rows)) < 2
+
+
+def independent(setting: Setting, given: Any, C: Matrix, where: str) -> Independent:
+    """Return the outputs of a filter that assumes `given` of their noise, None: what the setting says.
+
+    Raises UserError where `given` does not fit, is singular, or correlates outputs that are not sampled together.
+    """
+    if given is None:
+        return Independent(None, C, setting.noise_variance)
+    R = covariance(given, len(C), f"{where}: R", "output")
+    if not np.any(R - np.diag(np.diag(R))) and np.all(np.diag(R) > 0):
+        return Independent(None, C, np.diag(R).copy())
+    try:
+        L = np.linalg.cholesky(R)
+    except np.linalg.LinAlgError:
+        raise UserError(
+            f"{where}: R: got {shown(given)}, expected every eigenvalue above 0: an output without noise would be divided by 0."
+        ) from None
+    if len(set(setting.period)) > 1 or len(set(setting.delay)) > 1:
+        raise UserError(
+            f"{where}: R: got noise that is correlated between outputs, expected outputs with one period and one delay, which "
+            "are sampled together; give a number for each."
+        )
+    mix: Matrix = np.asarray(np.linalg.inv(L / np.diag(L)), np.float64)
+    return Independent(mix, mix @ C, np.square(np.diag(L)))
+
+
+def process(setting: Setting, given: Any, where: str) -> Matrix:
+    """Return the covariance [n, n] that a tick's process noise adds, as given, or as the setting says where nothing is."""
+    n = len(setting.model.A)
+    return setting.process_noise if given is None else covariance(given, n, f"{where}: Q", "state")
+
+
+def through(given: Any, inputs: int, default: float, where: str) -> Any:
+    """Return the intensity of process noise through the input, a number or one for each input [m]."""
+    if not isinstance(given, list):
+        return default if given is None else given
+    if len(given) != inputs:
+        raise UserError(f"{where}: q: got {shown(given)}, expected a number, or {inputs}, one for each input.")
+    return np.array(given, float)
+
+
+def option(name: str, Q: Matrix) -> dict[str, Any]:
+    """Return a covariance by name as an option holds it, its diagonal where that is all; nothing where it is 0."""
+    if not np.any(Q):
+        return {}
+    return {name: Q if np.any(Q - np.diag(np.diag(Q))) else np.diag(Q)}

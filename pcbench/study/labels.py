@@ -1,0 +1,122 @@
+"""Observers as a study writes them, made labels: a list of names, or a table of tables with `use` and options.
+
+    observers = ["dkf", "mine.py:nudge"]        [observers.dkf]
+                                                [observers.strong]
+                                                use = "mine.py:nudge"
+                                                share = 0.3
+
+MODULE:NAME has the label NAME in a list; a name that an installed package offers is its own label. A path is relative to the
+study file, and on the command line and in Python to the working folder.
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+from pcbench.errors import UserError, short, shown
+from pcbench.observers import LONGEST, OBSERVERS, base_of
+from pcbench.study import own
+from pcbench.study.own_observers import installed
+
+LABEL = re.compile(rf"\w[\w.+-]{{0,{LONGEST - 1}}}")
+
+
+def labelled(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[str, Any]:
+    """Return a raw study whose observers are labels, those of the user's own found by its table `use`.
+
+    Raises UserError for a label that is none, or that two observers have.
+    """
+    given, use = raw.get("observers"), dict(raw["use"]) if isinstance(raw.get("use"), dict) else {}
+    options = raw.get("options")
+    if isinstance(given, dict):
+        raw = raw | {"observers": list(given), "options": _options(given, options, use, where)}
+    elif isinstance(given, list):
+        raw = raw | {"observers": _labels(given, use, f"{where}: observers", folder)}
+    if isinstance(raw.get("lti"), dict) and isinstance(raw["lti"].get("observers"), list):
+        raw["lti"] = raw["lti"] | {
+            "observers": _labels(raw["lti"]["observers"], use, f"{where}: lti.observers", folder)
+        }
+    if folder is not None:
+        use = {label: _beside(text, folder) for label, text in use.items()}
+    return raw | {"use": use} if use else raw
+
+
+def label_of(name: str) -> str:
+    """Return the label that a name has in a list of observers."""
+    return name.rpartition(":")[2] if own.is_reference(name) else name
+
+
+def absolute(use: dict[str, str]) -> dict[str, str]:
+    """Return a table `use` that names the same files from every folder."""
+    return {label: _beside(text, Path().resolve()) for label, text in use.items()}
+
+
+def _labels(names: list[Any], use: dict[str, str], where: str, folder: Path | None) -> list[Any]:
+    """The labels of a list of names; what they stand for is put into `use`."""
+    out: list[Any] = []
+    for name in names:
+        if not isinstance(name, str):
+            out.append(name)  # the model says what is wrong
+            continue
+        label = label_of(name)
+        if own.is_reference(name):
+            own.split(name, where)
+            _free(label, name, where)
+            if use.get(label, name) != name or label in out:
+                raise UserError(
+                    f"{where}: got '{short(name)}' beside another observer of the label '{label}', expected a label for each; "
+                    f'write [observers.LABEL] use = "{short(name)}".'
+                )
+            use[label] = name
+        elif label not in use and base_of(label) is None and (found := installed().get(label)):
+            use[label] = found
+        out.append(label)
+    return out
+
+
+def _options(given: dict[str, Any], options: Any, use: dict[str, str], where: str) -> dict[str, Any]:
+    """The options of a study whose observers are tables; what they `use` is put into that."""
+    out = dict(options) if isinstance(options, dict) else {}
+    for label, table in given.items():
+        here = f"{where}: observers.{short(label)}"
+        if not isinstance(table, dict):
+            raise UserError(
+                f"{here}: got {shown(table)}, expected a table with `use` and options; write [observers.{label}]."
+            )
+        mine = dict(table)
+        if (text := mine.pop("use", None)) is not None:
+            if not isinstance(text, str):
+                raise UserError(f'{here}.use: got {shown(text)}, expected MODULE:NAME such as "mine.py:nudge".')
+            if own.is_reference(text):
+                own.split(text, f"{here}.use")
+                _free(label, text, where)
+                use[label] = text
+            elif text in OBSERVERS and label != text and not label.startswith(text + "-"):
+                raise UserError(
+                    f"{here}.use: got '{text}', expected a label that begins with it; write [observers.{text}-{label}]."
+                )
+        if mine and label in out:
+            raise UserError(f"{here}: got options here and in options.{label}, expected them once; remove one.")
+        if mine:
+            out[label] = mine
+    return out
+
+
+def _free(label: str, name: str, where: str) -> None:
+    """Raise UserError where a label is none, or pcbench's."""
+    if not LABEL.fullmatch(label):
+        raise UserError(
+            f"{where}: got the label '{short(label)}', expected letters, digits, '-', '_', '.' or '+', at most {LONGEST}; "
+            "write another."
+        )
+    if label in OBSERVERS or label == "scenario":
+        raise UserError(
+            f"{where}: got '{short(name)}' as '{label}', which is pcbench's own name; expected another label; write "
+            f'[observers.my-{label}] use = "{short(name)}".'
+        )
+
+
+def _beside(text: str, folder: Path) -> str:
+    """MODULE:NAME with a path taken from a folder."""
+    module, _, name = text.rpartition(":")
+    return f"{folder / module}:{name}" if own.is_file(module) else text

@@ -1,0 +1,60 @@
+"""Linear-quadratic regulation of a sampled plant, and the eigenvalues of a loop with a late command.
+
+    u = -K x least in sum x'Q1 x + u'Q2 u:   S = Phi'S Phi + Q1 - Phi'S Gamma K,  K = (Q2 + Gamma'S Gamma)^-1 Gamma'S Phi
+
+Phi, Gamma are over one period of the controller, the input held. Source: Astrom, Wittenmark, Computer-Controlled Systems, 11.2.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from pcbench.dynamics.linear import Matrix
+from pcbench.errors import DesignError, said
+
+
+class Law(NamedTuple):
+    """A linear law of the state x, run once a period: s+ = A s + B x, command C s + D x; k numbers kept, m inputs."""
+
+    A: Matrix  # [k, k]
+    B: Matrix  # [k, n]
+    C: Matrix  # [m, k]
+    D: Matrix  # [m, n]
+
+
+def gain(Phi: Matrix, Gamma: Matrix, Q1: Matrix, Q2: Matrix, where: str) -> Matrix:
+    """Return K [m, n]; raise DesignError where there is none that stabilises."""
+    try:
+        S = solve_discrete_are(Phi, Gamma, Q1, Q2)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise DesignError(
+            f"{where}: the Riccati equation of lqr was not solved (SciPy said '{said(error)}'), expected a plant that its "
+            "inputs can stabilise and a Q1 that weighs every mode that does not decay; weigh another state or add an input."
+        ) from error
+    return np.asarray(np.linalg.solve(Q2 + Gamma.T @ S @ Gamma, Gamma.T @ S @ Phi), float)
+
+
+def over_period(tick: tuple[Matrix, Matrix], ticks: int) -> tuple[Matrix, Matrix]:
+    """Return Phi and Gamma over so many ticks of a held input, from those of one."""
+    (Phi, Gamma), F, G = tick, np.eye(len(tick[0])), np.zeros_like(tick[1])
+    for _ in range(ticks):
+        F, G = Phi @ F, Phi @ G + Gamma
+    return F, G
+
+
+def closed(tick: tuple[Matrix, Matrix], law: Law, every: int, late: int) -> Matrix:
+    """Return the map over one period of the plant, the law and its commands on their way, which come `late` ticks later.
+
+    Its eigenvalues within the unit circle: the loop is stable, the state known. A decision is made every `every` ticks.
+    """
+    Phi, Gamma = tick
+    n, m, k = *Gamma.shape, len(law.A)
+    kept = -(-late // every)  # commands of the periods before that are still to act
+    identity = np.eye(n + k + m * kept)
+    x, s, sent = identity[:n], identity[n : n + k], [identity[n + k + m * j :][:m] for j in range(kept)]  # newest first
+    sent = [law.C @ s + law.D @ x, *sent]
+    s = law.A @ s + law.B @ x
+    for i in range(every):
+        x = Phi @ x + Gamma @ sent[-((i - late) // every)]
+    return np.vstack([x, s, *sent[:kept]])

@@ -1,0 +1,128 @@
+"""A dataset made with observers of a user's own: it keeps their code, is read without it, and refuses another version of it."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from small_study import tables
+
+import pcbench
+from pcbench.dataset import merge, store, verify
+from pcbench.dataset.compare import compare
+
+SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
+STUDY = {"name": "mine", "scenarios": ["cart/slow"], "observers": ["mine.py:nudge", "kfbo"], "seeds": 16}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    shutil.copy(SOURCE, tmp_path / "mine.py")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def out(here):
+    pcbench.run(STUDY, out="out")
+    return here / "out"
+
+
+def forget():
+    """Be as another process: no module of the user's own is loaded."""
+    for name in [name for name in sys.modules if name.startswith("mine_")]:
+        del sys.modules[name]
+
+
+def test_it_keeps_the_code_and_is_read_without_it(here, out):
+    (copy,) = (out / "code").rglob("*.py")
+    assert copy.read_bytes() == SOURCE.read_bytes()
+    (here / "mine.py").unlink()
+    copy.rename(here / "aside.py")
+    forget()
+    assert set(pcbench.opened(out).stats.observer) == {"nudge", "kfbo"}
+    assert verify.status(out).closed
+    assert compare(out, out).largest == 0
+    merge.merge([out, out], here / "merged")
+    assert tables(here / "merged")["stats.parquet"]
+    assert not [name for name in sys.modules if name.startswith("mine_")], "nothing of it was run"
+
+
+def test_it_comes_out_again_by_the_copy(here, out):
+    (here / "mine.py").unlink()
+    forget()
+    found = verify.verify(out, None, 0)
+    assert not found.wrong
+    assert not found.differing
+    assert len(found.recomputed) == 2
+
+
+def test_a_changed_copy_is_named(here, out):
+    (copy,) = (out / "code").rglob("*.py")
+    copy.write_text(copy.read_text() + "\n# more\n")
+    forget()
+    with pytest.raises(pcbench.UserError, match=r"code/\w+/mine.py: is gone or changed"):
+        verify.verify(out, None, 0)
+
+
+def test_another_version_is_refused_with_what_changed(here, out):
+    before = tables(out)
+    (here / "mine.py").write_text((here / "mine.py").read_text().replace("share / noisier", "share / noisier / 2"))
+    changed = r"the code of nudge: code/\w+/mine.py:nudge there, code/\w+/mine.py:nudge here"
+    with pytest.raises(pcbench.UserError, match=changed):
+        pcbench.run(STUDY | {"seeds": 32}, out="out")
+    assert tables(out) == before
+    pcbench.run(STUDY | {"seeds": 8}, out="out", fresh=True)
+    assert len(list((out / "code").rglob("*.py"))) == 1, "the old copy went with the old runs"
+
+
+def test_it_grows_from_its_own_study_file(here, out):
+    (here / "mine.py").unlink()
+    forget()
+    assert len(pcbench.run(str(out / "study.toml"), seeds=24, out=out).runs.seed.unique()) == 24
+
+
+def test_a_study_whose_text_is_lost_knows_blocks_by_their_code(here, out):
+    (out / "study.toml").unlink()
+    pcbench.run(STUDY, out="out")
+    (out / "study.toml").unlink()
+    (here / "mine.py").write_text((here / "mine.py").read_text() + "\n# another\n")
+    with pytest.raises(pcbench.UserError, match="options of nudge"):
+        pcbench.run(STUDY, out="out")
+
+
+def test_only_what_is_named_is_copied(here):
+    pcbench.run(STUDY | {"observers": ["kfbo"], "seeds": 4}, out="plain")
+    assert not (here / "plain" / "code").exists()
+    assert store.names(store.target("plain"), "code") == []
+
+
+@pytest.mark.slow
+def test_a_report_has_the_run_in_time_that_was_kept(here):
+    """By the command line: the code is at hand when the study is run, and gone when it is reported."""
+    call = [sys.executable, "-m", "pcbench"]
+    run = [*call, "run", "cart/slow", "--observers", "mine.py:nudge,kfbo", "--seeds", "4", "--out", "out", "--quiet"]
+    subprocess.run(run, check=True, cwd=here, capture_output=True)
+    (here / "mine.py").unlink()
+    done = subprocess.run([*call, "report", "out"], cwd=here, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    page = (here / "out" / "report.html").read_text()
+    assert "nudge" in page
+    assert "Seed 0" in page or "seed 0" in page
+
+
+@pytest.mark.slow
+def test_workers_need_no_file(here):
+    """Two Dask workers that stand in another folder leave the bytes that this process leaves."""
+    pytest.importorskip("distributed")
+    pcbench.run(STUDY, out=here / "whole", block=4)
+    code = f"import pcbench; pcbench.run({STUDY!r}, out={str(here / 'out')!r}, block=4, dask='local', workers=2)"
+    script = here / "go.py"
+    script.write_text(f"if __name__ == '__main__':\n    {code}\n")
+    subprocess.run([sys.executable, str(script)], check=True, cwd=here, env=os.environ | {"PYTHONPATH": ROOT})
+    assert tables(here / "out") == tables(here / "whole")
+
+
+ROOT = str(Path(pcbench.__file__).parents[1])

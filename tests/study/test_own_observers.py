@@ -1,0 +1,178 @@
+"""Observers of a user's own by name: in a list, a table, a file, of an installed package; what cannot be is one sentence."""
+
+import shutil
+import sys
+from pathlib import Path
+
+import pytest
+
+import pcbench
+from pcbench.dataset import pickled
+from pcbench.planning import plan
+from pcbench.simulation import batch
+from pcbench.study import own, read
+
+SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
+BASE = {"name": "mine", "scenarios": ["cart/white"], "seeds": 8}
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A working folder with an observer in mine.py."""
+    shutil.copy(SOURCE, tmp_path / "mine.py")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def study(**changes):
+    return read.grid_of(BASE | changes, {}, [])
+
+
+def test_a_name_in_a_list_has_its_last_word_as_label(here):
+    asked, (cell,) = study(observers=["mine.py:nudge", "dkf"])
+    assert asked.observers == ["nudge", "dkf"]
+    assert list(cell.options) == ["nudge", "dkf"]
+    assert cell.options["nudge"].share == 0.1
+    assert cell.entry("nudge").observer is sys.modules[f"mine_{asked._own['nudge'].code.digest}"].nudge
+
+
+def test_two_labels_may_use_one_observer_each_with_its_options(here):
+    tables = {
+        "dkf": {},
+        "soft": {"use": "mine.py:nudge", "share": 0.05},
+        "hard": {"use": "mine.py:nudge", "share": 0.5},
+    }
+    asked, (cell,) = study(observers=tables)
+    assert asked.observers == ["dkf", "soft", "hard"]
+    assert [cell.options[o].share for o in ("soft", "hard")] == [0.05, 0.5]
+    assert cell.entry("soft").observer is cell.entry("hard").observer
+    assert cell.told["soft"] != cell.told["hard"]
+
+
+def test_a_variant_of_a_label_has_the_options_of_both(here):
+    _, (cell,) = study(observers=["mine.py:nudge", "nudge-slow"], options={"nudge": {"share": 0.2}, "nudge-slow": {}})
+    assert cell.options["nudge-slow"].share == 0.2
+
+
+def test_a_path_is_relative_to_the_study_file(here, tmp_path, monkeypatch):
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "s.toml").write_text(
+        'scenarios = ["cart/white"]\n[observers.near]\nuse = "../mine.py:nudge"\n[observers.dkf]\n'
+    )
+    monkeypatch.chdir("/")
+    asked = read.study_of(str(tmp_path / "deep" / "s.toml"), {}, [])
+    assert asked.observers == ["near", "dkf"]
+    assert asked._own["near"].code.module == "mine.py"
+
+
+def test_files_beside_it_that_it_imports_belong_to_its_code(here):
+    (here / "helps.py").write_text("import pairs\nHALF = pairs.TWO / 4\n")
+    (here / "pairs.py").write_text("TWO = 2\n")
+    text = (here / "mine.py").read_text().replace("import pcbench\n", "import pcbench\nfrom helps import HALF\n", 1)
+    (here / "mine.py").write_text(text.replace("share: float = 0.1", "share: float = HALF"))
+    asked, (cell,) = study(observers=["mine.py:nudge"])
+    assert cell.options["nudge"].share == 0.5
+    code = asked._own["nudge"].code
+    assert [name for name, _ in code.files] == ["mine.py", "helps.py", "pairs.py"]
+    (here / "pairs.py").write_text("TWO = 3\n")
+    changed, (other,) = study(observers=["mine.py:nudge"])
+    assert other.options["nudge"].share == 0.75, "not the old one that python has kept"
+    assert changed._own["nudge"].code.digest != code.digest
+
+
+def test_an_installed_package_offers_observers_by_plain_names(here, monkeypatch):
+    (here / "site").mkdir()
+    shutil.copy(SOURCE, here / "site" / "gentle_package.py")
+    about = here / "site" / "gentle-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: gentle\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[pcbench.observers]\ngentle = gentle_package:nudge\n")
+    monkeypatch.syspath_prepend(str(here / "site"))
+    read.grid_of(BASE | {"observers": ["dkf"]}, {}, [])
+    assert "gentle_package" not in sys.modules, "nothing is imported that is not named"
+    asked, (cell,) = study(observers=["gentle", "dkf"])
+    assert asked.use == {"gentle": "gentle_package:nudge"}
+    assert cell.entry("gentle").observer is sys.modules["gentle_package"].nudge
+
+
+def test_it_is_the_program_of_the_same_observer_built_in(here):
+    """Not merely as fast: compiled to the same text, for a copy of pcbench's own file."""
+    shutil.copy(Path(pcbench.__file__).parent / "observers" / "open_loop.py", here / "copied.py")
+    programs = []
+    for name in ("open-loop", "copied.py:OBSERVER"):
+        (p,) = plan(read.study_of(BASE | {"observers": [name]}, {}, []))
+        job = batch.Job(p.problem, 0, range(4))
+        programs.append(batch.program(p.layout._replace(width=4), job).compiled.as_text())
+    plain = [strip_metadata(text).replace("OBSERVER", "open-loop") for text in programs]
+    assert plain[0] == plain[1]
+
+
+def strip_metadata(text):
+    import re
+
+    return re.sub(r", metadata=\{[^}]*\}", "", re.sub(r"HloModule [^\n]*|source_file[^\n]*", "", text))
+
+
+def test_a_planned_cell_takes_its_code_along(here):
+    """Another process needs no file: types of the user's own are found again in the code that travels."""
+    (p,) = plan(read.study_of(BASE | {"observers": ["mine.py:nudge"]}, {}, []))
+    parcel = pickled.pack(p)
+    assert isinstance(parcel, bytes)
+    name = f"mine_{p.cell.own['nudge'].code.digest}"
+    del sys.modules[name]
+    (here / "mine.py").unlink()
+    back = pickled.unpack(parcel)
+    assert type(back.problem.gains["nudge"]) is sys.modules[name].Gains
+    assert (back.problem.gains["nudge"].L == p.problem.gains["nudge"].L).all()
+    assert back.layout.observers[0][1] is sys.modules[name].nudge
+
+
+WRONG = {
+    "no file": (["near.py:nudge"], "mine: nudge: 'near.py' is no file"),
+    "a file nearly": (["mien.py:nudge"], "did you mean 'mine.py'?"),
+    "no such name": (["mine.py:nudg"], "did you mean 'nudge'?"),
+    "no observer": (["mine.py:design"], "got a function, expected a pcbench.Observer"),
+    "no name": (["mine.py:"], "expected MODULE:OBSERVER such as mine.py:nudge"),
+    "two labels alike": (["mine.py:nudge", "mine:nudge"], "expected a label for each; write [observers.LABEL]"),
+    "a label of pcbench's": ({"dkf": {"use": "mine.py:nudge"}}, "which is pcbench's own name"),
+    "a label that is none": ({"a b": {"use": "mine.py:nudge"}}, "got the label 'a b', expected letters"),
+    "options unknown": ({"own": {"use": "mine.py:nudge", "shore": 1.0}}, "did you mean 'share'?"),
+    "an option of another kind": ({"own": {"use": "mine.py:nudge", "share": "much"}}, "options.own: share: got 'much'"),
+    "no table": ({"own": "mine.py:nudge"}, "expected a table with `use` and options"),
+    "no reference": ({"own": {"use": 3}}, "expected MODULE:NAME"),
+    "an observer of pcbench's, otherwise": ({"own": {"use": "dkf"}}, "write [observers.dkf-own]"),
+    "no module": (["no_such_module:nudge"], "there is no module 'no_such_module' here"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_is_wrong_is_one_sentence(here, what):
+    observers, sentence = WRONG[what]
+    with pytest.raises(pcbench.UserError) as error:
+        study(observers=observers)
+    assert sentence in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_what_an_import_raises_has_its_line(here):
+    (here / "bad.py").write_text("import pcbench\n\n\nnudge = 1 / 0\n")
+    with pytest.raises(pcbench.UserError, match=r"bad.py cannot be imported: ZeroDivisionError.*bad.py line 4"):
+        study(observers=["bad.py:nudge"])
+
+
+def test_what_a_design_raises_has_its_line(here):
+    text = (here / "mine.py").read_text()
+    (here / "mine.py").write_text(text.replace("    noisier = 1", "    noisier = None + 1"))
+    line = 1 + text[: text.index("    noisier")].count("\n")
+    with pytest.raises(pcbench.UserError, match=rf"observer nudge: design.*TypeError.*mine.py line {line}"):
+        plan(study(observers=["mine.py:nudge"]).study)
+
+
+def test_two_contents_of_one_file_stand_side_by_side(here):
+    first = own.code_of("mine.py:nudge", "x")
+    old = own.module_of(first, "x", here)
+    (here / "mine.py").write_text((here / "mine.py").read_text().replace("0.1", "0.2"))
+    new = own.module_of(own.code_of("mine.py:nudge", "x"), "x", here)
+    assert old.Options().share == 0.1
+    assert new.Options().share == 0.2
+    assert own.module_of(first, "x") is old
