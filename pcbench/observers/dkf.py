@@ -144,7 +144,9 @@ def design(setting: Setting, options: Options) -> Design:
         P0=P0,
         room=setting.room,
         states=np.zeros(n),
-        inputs=np.zeros(len(inputs)),
+        inputs=np.zeros(
+            len(inputs) if len(inputs) == len(setting.unknown_std) else 0
+        ),  # all that is unknown, or nothing
         known=setting.model.known if len(inputs) else None,
     )
     carries = True if len(inputs) else None

@@ -27,8 +27,7 @@ from jaxtyping import Float, Int
 from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
-from pcbench.dynamics.integrate import rk4
-from pcbench.observers.parts import assumed_noise, kalman, reordering
+from pcbench.observers.parts import assumed_noise, kalman, one_tick, reordering
 from pcbench.observers.parts.assumed_noise import Size, Sizes, Variances
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
@@ -111,10 +110,10 @@ def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Po
         return within(gains, gains.motion(there, z)), F @ P @ F.T + gains.Q
 
     z, P = lax.fori_loop(before.taken, sample.taken, tick, (before.mean, before.P))
-    if gains.sensor is not None:
-        z, P = by_slope(gains, at(now, sample.taken), z, P, sample)
-        return Posterior(within(gains, z), P, sample.taken)
     value = sample.value if gains.mix is None else gains.mix @ sample.value
+    if gains.sensor is not None:
+        z, P = by_slope(gains, at(now, sample.taken), z, P, sample.fresh, value)
+        return Posterior(within(gains, z), P, sample.taken)
     n, none = gains.C.shape[1], jnp.zeros(gains.start.shape[0])
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
@@ -125,21 +124,20 @@ def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Po
     return Posterior(within(gains, z), P, sample.taken)
 
 
-def by_slope(gains: Gains, there: Now, z: Array, P: Array, sample: Measurement) -> tuple[Array, Array]:
+def by_slope(gains: Gains, there: Now, z: Array, P: Array, fresh: Array, value: Array) -> tuple[Array, Array]:
     """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
     n, predicted = gains.C.shape[1], z
 
     def output(z: Array) -> Array:
-        return gains.sensor(there, z[:n], z[n:])  # type: ignore[no-any-return]
+        y = gains.sensor(there, z[:n], z[n:])
+        return y if gains.mix is None else gains.mix @ y
 
-    innovation, C = sample.value - output(z), jax.jacfwd(output)(z)
-    if gains.mix is not None:
-        innovation, C = gains.mix @ innovation, gains.mix @ C
+    y, C = output(z), jax.jacfwd(output)(z)
     for channel in range(gains.C.shape[0]):
-        c, r, fresh = C[channel], gains.R[channel], sample.fresh[channel]
+        c, r = C[channel], gains.R[channel]
         Pc = P @ c
-        K = kalman.gain(Pc, c @ Pc + r, fresh)
-        z = z + K * (innovation[channel] - c @ (z - predicted))
+        K = kalman.gain(Pc, c @ Pc + r, fresh[channel])
+        z = z + K * (value[channel] - y[channel] - c @ (z - predicted))
         P = kalman.covariance(P, K, c, r)
     return z, P
 
@@ -165,66 +163,10 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
 OBSERVER = Observer(init, note, jump, flow, estimate)
 
 
-def affine(Phi: Array, Gamma: Array, now: Now, z: Array) -> Array:
-    """Move a linear model by one tick."""
-    return Phi @ z + Gamma @ now.u
-
-
-def constant(Phi: Array, now: Now, z: Array) -> Array:
-    """Return the slope of a linear model."""
-    return Phi
-
-
-def rate(model: Any, room: Room, now: Now, z: Array) -> Array:
-    """Return dz/dt: the model's field with the unknowns p, room [s], which stand still."""
-    n = z.shape[0] - room.shape[0]
-    return jnp.concatenate([model(now, z[:n], z[n:]), jnp.zeros(room.shape[0])])
-
-
-def step(model: Any, room: Room, now: Now, z: Array) -> Array:
-    """Move a model by one Runge-Kutta step."""
-    return rk4(lambda t, z: rate(model, room, now._replace(t=t), z), now.t, z, now.dt)
-
-
-def slope(model: Any, room: Room, now: Now, z: Array) -> Array:
-    """Return I + h J."""
-    return jnp.eye(z.shape[0]) + now.dt * jax.jacfwd(lambda z: rate(model, room, now, z))(z)
-
-
-def moved(successor: Any, room: Room, now: Now, z: Array) -> Array:
-    """Move a plant that is given by its step, with the unknowns p, room [s], which stand still."""
-    n = z.shape[0] - room.shape[0]
-    return jnp.concatenate([successor(now, z[:n], z[n:]), z[n:]])
-
-
-def moved_slope(successor: Any, room: Room, now: Now, z: Array) -> Array:
-    """Return the Jacobian of that."""
-    return jax.jacfwd(lambda z: moved(successor, room, now, z))(z)
-
-
-def pushed(A: Array, B: Array, E: Array, known: Any, now: Now, x: Array, p: Array) -> Array:
-    """Return dx/dt of a linear model pushed by f = known(x) + p."""
-    return A @ x + B @ now.u + E @ (known(x) + p)
-
-
-def motion_of(setting: Setting) -> tuple[Any, Any]:
-    """Return how a tick moves z, and its slope: exactly where the model is linear."""
-    model, room = setting.model, np.zeros(len(setting.unknown_std))
-    if setting.successor is not None:
-        ways = (moved, moved_slope)
-        return tuple(jax.tree_util.Partial(way, setting.successor, room) for way in ways)  # type: ignore[return-value]
-    if setting.field is None and (model.E is None or model.known is None):
-        whole = linear.with_unknown_input(model) if model.E is not None else model
-        Phi, Gamma = linear.one_tick(whole, setting.dt)
-        return jax.tree_util.Partial(affine, Phi, Gamma), jax.tree_util.Partial(constant, Phi)
-    field = setting.field or jax.tree_util.Partial(pushed, model.A, model.B, model.E, model.known)
-    return jax.tree_util.Partial(step, field, room), jax.tree_util.Partial(slope, field, room)
-
-
 def design(setting: Setting, options: Options) -> Design:
     """Gather what the filter assumes; there is no certificate for a nonlinear model."""
     n, s, where = len(setting.model.A), len(setting.unknown_std), f"ekf in {setting.scenario}"
-    motion, tangent = motion_of(setting)
+    motion, tangent = one_tick.motion_of(setting)
     size = np.square(setting.unknown_std)
     P0, Q = np.zeros((n + s, n + s)), np.zeros((n + s, n + s))
     P0[:n, :n], P0[n:, n:] = setting.P0, np.diag(size)
