@@ -13,6 +13,7 @@ from pcbench.dataset import block_files, columns, fill, ownership, parquet, stor
 from pcbench.dataset.verify import FAIR
 from pcbench.errors import UserError, said
 from pcbench.study import Study, observers_of
+from pcbench.synthesis.certificate import UNCERTIFIED
 
 
 def opened(out: str | Path) -> "Result":
@@ -78,6 +79,13 @@ class Result:
         order = {name: i for i, name in enumerate(observers_of(self.study, scenario))}
         found["rank"] = found.observer.astype(str).map(order)
         return found.sort_values(["rank", "seed"], kind="stable", ignore_index=True).drop(columns="rank")
+
+    def unproven(self, scenario: str) -> str:
+        """Return a sentence that names the observers of a scenario whose gains are uncertified, and why; empty: none is."""
+        certificates = self.provenance.get("certificates", {}).get(scenario, {})
+        uncertified = {o: c["inequality"] for o, c in certificates.items() if c["status"] == UNCERTIFIED}
+        said = [f"{o} ({why.removeprefix('none: ')})" for o, why in uncertified.items()]
+        return f"Nothing proves the gains of {', '.join(said)}." if said else ""
 
     def _read(self, columns: list[str] | None = None, filter: ds.Expression | None = None) -> pd.DataFrame:
         """Rows of the blocks, every page checked; raise UserError, naming the file, where one is damaged."""

@@ -67,7 +67,7 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
     runs = (
         f"{n:,} runs each; ± is half a 95 % interval." if n > 1 else "One run each: no interval, and nothing is sure."
     )
-    return Headline(title, [heads[i] for i in kept], rows, runs + lost)
+    return Headline(title, [heads[i] for i in kept], rows, f"{runs}{lost} {result.unproven(scenario)}".strip())
 
 
 def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame) -> Headline:
@@ -86,4 +86,5 @@ def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.D
     note = (
         f"{len(won)} cells, ties among them: {ties}; there the best is not surely better than every other (5 %, Holm)."
     )
-    return Headline(f"{signal.replace('_', ' ')} over all cells", heads, rows, note)
+    title = f"{signal.replace('_', ' ')} over all cells"
+    return Headline(title, heads, rows, f"{note} {result.unproven(scenario)}".strip())

@@ -13,6 +13,7 @@ from pcbench.dynamics.linear import Model
 from pcbench.errors import DesignError, UserError
 
 SHORT = 1e-5  # part of a rate asked for that a proof may fall short of it: an optimum lies on the boundary
+UNCERTIFIED = "uncertified"  # a status
 NO_NOISE = 1e-12  # variance taken where a scenario has no measurement noise
 
 
@@ -97,7 +98,7 @@ def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certi
 
 def uncertified(why: str) -> Certificate:
     """Return the certificate of gains that nothing proves: tables and `design` say `why`."""
-    return Certificate(inequality=f"none: {why}", margin=float("inf"), solver="none", status="uncertified")
+    return Certificate(inequality=f"none: {why}", margin=float("inf"), solver="none", status=UNCERTIFIED)
 
 
 def least_eigenvalue(M: np.ndarray) -> float:

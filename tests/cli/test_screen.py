@@ -2,6 +2,7 @@
 
 import io
 import re
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -16,8 +17,10 @@ import pcbench
 from pcbench.cli import shared
 from pcbench.cli.screen import results
 from pcbench.cli.screen.tables import Column, aligned, printed
+from pcbench.report import headline
 from pcbench.statistics import wording
 
+OWN = Path(__file__).parents[1] / "support" / "own_observer.py"
 MANY = {
     "name": "many",
     "scenarios": ["cart/slow"],
@@ -271,3 +274,21 @@ def test_a_list_fits_a_screen_line_each():
     assert len(text.splitlines()) < 90
     assert pd.Series(text.splitlines()).str.len().max() <= 100
     assert STUDY["scenarios"][0] in text
+
+
+def test_gains_that_nothing_proves_are_named_with_the_reason(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(
+        OWN.read_text().replace('Certificate("none: for tests", 1.0, "none", "none")', "UNPROVEN")
+    )
+    text = (tmp_path / "mine.py").read_text()
+    (tmp_path / "mine.py").write_text(
+        text.replace("class Gains", 'UNPROVEN = pcbench.uncertified("by hand")\n\n\nclass Gains')
+    )
+    monkeypatch.chdir(tmp_path)
+    result = pcbench.run("cart/slow", observers=["mine.py:nudge", "kfbo"], seeds=4)
+    screen = Console(record=True, width=100)
+    results.closing(result, screen, "tail_rmse")
+    sentence = "Nothing proves the gains of nudge (by hand)."
+    assert sentence in screen.export_text()
+    (table,) = headline.headlines(result, "cart/slow", "position", "tail_rmse")
+    assert table.note.endswith(sentence), "and so says the report"

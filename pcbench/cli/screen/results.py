@@ -64,6 +64,8 @@ def closing(result: Result, console: Console, metric: str, signals: list[str] | 
             else:
                 notes |= dict.fromkeys(_tables(shown, console))
         _say_what_is_carried(whole, console)
+        if said := result.unproven(name):
+            console.print(said, highlight=False, markup=False, soft_wrap=True)
     for note in notes:
         console.print(note, highlight=False, markup=False)
 
