@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.dynamics import linear
-from pcbench.plants import nonlinear
+from pcbench.plants import differs, nonlinear, numbers_of
 from pcbench.simulation.schedule import shared
 from pcbench.study.cells import Cell
 from pcbench.synthesis import riccati
@@ -14,7 +14,8 @@ from pcbench.synthesis.certificate import Setting
 def bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
     s = cell.scenario
-    wrong = nonlinear(s) or s.truth.drift or cell.parameters or s.truth.unknown_input or s.loop.command_std
+    other = differs(numbers_of(s), cell.parameters)
+    wrong = nonlinear(s) or s.truth.drift or other or s.truth.unknown_input or s.loop.command_std
     exact = not wrong and all(s.sampling.noise_std)  # no bound without noise
     clocks = cell.times.clocks
     if not exact or cell.times.random:

@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
 from pcbench.plants import arm, cart, csth, helicopter, lti
 from pcbench.plants.entry import Entry
 from pcbench.plants.factory import plant
@@ -101,9 +103,28 @@ def varied(numbers: Any, given: Mapping[str, Any]) -> Any:
     return out._replace(own={**out.own, **named}, plant=plant)
 
 
+def differs(numbers: Any, given: Mapping[str, Any]) -> bool:
+    """Say whether a plant with some of its parameters given is another than that of its numbers."""
+    own = getattr(numbers, "own", {})
+    return any(value != (own[name] if name in own else getattr(numbers, name)) for name, value in given.items())
+
+
 def drifts(scenario: Scenario) -> bool:
     """Say whether the axis `drift` has an effect in a scenario."""
     return entry_of(scenario).drifts or "plant" in scenario.truth.parameters
+
+
+def settles_alone(scenario: Scenario) -> bool:
+    """Say whether a linear plant, known exactly, decays to what its input makes of it with nothing else to push it."""
+    true, loop = scenario.truth, scenario.loop
+    noisy = any(true.process_std) if np.ndim(true.process_std) < 2 else True
+    if scenario.plant not in PLANTS or nonlinear(scenario) or loop.controller or noisy:
+        return False
+    if true.drift or true.parameters or true.unknown_input:
+        return False
+    model = entry_of(scenario).nominal(numbers_of(scenario))
+    modes = np.linalg.eigvals(model.A)
+    return bool(np.abs(modes).max() < 1 if model.discrete else modes.real.max() < 0)
 
 
 def nonlinear(scenario: Scenario) -> bool:

@@ -65,6 +65,10 @@ def test_there_is_no_bound_where_observers_cannot_know_what_moves_the_plant(what
     assert bound(name, parameters, **changes) is None
 
 
+def test_there_is_a_bound_where_a_parameter_is_what_observers_believe():
+    np.testing.assert_array_equal(bound("cart/white", {"lam": 122.0}), bound("cart/white"))
+
+
 def test_the_bound_is_the_root_of_the_mean_posterior_variance_over_the_tail():
     found = bound("cart/white", horizon=2.0, tail=1.1, delay=(0.13,))
     model = linear.Model(

@@ -1,9 +1,11 @@
 """What a study's own plant is where its table leaves something out, and what is said of its states."""
 
 import pytest
+import tomli_w
+from commands import call
 
 from pcbench.errors import UserError
-from pcbench.plants import signals_of
+from pcbench.plants import settles_alone, signals_of
 from pcbench.study import read
 
 PLANT = {
@@ -66,3 +68,30 @@ def test_a_plant_may_grow_by_so_much_over_its_horizon_and_no_more():
     scenario(A=[[1.4, 0.0], [0.0, 0.1]], dt=0.05, horizon=10.0)
     with pytest.raises(UserError, match="grows by 1e35"):
         scenario(A=[[0.1, 0.0], [0.0, 1.5]], dt=0.05, horizon=10.0)
+
+
+LONE = {
+    "as it is": ({}, True),
+    "process noise": ({"process_std": [0.0, 0.1]}, False),
+    "full process noise": ({"QN": [[1.0, 0.5], [0.5, 1.0]]}, False),
+    "an integrator": ({"A": [[-1.0, 2.0], [0.0, 0.0]]}, False),
+    "discrete": ({"A": [[0.5, 0.2], [0.0, 0.9]], "dt": 0.05}, True),
+    "discrete and growing": ({"A": [[0.5, 0.2], [0.0, 1.1]], "dt": 0.05}, False),
+    "an unknown input": ({"E": [[0.0], [1.0]]}, False),
+    "another plant": ({"plant": {"A": [[-1.0, 2.0], [0.0, -0.6]]}}, False),
+}
+
+
+@pytest.mark.parametrize("what", LONE)
+def test_a_plant_settles_alone_where_nothing_but_its_input_pushes_it(what):
+    changes, want = LONE[what]
+    assert settles_alone(scenario(**changes)) is want
+
+
+def test_the_closing_table_says_where_the_model_alone_wins(tmp_path):
+    path = tmp_path / "own.toml"
+    path.write_text(tomli_w.dumps({"lti": PLANT | {"horizon": 1.0}, "seeds": 4}))
+    said = "lti: the plant decays by itself, is what its model says, and has no process noise."
+    assert said in " ".join(call("run", str(path), "--out", str(tmp_path / "a")).stdout.split())
+    axes = ("--set", "axes.process_std=[0.0, 0.1]")
+    assert said not in " ".join(call("run", str(path), "--out", str(tmp_path / "b"), *axes).stdout.split())
