@@ -8,7 +8,35 @@ Nothing heavy is imported before it is used.
 """
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # the same names, for type checkers and editors
+    from pcbench.api import design as design
+    from pcbench.api import run as run
+    from pcbench.api import trace as trace
+    from pcbench.dataset.result import Result as Result
+    from pcbench.dataset.result import opened as opened
+    from pcbench.dynamics.linear import held as held
+    from pcbench.errors import DesignError as DesignError
+    from pcbench.errors import UserError as UserError
+    from pcbench.gains.design import trade_off as trade_off
+    from pcbench.gains.tune import tune as tune
+    from pcbench.machine.process import setup as setup
+    from pcbench.observers import Entry as Entry
+    from pcbench.plants import PlantEntry as PlantEntry
+    from pcbench.plants import plant as plant
+    from pcbench.protocols import Arrival as Arrival
+    from pcbench.protocols import Now as Now
+    from pcbench.protocols import Observer as Observer
+    from pcbench.protocols import Plant as Plant
+    from pcbench.study.interop import lti as lti
+    from pcbench.study.interop import to_control as to_control
+    from pcbench.study.interop import to_scipy as to_scipy
+    from pcbench.synthesis.certificate import Certificate as Certificate
+    from pcbench.synthesis.certificate import Design as Design
+    from pcbench.synthesis.certificate import Setting as Setting
+    from pcbench.synthesis.certificate import certified as certified
+    from pcbench.synthesis.certificate import uncertified as uncertified
 
 __version__ = "0.1.0"
 

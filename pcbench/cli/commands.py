@@ -5,11 +5,12 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli import checking, datasets, lists, observers, papers, reports, runs, tuning
+from pcbench.cli import checking, creating, datasets, lists, observers, papers, reports, runs, tuning
 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
     "show": (lists.show, "a scenario in full, or as a study file to start from"),
+    "new": (creating.new, "a file to start from: an observer or a scenario of your own"),
     "run": (runs.run, "run a study, and leave its tables in a folder"),
     "report": (reports.report, "one HTML page of the results, or figures"),
     "trace": (runs.trace, "one run tick by tick, as a file"),

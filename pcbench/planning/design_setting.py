@@ -7,7 +7,7 @@ from jax.tree_util import Partial
 
 from pcbench.dynamics import linear
 from pcbench.errors import unknown
-from pcbench.plants import entry_of, numbers_of, parameters_of
+from pcbench.plants import entry_of, numbers_of, parameters_in, varied
 from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import per_lane, sampling, shared
 from pcbench.study.cells import Cell
@@ -59,11 +59,11 @@ def setting(cell: Cell) -> Setting:
 
 def _variant(s: Scenario, parameters: dict[str, float]) -> linear.Model:
     """The model that observers would be told with other parameters."""
-    known = parameters_of(entry_of(s))
+    known = parameters_in(s)
     for name in parameters:
         if name not in known:
             raise unknown(f"{s.name}: parameter_range", f"parameter of plant {s.plant}", name, known)
-    return entry_of(s).nominal(numbers_of(s)._replace(**parameters))
+    return entry_of(s).nominal(varied(numbers_of(s), parameters))
 
 
 def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:

@@ -1,5 +1,6 @@
 """The plants, one file each, and the dict that names them."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from pcbench.plants import arm, cart, csth, helicopter, lti
@@ -29,6 +30,7 @@ PLANTS: dict[str, Entry] = {
         nominal=csth.nominal,
         prepare=csth.prepare,
         summary="stirred tank heater with three slow sensors, 3 states",
+        drifts=False,
     ),
     "arm": Entry(
         plant=arm.PLANT,
@@ -62,6 +64,7 @@ PLANTS: dict[str, Entry] = {
         nominal=lti.nominal,
         prepare=lti.prepare,
         summary="any linear plant of your own: a study's table [lti]",
+        drifts=False,
     ),
 }
 
@@ -87,6 +90,22 @@ def numbers_of(scenario: Scenario) -> Any:
     return entry_of(scenario).numbers._replace(**scenario.belief.model)
 
 
+def varied(numbers: Any, given: Mapping[str, Any]) -> Any:
+    """Return a plant's numbers with some changed; those that a plant of one's own has named are among its `own`."""
+    fields = {name: v for name, v in given.items() if name in numbers._fields}
+    named = {name: v for name, v in given.items() if name not in fields}
+    out = numbers._replace(**fields)
+    if not named:
+        return out
+    plant = {name: v for name, v in out.plant.items() if name not in named}
+    return out._replace(own={**out.own, **named}, plant=plant)
+
+
+def drifts(scenario: Scenario) -> bool:
+    """Say whether the axis `drift` has an effect in a scenario."""
+    return entry_of(scenario).drifts or "plant" in scenario.truth.parameters
+
+
 def nonlinear(scenario: Scenario) -> bool:
     """Say whether observers are told a nonlinear model of a scenario's plant."""
     plant = entry_of(scenario)
@@ -97,3 +116,8 @@ def parameters_of(plant: Entry) -> list[str]:
     """Return the names of a plant's parameters that a study may vary."""
     numbers = plant.numbers._asdict()
     return [name for name, v in numbers.items() if type(v) is float and name != "drift"]
+
+
+def parameters_in(scenario: Scenario) -> list[str]:
+    """Return the names of the parameters that a study of a scenario may vary, those that its plant has named among them."""
+    return [*parameters_of(entry_of(scenario)), *scenario.belief.model.get("own", {})]

@@ -26,5 +26,6 @@ class Entry(NamedTuple):
     positive: tuple[str, ...] = ()  # parameters that must be greater than 0
     signs: tuple[str, ...] = ()  # parameters that are 1 or -1
     ranges: tuple[tuple[float, float], ...] = ()  # of the unknowns, where observers look for them; empty: anywhere
+    drifts: bool = True  # whether `drift` has an effect; of a plant of one's own where it differs from the model
     # numbers -> dx/dt at the operating point where `nominal` is the slope and of which signals are deviations; None: no such
     residual: Callable[[Any], Any] | None = None

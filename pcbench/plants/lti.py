@@ -1,10 +1,12 @@
 """Any linear plant: x' = A x + B v + E f, or x one tick later where `discrete`; y = C x + D v, v = gain u + bias.
 
-A, B, C, D, E are the user's, and observers know them; `input_gain` and `input_bias` say how the plant differs from that, and no
-observer is told the unknown input f (left out: none). The output of tick k sees the input held from t_k on. A tick is the exact
-exponential under the held inputs, f too.
+A, B, C, D, E are the user's, and observers know them; entries may be formulas of named numbers. How the plant differs from that
+say `input_gain`, `input_bias`, other values of the named numbers, and `plant`: matrices or named numbers of its own, of which
+`drift` is the share (1: all of it). No observer is told the unknown input f (left out: none). The output of tick k sees the
+input held from t_k on. A tick is the exact exponential under the held inputs, f too.
 """
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -12,9 +14,13 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from pcbench.dynamics.linear import Model, one_tick
+from pcbench.dynamics import expression
+from pcbench.dynamics.linear import Matrix, Model, one_tick
 from pcbench.protocols import Leaf, Now, Plant
+from pcbench.scenarios.scenario import NOTHING
 from pcbench.scenarios.signals import inputs
+
+MATRICES = "ABCDE"
 
 
 class Numbers(NamedTuple):
@@ -27,9 +33,12 @@ class Numbers(NamedTuple):
     discrete: bool = False
     input_gain: float = 1.0
     input_bias: float = 0.0  # unit of the input
-    drift: float = 0.0  # nothing drifts here
+    drift: float = 0.0  # the share of `plant`
     E: Any = None  # [n, r]; None: no unknown input
     unknown_input: str = "zero"  # f: a signal's name for all, or one for each, with commas
+    own: Mapping[str, float] = NOTHING  # named numbers of the formulas
+    written: Mapping[str, Any] = NOTHING  # by letter: rows of matrices with formulas among their entries
+    plant: Mapping[str, Any] = NOTHING  # of the plant and no model: rows by letter, numbers by name
 
 
 class Params(NamedTuple):
@@ -50,14 +59,38 @@ class Params(NamedTuple):
 
 def nominal(numbers: Numbers) -> Model:
     """Return the model that observers know."""
-    A, B, C = (np.array(M, float) for M in (numbers.A, numbers.B, numbers.C))
-    D, E = (None if M is None else np.array(M, float) for M in (numbers.D, numbers.E))
+    given = {letter: numbers.written.get(letter, getattr(numbers, letter)) for letter in MATRICES}
+    A, B, C = (evaluated(given[letter], numbers.own) for letter in "ABC")
+    D, E = (None if given[letter] is None else evaluated(given[letter], numbers.own) for letter in "DE")
     return Model(A, B, C, D, numbers.discrete, E)
+
+
+def evaluated(rows: Any, own: Mapping[str, float]) -> Matrix:
+    """Return rows of numbers and formulas as a matrix; raise ValueError where a formula has no finite value."""
+    if not own:
+        return np.array(rows, float)
+    each = [[expression.value(expression.parsed(v), own) if isinstance(v, str) else v for v in row] for row in rows]
+    return np.array(each, float)
+
+
+def actual(numbers: Numbers) -> Model:
+    """Return the plant as it is: `drift` parts of `plant`, and of the model what is left."""
+    share, plant = numbers.drift, numbers.plant
+    own = {name: (1 - share) * v + share * plant.get(name, v) for name, v in numbers.own.items()}
+    model = nominal(numbers._replace(own=own)) if plant else nominal(numbers)
+    known = model._replace(D=model.feedthrough)
+    return model._replace(
+        **{
+            letter: (1 - share) * getattr(known, letter) + share * evaluated(rows, own)
+            for letter, rows in plant.items()
+            if letter in MATRICES
+        }
+    )
 
 
 def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
     """Return the map of one tick of `dt` seconds."""
-    model = nominal(numbers)
+    model = actual(numbers)
     Phi, Gamma = one_tick(model, dt)
     gain, bias = np.asarray(numbers.input_gain), np.asarray(numbers.input_bias)
     E, push, f = np.zeros((len(Phi), 0)), np.zeros((len(Phi), 0)), np.zeros((1, 0))

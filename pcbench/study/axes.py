@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from pcbench.errors import UserError, shown, unknown
-from pcbench.plants import entry_of, parameters_of
+from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule.sampling import PROFILES
 
@@ -36,13 +36,18 @@ COMMANDS = ("command_jitter", "command_loss", "command_std")  # axes of loops th
 
 def axis(name: str, values: list[Any], base: Scenario, where: str) -> list[Value]:
     """Return an axis' values as a scenario holds them; raise UserError naming the one that cannot be."""
-    parameters = [f"plant.{p}" for p in parameters_of(entry_of(base))]
+    parameters = [f"plant.{p}" for p in parameters_in(base)]
     known = [*axes_of(base), *parameters]
     if name not in known:
         raise unknown(where, f"axis of {base.name}", name, known)
     if not values:
         raise UserError(f"{where}: got an empty list, expected at least one value; leave the axis out or fill it.")
     out = [point(name, value, base, f"{where}[{i}]") for i, value in enumerate(values)]
+    if name == "drift" and any(out) and not drifts(base):
+        raise UserError(
+            f"{where}: got {shown(values)} for {base.name}, where it has no effect: nothing drifts; leave it out"
+            + (", or say in [lti.plant] how the plant differs from its model." if base.plant == "lti" else ".")
+        )
     if len({str(v) for v in out}) < len(out):
         raise UserError(f"{where}: got a value twice in {shown(values)}, expected each once; remove the repeated one.")
     return out

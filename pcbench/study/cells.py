@@ -14,6 +14,7 @@ from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
 from pcbench.study.axes import axes_of
+from pcbench.study.lti_plant import require_plant
 from pcbench.study.names import own_in
 from pcbench.study.own_observers import OwnObserver
 from pcbench.study.times import Timing, times_of, whole
@@ -106,7 +107,10 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         }
         parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
-        cell = cell_of(changed, index, values, dict(base.truth.parameters) | parameters, choices)
+        parameters = dict(base.truth.parameters) | parameters
+        if base.plant == "lti":
+            require_plant(changed, parameters, where)
+        cell = cell_of(changed, index, values, parameters, choices)
         out.append(cell._replace(options=options, own=mine, told=digests, digest=identity(cell, study.root_seed)))
     return out
 

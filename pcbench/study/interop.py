@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import UserError, unknown
+from pcbench.plants.lti import nominal
 from pcbench.study import Study
 from pcbench.study.lti import Lti
 from pcbench.study.read import parse
@@ -88,8 +89,8 @@ def _plant(study: Study) -> Lti:
 
 def _matrices(plant: Lti) -> tuple[list[NDArray[np.float64]], float | None]:
     """Return A, B, C, D and the time base [s], None of a continuous plant."""
-    A, B, C = (np.array(rows, float) for rows in (plant.A, plant.B, plant.C))
-    return [A, B, C, np.zeros((len(C), B.shape[1])) if plant.D is None else np.array(plant.D, float)], plant.dt
+    model = nominal(plant.numbers("lti"))
+    return [model.A, model.B, model.C, model.feedthrough], plant.dt
 
 
 def _plain(value: Any) -> Any:

@@ -5,12 +5,15 @@ from collections.abc import Iterable
 from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError, shown, unknown
-from pcbench.scenarios import Belief, Loop, Sampling, Scenario, Scoring, Truth
+from pcbench.plants.lti import Numbers
+from pcbench.scenarios import NOTHING, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import SIGNALS, SINGLE
 from pcbench.study import axes, limits
 from pcbench.study.lti_noise import Intensity, process_noise
+from pcbench.study.lti_plant import Differing, differing, known, told
 from pcbench.study.lti_shapes import (
     Number,
+    NumberRows,
     PerChannel,
     PerState,
     Positive,
@@ -27,6 +30,12 @@ class Lti(BaseModel):
     """x' = A x + B u + E f, y = C x + D u, u and f held over a tick; with `dt`, x one tick later. n, m, q; r unknown inputs."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+    parameters: dict[str, Number] | None = Field(
+        None, description='named numbers; entries of A to E may be formulas of them, such as "-k/m"'
+    )
+    plant: Differing | None = Field(
+        None, description="what is true of the plant and told to no observer: any of A to E, or of the parameters"
+    )
     A: Rows = Field(description="[n, n]")
     B: Rows = Field(description="[n, m]")
     C: Rows = Field(description="[q, n]")
@@ -41,7 +50,7 @@ class Lti(BaseModel):
     process_std: PerState | None = Field(
         None, description="of the noise added at every tick, one for all states or one for each; default: none"
     )
-    G: Rows | None = Field(None, description="[n, g] how process noise enters; default: each state has its own")
+    G: NumberRows | None = Field(None, description="[n, g] how process noise enters; default: each state has its own")
     QN: Intensity | None = Field(
         None, description="of the process noise, [g, g], a number for each, or one: intensity [1/s]; with dt, a tick's"
     )
@@ -68,9 +77,15 @@ class Lti(BaseModel):
     delay_jitter: Number = 0.0
     loss: Number = 0.0
 
+    def numbers(self, where: str) -> Numbers:
+        """Return the plant's numbers as observers know them; raise UserError naming the entry that has no value."""
+        return known(self, where)
+
     def scenario(self, name: str, where: str) -> Scenario:
         """Return the experiment as a scenario; raise UserError naming the key that does not fit."""
         n, m, q = dimensions(self, where)
+        numbers = self.numbers(where)
+        plant = differing(self, numbers, where)
         if self.dt is not None and self.tick not in (None, self.dt):
             raise UserError(
                 f"{where}: got a discrete plant of dt = {self.dt:g} s and a tick of {self.tick:g} s, expected the same; "
@@ -104,7 +119,7 @@ class Lti(BaseModel):
                 raise UserError(
                     f"{where}.states: got a state called '{signal}', expected another name (the unknown input has it)."
                 )
-        require_slow(self.A, self.dt is not None, ticks, tick, where)
+        require_slow(numbers.A, self.dt is not None, ticks, tick, where)
         base = Scenario(
             name=name,
             summary="a plant of one's own",
@@ -113,7 +128,9 @@ class Lti(BaseModel):
             observers=tuple(self.observers),
             truth=Truth(
                 x0=tuple(x0),
-                process_std=process_noise(self, tick, f"{where}"),
+                drift=1.0 if plant else 0.0,
+                parameters={"plant": plant} if plant else NOTHING,
+                process_std=process_noise(self, numbers.A, tick, where),
                 unknown_input=", ".join(pushing),
             ),
             loop=Loop(input=", ".join(given_input)),
@@ -121,7 +138,7 @@ class Lti(BaseModel):
             belief=Belief(
                 xhat0=tuple(xhat0),
                 prior_std=tuple(prior),
-                model={key: getattr(self, key) for key in "ABCDE"} | {"discrete": self.dt is not None},
+                model=told(numbers),
                 unknown_std=tuple(size),
                 assumed_process_std=tuple(vector(self.assumed_process_std, [], n, f"{where}.assumed_process_std"))
                 if self.assumed_process_std is not None

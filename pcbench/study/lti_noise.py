@@ -20,19 +20,18 @@ ROUNDING = 1e-12  # part of the largest entry by which a covariance may fall sho
 class Noisy(Protocol):
     """What says how process noise enters a plant, and how much of it."""
 
-    A: Any
     dt: float | None
     process_std: Any
     G: Any
     QN: Any
 
 
-def process_noise(lti: Noisy, tick: float, where: str) -> tuple[Any, ...]:
-    """Return the noise of a tick as `Truth.process_std` has it: [n], [n, n], or nothing where there is none.
+def process_noise(lti: Noisy, A: Any, tick: float, where: str) -> tuple[Any, ...]:
+    """Return the noise of a tick of a plant A [n, n] as `Truth.process_std` has it: [n], [n, n], or nothing.
 
     Raises UserError where G and QN do not fit, or QN is no covariance.
     """
-    n = len(lti.A)
+    n = len(A)
     if lti.process_std is not None:
         other = next((name for name in ("G", "QN") if getattr(lti, name) is not None), None)
         if other:
@@ -45,8 +44,7 @@ def process_noise(lti: Noisy, tick: float, where: str) -> tuple[Any, ...]:
         return ()
     G = np.eye(n) if lti.G is None else _entering(lti.G, n, f"{where}.G")
     QN = covariance(lti.QN, G.shape[1], f"{where}.QN")
-    A = np.array(lti.A, float)
-    Q = G @ QN @ G.T if lti.dt else noise_over_tick(A, G @ QN @ G.T, tick)
+    Q = G @ QN @ G.T if lti.dt else noise_over_tick(np.array(A, float), G @ QN @ G.T, tick)
     return root(Q) if np.any(Q) else ()
 
 

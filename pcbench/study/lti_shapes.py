@@ -6,6 +6,7 @@ from typing import Annotated, Any, Protocol
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, Strict, ValidationInfo
 
+from pcbench.dynamics import expression
 from pcbench.errors import UserError, short, shown
 from pcbench.study import axes
 
@@ -27,6 +28,12 @@ Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
 Size = Annotated[Number, Field(ge=0)]
 
 
+def _formula(text: str) -> str:
+    """A formula as it stands; raise ValueError, which says what is expected, where it is none."""
+    expression.parsed(text)
+    return text
+
+
 def _rows(given: Any, info: ValidationInfo) -> Any:
     """Refuse a flat list of numbers, saying how it is written as a matrix: a column for each input, a row for each output."""
     if isinstance(given, list) and given and not any(isinstance(each, list) for each in given):
@@ -35,7 +42,8 @@ def _rows(given: Any, info: ValidationInfo) -> Any:
     return given
 
 
-Rows = Annotated[list[list[Number]], BeforeValidator(_rows)]
+NumberRows = Annotated[list[list[Number]], BeforeValidator(_rows)]
+Rows = Annotated[list[list[Number | Annotated[str, AfterValidator(_formula)]]], BeforeValidator(_rows)]
 PerChannel = Number | list[Number]
 PerState = Size | list[Size]
 

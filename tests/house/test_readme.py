@@ -5,12 +5,11 @@ import subprocess
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 from commands import call
-from harness import CART, Case, trace
 
 import pcbench
+from pcbench import checking
 from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
 from pcbench.statistics import wording
@@ -78,30 +77,27 @@ def test_the_pushed_cart_runs_as_written_and_its_push_is_found(tmp_path):
 
 @pytest.mark.parametrize(
     "first_line",
-    ["import pcbench", "from typing import Any, NamedTuple", pytest.param("import control", marks=pytest.mark.slow)],
+    ["import pcbench", pytest.param("import control", marks=pytest.mark.slow)],
 )
 def test_python_examples_run(first_line, capsys):
     (example,) = [b for b in blocks("python") if b.startswith(first_line)]
-    try:
-        exec(compile(example.replace("pcbench.setup()", ""), "README.md", "exec"), {})
-        shown = capsys.readouterr().out
-        assert "dkf" in shown or "pccebo" in shown
-    finally:
-        OBSERVERS.pop("nudge", None)
+    exec(compile(example.replace("pcbench.setup()", ""), "README.md", "exec"), {})
+    shown = capsys.readouterr().out
+    assert "dkf" in shown or "pccebo" in shown
 
 
-def test_the_observer_example_is_short_and_knows_its_schedule():
-    """At most 30 lines of code, and perfect start holds: it is an observer, not a decoration."""
-    (example,) = [b for b in blocks("python") if "OBSERVERS[" in b]
-    assert len([line for line in example.splitlines() if line.strip()]) <= 30
-    space = {}
-    try:
-        exec(compile(example.rsplit("print(", 1)[0], "README.md", "exec"), space)
-        start = [5.0, 10.0]
-        got = trace(Case(CART, 40, 80, ticks=400, x0=start, xhat0=start), {"nudge": {}})
-        assert np.abs(got.x - got.estimates["nudge"]).max() < 1e-12
-    finally:
-        OBSERVERS.pop("nudge", None)
+def test_the_observer_example_is_short_and_knows_its_schedule(tmp_path, monkeypatch):
+    """At most 25 lines of code, it passes every check, and it runs from the study file that is shown."""
+    monkeypatch.chdir(tmp_path)
+    (example,) = [b for b in blocks("python") if "pcbench.Observer(" in b]
+    assert len([line for line in example.splitlines() if line.strip()]) <= 25
+    (tmp_path / "mine.py").write_text(example)
+    _, found = checking.check("mine.py:nudge", options={"share": 0.2})
+    assert [f.check for f in found if f.verdict != "passes"] == []
+    (study,) = [b for b in blocks("toml") if 'use = "mine.py:nudge"' in b]
+    (tmp_path / "s.toml").write_text(study)
+    result = pcbench.run("s.toml", seeds=8)
+    assert list(dict.fromkeys(result.stats.observer)) == ["dkf", "strong"]
 
 
 def test_the_table_shown_is_the_one_that_comes_out():

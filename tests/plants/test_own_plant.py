@@ -125,7 +125,7 @@ def test_away_from_an_equilibrium_linear_observers_refuse_and_ekf_runs(own):
         pcbench.run(own({"observers": ["dkf"]}, slope))
     stats = pcbench.run(own({"observers": ["ekf"], "noise_std": 1e-3}, slope)).stats
     assert (stats.query("metric == 'divergence'")["mean"] == 0).all()
-    with pytest.raises(UserError, match="got a drift of 1 in mine, whose plant pendulum has none"):
+    with pytest.raises(UserError, match="got a drift of 1 in mine, where nothing drifts"):
         read.parse(own({"drift": 1.0}), "mine.toml")
 
 

@@ -1,0 +1,41 @@
+"""Set points over time, and the state and input at which a plant rests on them."""
+
+import numpy as np
+import pytest
+from loops import TICK, plant, resting
+
+from pcbench.controllers.parts.set_points import SetPoint, reference, rest
+
+T = TICK * np.arange(100)
+P = plant()
+
+
+@pytest.mark.parametrize(
+    ("given", "want"),
+    [
+        ({"step": 2.0}, lambda t: 2.0),
+        ({"step": 2.0, "at": 0.3}, lambda t: 2.0 * (t >= 0.3 - 1e-9)),
+        ({"sine": 0.5, "frequency": 2.0, "offset": -1.0}, lambda t: -1 + 0.5 * np.sin(4 * np.pi * t)),
+        ({"table": [[0.1, 3.0], [0.25, -1.0]]}, lambda t: 0.0 if t < 0.1 - 1e-9 else 3.0 if t < 0.25 - 1e-9 else -1.0),
+    ],
+)
+def test_steps_sines_and_tables(given, want):
+    got = SetPoint.model_validate(given).at_times(T)
+    np.testing.assert_allclose(got, [want(t) for t in T], atol=1e-15)
+
+
+def test_the_plant_rests_on_a_set_point_where_it_can():
+    """Two inputs can hold two states: then the next tick is the same."""
+    both = rest(P.Phi, P.Gamma, [0, 2]) @ np.array([0.7, -0.2])
+    x, u = both[:3], both[3:]
+    assert (x[0], x[2]) == (0.7, -0.2)
+    np.testing.assert_allclose(P.Phi @ x + P.Gamma @ u, x, atol=1e-12)
+
+
+def test_where_it_cannot_the_rest_is_that_of_least_squares():
+    points = {"rate": SetPoint(step=0.4), "angle": SetPoint(sine=0.3), "current": SetPoint(step=0.1)}
+    got = reference(points, ("angle", "rate", "current"), (P.Phi, P.Gamma), TICK, 100)
+    r = np.stack([0.4 + 0 * T, 0.3 * np.sin(2 * np.pi * T), 0.1 + 0 * T], 1)
+    x, u = resting(P, r, [1, 0, 2])
+    np.testing.assert_allclose(got.x, x, atol=1e-12)
+    np.testing.assert_allclose(got.u, u, atol=1e-10)
