@@ -16,6 +16,7 @@ from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import alone, drafts, padding
 from pcbench.plants import signals_of
+from pcbench.scenarios.sources import units
 from pcbench.study import read
 from pcbench.study.read import Described, grid_of, one_cell
 from pcbench.synthesis.certificate import Design
@@ -111,6 +112,8 @@ def trace(
     columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
     columns |= {f"y{i + 1}": y for i, y in enumerate(_held(out.arrived).T)}
     frame = pd.DataFrame(columns)
+    driven = units(p.cell.scenario.loop.input, out.u.shape[1])
+    frame.attrs["input_units"] = {f"u{i + 1}": unit for i, unit in enumerate(driven)}
     frame.attrs["carries_input"] = dict(p.carries_input)  # of the predictions to now, by observer
     return frame
 

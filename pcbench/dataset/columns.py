@@ -192,10 +192,11 @@ def _type(name: str, values: Any, bools: tuple[str, ...]) -> pa.DataType:
 
 def trace_table(frame: pd.DataFrame, signals: tuple[tuple[str, str], ...]) -> pa.Table:
     """Return a trace as a table whose columns say their unit; ticks 0 .. N, estimates after the jump of each tick."""
-    units = {"t": "s"} | dict(signals)
+    units, driven = {"t": "s"} | dict(signals), frame.attrs.get("input_units", {})
     fields = []
     for name in frame.columns:
-        unit = units.get(name.rpartition(".")[2], "unit of the input" if name[0] == "u" else "unit of the output")
+        plain = (driven.get(name) or "unit of the input") if name[0] == "u" else "unit of the output"
+        unit = units.get(name.rpartition(".")[2], plain)
         meaning = "time" if name == "t" else "estimate" if "." in name else "truth" if name in units else ""
         meaning = "set point" if name.startswith("target.") else meaning
         meaning = meaning or ("input held over the tick" if name[0] == "u" else "newest arrived measurement, held")

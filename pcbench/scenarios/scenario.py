@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from pcbench.scenarios.sources import Sources
+
 NOTHING: Mapping[str, Any] = MappingProxyType({})
 INTERVAL = "interval"  # a delay: a sample arrives when the next is taken; in ticks it is None
 
@@ -21,13 +23,13 @@ class Truth(NamedTuple):
     process_std: tuple[
         Any, ...
     ] = ()  # [n] of the noise added to each state at every tick, or a root [n, n] of its covariance
-    unknown_input: str = ""  # name in `signals`, or one for each with commas; empty: the plant has none
+    unknown_input: Sources = ""  # what pushes, as `Loop.input` says it; empty: the plant has none
 
 
 class Loop(NamedTuple):
     """What drives the plant: a signal, or a controller that closes the loop."""
 
-    input: str = ""  # of an open loop: name in `signals`
+    input: Sources = ""  # of an open loop: name in `signals`, or one for each with commas; or as data
     controller: str = ""  # of a closed loop: a name in `controllers`; empty: the loop is open
     control: Mapping[str, Any] = NOTHING  # the controller's options
     actuator_delay: float | None = None  # s, from command to plant; None: that of the measurements

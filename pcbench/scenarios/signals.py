@@ -7,6 +7,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.scenarios import sources
+from pcbench.scenarios.sources import Source, Sources
+
 Signal = Callable[[NDArray[np.float64]], NDArray[np.float64]]  # t[N] s -> u[N, m]
 
 
@@ -100,16 +103,25 @@ SINGLE = [name for name in SIGNALS if not name.startswith("heater")]  # of one c
 JUMPS = {"sawtooth": np.pi, "rising": np.pi, "square": 1.0, "arm-sawtooth": 2.0}  # [s] from one to the next
 
 
-def jumps(names: str, dt: float, ticks: int) -> NDArray[np.int64]:
+def jumps(given: Sources, dt: float, ticks: int) -> NDArray[np.int64]:
     """Return the first tick after every jump of a signal (or of one of several) after t = 0, up to `ticks`."""
     out = set()
-    for every in (JUMPS[name.strip()] for name in names.split(",") if name.strip() in JUMPS):
-        out |= {math.ceil(i * every / dt - 1e-6) for i in range(1, int(ticks * dt / every) + 2)}
+    for part in parts(given):
+        if not isinstance(part, str):
+            out |= set(sources.jumps(part, dt, ticks))
+        elif part in JUMPS:
+            every = JUMPS[part]
+            out |= {math.ceil(i * every / dt - 1e-6) for i in range(1, int(ticks * dt / every) + 2)}
     return np.array(sorted(tick for tick in out if tick <= ticks), int)
 
 
-def inputs(names: str, t: NDArray[np.float64], many: int) -> NDArray[np.float64]:
+def inputs(given: Sources, t: NDArray[np.float64], many: int) -> NDArray[np.float64]:
     """Return u [N, m] for m inputs: one signal for all of them, or one for each, with commas between the names."""
-    each = [SIGNALS[name.strip()](t) for name in names.split(",")]
+    each = [SIGNALS[part](t) if isinstance(part, str) else sources.values(part, t) for part in parts(given)]
     u = np.hstack(each)
     return u if u.shape[1] == many else np.hstack(each * many)
+
+
+def parts(given: Sources) -> list[Source]:
+    """Return the signals, one by one."""
+    return [name.strip() for name in given.split(",")] if isinstance(given, str) else list(given)

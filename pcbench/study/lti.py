@@ -1,14 +1,16 @@
 """A study's own linear plant, `[lti]`: matrices with the experiment on them, checked and turned into a scenario."""
 
-from collections.abc import Iterable
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
-from pcbench.errors import UserError, shown, unknown
+from pcbench.errors import UserError, shown
 from pcbench.plants.lti import Numbers
 from pcbench.scenarios import NOTHING, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import SIGNALS, SINGLE
+from pcbench.scenarios.sources import Sources, units
 from pcbench.study import axes, limits
+from pcbench.study.lti_inputs import read, sources
 from pcbench.study.lti_noise import Intensity, process_noise
 from pcbench.study.lti_plant import Differing, differing, known, told
 from pcbench.study.lti_shapes import (
@@ -24,6 +26,8 @@ from pcbench.study.lti_shapes import (
     signals,
     vector,
 )
+
+Input = Annotated[Any, BeforeValidator(read)]
 
 
 class Lti(BaseModel):
@@ -57,10 +61,11 @@ class Lti(BaseModel):
     assumed_process_std: PerState | None = Field(
         None, description="what designers assume in place of the process noise that there is"
     )
-    input: str = Field("sine", description="a signal's name for all inputs, or one for each, with commas")
-    unknown_input: str | None = Field(
-        None, description="a signal's name for all, or one for each, with commas; default: sine"
+    input: Input = Field(
+        "sine",
+        description="a signal's name for all inputs, or one for each, with commas; or a wave, values, rows, a CSV file",
     )
+    unknown_input: Input | None = Field(None, description="likewise, of what pushes by E; default: sine")
     unknown_std: list[Number] | None = Field(None, description="[r] its typical size; default: ones")
     x0: list[Number] | None = Field(None, description="[n] default: ones")
     xhat0: list[Number] | None = Field(None, description="[n] default: zeros")
@@ -92,14 +97,10 @@ class Lti(BaseModel):
                 f"leave tick out, or discretise the plant at {self.tick:g} s."
             )
         r = len(self.E[0]) if self.E else 0
-        given_input = _named(self.input, SIGNALS, m, "inputs", f"{where}.input")
         if self.unknown_input is not None and not r:
             raise UserError(
                 f"{where}.unknown_input: got {shown(self.unknown_input)} without E, expected E [n, r] beside it."
             )
-        pushing = (
-            _named(self.unknown_input or "sine", SINGLE, r, "unknown inputs", f"{where}.unknown_input") if r else []
-        )
         x0, xhat0 = vector(self.x0, 1.0, n, f"{where}.x0"), vector(self.xhat0, 0.0, n, f"{where}.xhat0")
         apart = [abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=True)]
         prior = vector(self.prior_std, apart, n, f"{where}.prior_std")
@@ -112,7 +113,14 @@ class Lti(BaseModel):
         tail = 0.3 * self.horizon if self.tail is None else self.tail
         tick = self.dt or self.tick or 1e-3
         ticks = limits.ticks_of(self.horizon, tick, where)
-        unknowns = tuple(("input" if r == 1 else f"input{i + 1}", "1") for i in range(r))
+        driving = sources(self.input, m, SIGNALS, (ticks, tick), "inputs", f"{where}.input")
+        pushing: Sources = ""
+        if r:
+            asked = "sine" if self.unknown_input is None else self.unknown_input
+            pushing = sources(asked, r, SINGLE, (ticks, tick), "unknown inputs", f"{where}.unknown_input")
+        unknowns = tuple(
+            ("input" if r == 1 else f"input{i + 1}", unit or "1") for i, unit in enumerate(units(pushing, r))
+        )
         states = signals(self.states, n, f"{where}.states")
         for signal, _ in unknowns:
             if signal in dict(states):
@@ -131,9 +139,9 @@ class Lti(BaseModel):
                 drift=1.0 if plant else 0.0,
                 parameters={"plant": plant} if plant else NOTHING,
                 process_std=process_noise(self, numbers.A, tick, where),
-                unknown_input=", ".join(pushing),
+                unknown_input=pushing,
             ),
-            loop=Loop(input=", ".join(given_input)),
+            loop=Loop(input=driving),
             sampling=Sampling(sampling_period=(tick,) * q, delay=(0.0,) * q, noise_std=(0.0,) * q),
             belief=Belief(
                 xhat0=tuple(xhat0),
@@ -159,14 +167,3 @@ class Lti(BaseModel):
             raise UserError(f"{where}.tail: got {tail:g} s, expected less than the horizon of {self.horizon:g} s.")
         given = {f: getattr(self, f) for f in axes.AXES if f in type(self).model_fields and f not in axes.STATES}
         return base.having(**{f: axes.point(f, v, base, f"{where}.{f}") for f, v in given.items()})
-
-
-def _named(text: str, valid: Iterable[str], many: int, what: str, where: str) -> list[str]:
-    """The names of signals, one or one for each of `many`."""
-    names = [part.strip() for part in text.split(",")]
-    for name in names:
-        if name not in valid:
-            raise unknown(where, "input", name, valid)
-    if len(names) not in (1, many):
-        raise UserError(f"{where}: got {len(names)} signals, expected one, or one for each of {many} {what}.")
-    return names

@@ -12,6 +12,7 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.study import STUDIES, Choices, Study, underscored
 from pcbench.study import axes as axis
 from pcbench.study.labels import labelled
+from pcbench.study.lti_inputs import located
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
 NOT_TOML = (ValueError, RecursionError)  # what tomllib raises, also for numbers too long and lists too deep
@@ -55,6 +56,8 @@ def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[s
     for table in ("lti", "scenario", "tune", "controller"):
         if isinstance(raw.get(table), dict):
             raw[table] = underscored(raw[table], f"{where}: {table}")
+    if isinstance(raw.get("lti"), dict):
+        raw["lti"] = located(raw["lti"], folder)
     if isinstance(raw.get("axes"), dict):
         raw["axes"] = {
             k: v if isinstance(v, list) else [v]

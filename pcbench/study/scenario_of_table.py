@@ -160,7 +160,7 @@ def _driven(s: Scenario, given: dict[str, Any], entry: Entry, m: int, where: str
     if s.loop.controller:
         s = s.having(control=fit.control(s, entry, where))
     else:
-        fit.require_names(s.loop.input, SIGNALS, m, "input", f"{where}.input")
+        fit.require_names(str(s.loop.input), SIGNALS, m, "input", f"{where}.input")
     if given.get("unknown_input"):
         if "unknown_input" not in entry.numbers._fields:
             raise UserError(

@@ -51,7 +51,9 @@ def test_no_mutation_stands_there_twice():
 
 def test_every_folder_is_covered():
     covered = {Path(m.file).parent for m in MUTATIONS}
-    assert {p.parent.relative_to(PACKAGE) for p in PACKAGE.rglob("*.py")} <= covered
+    assert {p.parent.relative_to(PACKAGE) for p in PACKAGE.rglob("*.py")} - {Path("cli/templates")} <= covered, (
+        "a text is none"
+    )
 
 
 def test_a_mutation_without_its_one_place_is_an_error():

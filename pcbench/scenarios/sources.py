@@ -1,0 +1,70 @@
+"""Inputs as data, where no name of `signals` says them: waves with an amplitude, and tables whose values are held."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+NEAR = 1e-9  # part of a cycle, or of a table's first interval, by which a time may be short of an edge
+
+
+class Wave(NamedTuple):
+    """offset + amplitude times a shape of unit size over frequency t + phase / 2 pi cycles."""
+
+    shape: str  # of SHAPES
+    amplitude: float = 1.0  # in `unit`
+    frequency: float = 0.0  # [Hz]; 0: it does not repeat
+    offset: float = 0.0  # in `unit`
+    phase: float = 0.0  # [rad]
+    unit: str = ""
+
+
+class Table(NamedTuple):
+    """Values that are held from their times on until the next; 0 before the first."""
+
+    t: tuple[float, ...]  # [K] s, growing
+    u: tuple[tuple[float, ...], ...]  # [K, m]
+
+
+Source = str | Wave | Table  # a name in `signals.SIGNALS`, or one of these
+Sources = str | tuple[Source, ...]  # one for all inputs, or one for each; names with commas between
+SHAPES: dict[
+    str, Callable[[NDArray[np.float64]], NDArray[np.float64]]
+] = {  # of cycles c [N]; the last three repeat with jumps
+    "step": np.ones_like,
+    "sine": lambda c: np.sin(2 * np.pi * c),
+    "square": lambda c: np.where(np.mod(c + NEAR, 1.0) < 0.5, 1.0, -1.0),
+    "sawtooth": lambda c: 1 - 2 * np.mod(c + NEAR, 1.0),
+    "rising": lambda c: 2 * np.mod(c + NEAR, 1.0) - 1,
+}
+JUMPS_A_CYCLE = {"square": 2, "sawtooth": 1, "rising": 1}
+
+
+def values(source: Wave | Table, t: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what a source is at times t [N] s: [N, 1], or of a table [N, m]."""
+    if isinstance(source, Wave):
+        shape = SHAPES[source.shape](source.frequency * t + source.phase / (2 * np.pi))
+        return (source.offset + source.amplitude * shape)[:, None]
+    times, u = np.array(source.t), np.array(source.u)
+    near = NEAR * (times[1] - times[0] if len(times) > 1 else 1.0)
+    return np.vstack([np.zeros(u.shape[1]), u])[np.searchsorted(times - near, t, side="right")]
+
+
+def units(given: Sources, many: int) -> list[str]:
+    """Return the unit of each of `many` inputs; empty where no wave says one."""
+    each = [""] if isinstance(given, str) else [part.unit if isinstance(part, Wave) else "" for part in given]
+    return each if len(each) == many else each[:1] * many
+
+
+def jumps(source: Wave | Table, dt: float, ticks: int) -> list[int]:
+    """Return the first tick after every jump of a wave after t = 0, up to `ticks`; a table's are not told from its course."""
+    if not isinstance(source, Wave) or source.shape not in JUMPS_A_CYCLE or not source.frequency:
+        return []
+    each = JUMPS_A_CYCLE[source.shape]
+    start, end = source.phase / (2 * np.pi), source.frequency * dt * ticks + source.phase / (2 * np.pi)
+    at = [
+        (i / each - start) / source.frequency for i in range(math.floor(start * each) + 1, math.floor(end * each) + 1)
+    ]
+    return [math.ceil(t / dt - 1e-6) for t in at if t > 1e-6 * dt]

@@ -1,0 +1,151 @@
+"""Inputs of a plant of one's own, as `[lti]` may say them: names, waves, a value for each tick, a table over time, a CSV.
+
+input = "sine, square"                                                         names, one for all inputs or one for each
+input = {signal = "sine", amplitude = 2.0, frequency = 0.5, offset = 1.0}      or a list of such, one for each input
+input = [0.0, 0.5, 1.0]                                                        a value for each tick
+input = [[0.0, 1.0], [2.5, -1.0]]                                              rows [t, u1, ...], held until the next
+input = "voltage.csv"                                                          columns t, u1, ..., held until the next
+"""
+
+import csv
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from pcbench.errors import UserError, short, shown, unknown
+from pcbench.scenarios.sources import SHAPES, Source, Sources, Table, Wave
+from pcbench.study import axes
+
+ROWS = 200_000  # of a table
+REPEATING = [name for name in SHAPES if name != "step"]
+
+
+def located(lti: dict[str, Any], folder: Path | None) -> dict[str, Any]:
+    """Return an `[lti]` table whose CSV files are found from the study's folder; None: from where one is."""
+    found = {key: lti[key] for key in ("input", "unknown_input") if _is_csv(lti.get(key))}
+    return lti | {key: str((folder or Path()) / text.strip()) for key, text in found.items()}
+
+
+def read(given: Any) -> Any:
+    """Return an input as a study holds it: in place of a CSV file its rows; raise ValueError where it cannot be read."""
+    if not _is_csv(given):
+        return given
+    try:
+        with Path(given.strip()).open(newline="", encoding="utf-8-sig") as file:
+            head, *rows = [row for row in csv.reader(file) if row]
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or "it is no table with a head"
+        raise ValueError(f"a CSV file that can be read ({reason})") from None
+    want = ["t", *(f"u{i + 1}" for i in range(len(head) - 1))]
+    if [name.strip() for name in head] != want or len(head) < 2:
+        raise ValueError("a CSV file whose first line is t,u1 or t,u1,u2 ...")
+    if len(rows) > ROWS:
+        raise ValueError(f"a CSV file of at most {ROWS:,} rows")
+    for i, row in enumerate(rows):
+        if len(row) != len(head) or not all(_is_number(v) for v in row):
+            raise ValueError(f"a CSV file with {len(head)} numbers in line {i + 2}")
+    return [[float(v) for v in row] for row in rows]
+
+
+def sources(given: Any, many: int, valid: Iterable[str], ticks: tuple[int, float], kind: str, where: str) -> Sources:
+    """Return what drives `many` inputs (of a `kind`), as a scenario holds it; raise UserError for what does not fit.
+
+    `ticks` are how many there are and their length [s]; `valid` the names that may stand.
+    """
+    if isinstance(given, str):
+        return ", ".join(_named(given, valid, many, kind, where))
+    if isinstance(given, dict):
+        return (_wave(given, where),)
+    if not isinstance(given, list) or not given:
+        raise UserError(
+            f"{where}: got {shown(given)}, expected a signal's name, a table such as {{signal = 'sine', amplitude = 2.0, "
+            "frequency = 0.5}, a value for each tick, rows [t, u], or a CSV file."
+        )
+    if all(isinstance(each, dict | str) for each in given):
+        if len(given) not in (1, many):
+            raise UserError(f"{where}: got {len(given)} signals, expected one, or one for each of {many} {kind}.")
+        return tuple(_one(each, valid, f"{where}[{i}]") for i, each in enumerate(given))
+    return (_table(given, many, ticks, kind, where),)
+
+
+def _one(given: Any, valid: Iterable[str], where: str) -> Source:
+    return _named(given, valid, 1, "input", where)[0] if isinstance(given, str) else _wave(given, where)
+
+
+def _wave(given: dict[str, Any], where: str) -> Wave:
+    """A wave from its table."""
+    for key in given:
+        if key not in ("signal", *Wave._fields[1:]):
+            raise unknown(where, "key of a signal", key, ("signal", *Wave._fields[1:]))
+    shape = given.get("signal")
+    if shape is None:
+        raise UserError(f"{where}.signal is missing; write signal = one of {', '.join(SHAPES)}.")
+    if shape not in SHAPES:
+        raise unknown(f"{where}.signal", "shape of a signal", str(shape), SHAPES)
+    if not isinstance(given.get("unit", ""), str):
+        raise UserError(f"{where}.unit: got {shown(given['unit'])}, expected a text such as 'V'.")
+    numbers = {
+        key: axes.number(given[key], f"{where}.{key}", 0.0 if key == "frequency" else None)
+        for key in ("amplitude", "frequency", "offset", "phase")
+        if key in given
+    }
+    if shape in REPEATING and not numbers.get("frequency"):
+        raise UserError(f"{where}: got a {shape} without a frequency, expected one; write frequency = ..., in Hz.")
+    if shape not in REPEATING and (numbers.get("frequency") or numbers.get("phase")):
+        raise UserError(f"{where}: got a {shape} with a frequency or a phase, expected neither; leave them out.")
+    return Wave(shape, **numbers, unit=given.get("unit", ""))
+
+
+def _table(given: list[Any], many: int, ticks: tuple[int, float], kind: str, where: str) -> Table:
+    """A table from a value for each tick, or from rows [t, u1, ...]."""
+    count, dt = ticks
+    if len(given) > ROWS:
+        raise UserError(
+            f"{where}: got {len(given):,} rows, expected at most {ROWS:,}; take a longer tick, or fewer rows."
+        )
+    if not any(isinstance(row, list) for row in given):
+        each = [axes.number(v, f"{where}[{i}]", None) for i, v in enumerate(given)]
+        if len(each) not in (count, count + 1):
+            raise UserError(
+                f"{where}: got {len(each)} numbers, expected {count}, one for each tick of {dt:g} s; write rows [t, u] to hold "
+                "a value longer."
+            )
+        return Table(tuple(i * dt for i in range(len(each))), tuple((v,) for v in each))
+    widths = {2, many + 1}
+    for i, row in enumerate(given):
+        if not isinstance(row, list) or len(row) not in widths or len(row) != len(given[0]):
+            raise UserError(
+                f"{where}[{i}]: got {shown(row)}, expected a row of t and {'1' if many == 1 else f'1 or {many}'} numbers, the "
+                f"same in each: one for all, or one for each of {many} {kind}."
+            )
+    numbers = [[axes.number(v, f"{where}[{i}][{j}]", None) for j, v in enumerate(row)] for i, row in enumerate(given)]
+    for i in range(1, len(numbers)):
+        if numbers[i][0] <= numbers[i - 1][0]:
+            raise UserError(
+                f"{where}[{i}]: got t = {numbers[i][0]:g} s after {numbers[i - 1][0]:g} s, expected times that grow; "
+                "sort the rows."
+            )
+    return Table(tuple(row[0] for row in numbers), tuple(tuple(row[1:]) for row in numbers))
+
+
+def _named(text: str, valid: Iterable[str], many: int, kind: str, where: str) -> list[str]:
+    """The names of signals, one or one for each of `many`."""
+    names = [part.strip() for part in text.split(",")]
+    for name in names:
+        if name not in valid:
+            raise unknown(where, "input", short(name), valid)
+    if len(names) not in (1, many):
+        raise UserError(f"{where}: got {len(names)} signals, expected one, or one for each of {many} {kind}.")
+    return names
+
+
+def _is_csv(given: Any) -> bool:
+    return isinstance(given, str) and given.strip().lower().endswith(".csv")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
