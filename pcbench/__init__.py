@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.gains.tune import tune as tune
     from pcbench.machine.process import setup as setup
     from pcbench.observers import Entry as Entry
+    from pcbench.plants import PlantEntry as PlantEntry
+    from pcbench.plants import plant as plant
     from pcbench.protocols import Arrival as Arrival
     from pcbench.protocols import Now as Now
     from pcbench.protocols import Observer as Observer

@@ -117,6 +117,7 @@ def plant(
         sensor=partial(nonlinear.sensor, e),
         residual=partial(nonlinear.residual, e),
         positive=tuple(positive),
+        drifts="drift" in kept._fields,
         ranges=tuple(_range(name, each) for name, each in (pushed | sought).items()),
     )
 

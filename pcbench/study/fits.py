@@ -6,8 +6,8 @@ import numpy as np
 
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, Entry
+from pcbench.plants import drifts, nonlinear, numbers_of, states_of
 from pcbench.plants import entry_of as plant_of
-from pcbench.plants import nonlinear, numbers_of, states_of
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.simulation.schedule import sampling
 from pcbench.study import limits
@@ -21,9 +21,9 @@ def fits(s: Scenario, where: str) -> None:
     if measured.continuous:
         _at_every_stage(s, where)
     _loop(s, where)
-    if s.truth.drift and "drift" not in numbers_of(s)._fields:
+    if s.truth.drift and not drifts(s):
         raise UserError(
-            f"{where}: got a drift of {s.truth.drift:g} in {s.name}, whose plant {s.plant} has none, expected 0; leave it out."
+            f"{where}: got a drift of {s.truth.drift:g} in {s.name}, where nothing drifts, expected 0; leave it out."
         )
     for clock in clocks(s):
         least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]

@@ -125,7 +125,7 @@ def test_away_from_an_equilibrium_linear_observers_refuse_and_ekf_runs(own):
         pcbench.run(own({"observers": ["dkf"]}, slope))
     stats = pcbench.run(own({"observers": ["ekf"], "noise_std": 1e-3}, slope)).stats
     assert (stats.query("metric == 'divergence'")["mean"] == 0).all()
-    with pytest.raises(UserError, match="got a drift of 1 in mine, whose plant pendulum has none"):
+    with pytest.raises(UserError, match="got a drift of 1 in mine, where nothing drifts"):
         read.parse(own({"drift": 1.0}), "mine.toml")
 
 
@@ -188,6 +188,8 @@ def test_a_plant_given_by_its_step_moves_by_it(own):
     frame = pcbench.trace(own(table, entry), ["ekf"])
     assert np.abs(frame["ekf.angle"] - frame["angle"]).max() < 1e-12
     assert frame["angle"].iloc[1] == pytest.approx(0.5 + 0.01 * 0.3, abs=1e-15)
+    noisy = pcbench.trace(own(table | {"xhat0": [0.0, 0.4, 0.0, 0.0], "noise_std": 1e-4}, entry), ["ekf"])
+    assert abs(noisy["ekf.rate"].iloc[-1] - noisy["rate"].iloc[-1]) < 0.02
     with pytest.raises(UserError, match=r"got a tick of 0\.001 s where step moves by 0.01 s"):
         pcbench.trace(own({}, entry), ["ekf"])
 
@@ -214,6 +216,17 @@ def test_its_numbers_are_axes_and_observers_keep_the_nominal_ones(own):
         read.parse(own(axes={"plant.m": [0.0]}), "mine.toml")
     with pytest.raises(UserError, match=r"'plant\.mass' is no axis of mine"):
         read.parse(own(axes={"plant.mass": [1.0]}), "mine.toml")
+
+
+@pytest.mark.slow
+def test_an_lqr_holds_it_upright_by_what_a_late_camera_sees(own):
+    """The law is designed for the Jacobians; the plant it holds is the nonlinear one."""
+    law = {"use": "lqr", "Q1": [10.0, 10.0, 1.0, 1.0], "Q2": [0.1], "actuator_delay": 0.01}
+    table = {"x0": [0.1, 0.1, 0.0, 0.0], "prior_std": [0.1] * 4, "sampling_period": 0.033, "horizon": 4.0}
+    stats = pcbench.run(own(table, observers=["ekf", "dkf"], controller=law)).stats
+    assert (stats.query("metric == 'divergence'")["mean"] == 0).all()
+    angle = stats.query("metric == 'tail_rmse' and signal == 'angle'").set_index("observer")["mean"]
+    assert max(angle) < 0.003
 
 
 def test_a_scenario_carries_it_without_a_name():
