@@ -1,5 +1,9 @@
 """The table [controller]: what it may say, for every scenario; what it may not, in one sentence, with nothing written."""
 
+import re
+import tomllib
+from pathlib import Path
+
 import numpy as np
 import pytest
 from loops import Q1, Q2, study
@@ -81,6 +85,14 @@ def test_lqr_that_knows_its_delay_is_stable_however_late_and_without_knowing_it_
     for knows, many in ((True, 0), (False, 1)):
         raw = study(LQR | {"actuator_delay": 0.9, "knows_delay": knows})
         assert len(unstable(grid_of(raw, {}, []))) == many
+
+
+def test_the_readmes_table_closes_the_loop_of_the_cart():
+    text = (Path(pcbench.__file__).parents[1] / "README.md").read_text()
+    (block,) = re.findall(r"```toml\n(\[controller\].*?)```", text, re.S)
+    found = grid_of({"name": "t", "scenarios": ["cart/white"]} | tomllib.loads(block), {}, [])
+    assert found.cells[0].values["command_loss"] == 0.05
+    assert unstable(found) == []
 
 
 @pytest.mark.slow
