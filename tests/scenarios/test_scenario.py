@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.scenarios.scenario import RECORDS
+from pcbench.scenarios.scenario import OF_COMMANDS, RECORDS
 from pcbench.study import Study
 from pcbench.study.cells import cells, identity
 
@@ -15,7 +15,11 @@ ARM = SCENARIOS["arm/sampled"]
 def test_no_two_records_have_a_field_of_the_same_name():
     names = [*Scenario._fields, *(field for fields in RECORDS.values() for field in fields)]
     assert max(Counter(names).values()) == 1
-    assert set(ARM.flat()) == set(names) - set(RECORDS)
+    assert set(ARM.flat()) == set(names) - set(RECORDS) - set(OF_COMMANDS), (
+        "a network to the plant is told where there is one"
+    )
+    changed = ARM.having(command_loss=0.1).flat()
+    assert set(changed) - set(ARM.flat()) == {"command_loss"}
 
 
 def test_fields_are_changed_in_the_record_that_has_them_and_nowhere_else():
