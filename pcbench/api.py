@@ -51,7 +51,8 @@ def run(
     again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of every observer is
     that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a scheduler's address,
     or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
-    a time; by default a quarter of the machine's). `progress` hears how far it is (`machine.progress`), `say` of damaged files.
+    a time; by default a quarter of the machine's). `progress` hears how far it is (`machine.progress`), `say` of damaged files
+    and of loops that do not settle.
     A study's `tuning` is done first: `gains.versions`; of several the result has a table `fair`. Raises UserError, one
     sentence, for whatever the user can mend.
     """

@@ -98,12 +98,12 @@ def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
     """
 
     def past_u(age: Array) -> Array:
-        newest = k if decided else k - 1
         if isinstance(commands, network.Commands):
+            newest = k if decided else k - 1
             return network.applied(commands, k - age, newest)
         if isinstance(commands, tuple):
             return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
-        return actuator.read(p.line, commands, k - age, newest)
+        return actuator.read(p.line, commands, k - age, k if decided else k - 1)
 
     return Now(k * p.dt, k, p.dt, past_u(jnp.asarray(0 if decided else 1)), past_u)
 

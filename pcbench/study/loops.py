@@ -101,7 +101,8 @@ def _at_rest(model: Model) -> Model:
     import jax
     import jax.numpy as jnp
 
-    slope = np.asarray(jax.jacfwd(model.known)(jnp.zeros(len(model.A))))
+    known = jax.tree.map(jnp.asarray, model.known)
+    slope = np.asarray(jax.jacfwd(known)(jnp.zeros(len(model.A))))
     return model._replace(A=model.A + model.E @ slope)
 
 

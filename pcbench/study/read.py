@@ -92,8 +92,9 @@ def grid(raw: dict[str, Any], where: str, load: Load = own_observers.named) -> G
 
 def unstable(found: Grid) -> list[str]:
     """Return a sentence for every loop that its controller does not stabilise; raise DesignError where a law has no gain."""
-    said = [loops.warning(cell.scenario, found.study.name) for cell in found.cells]
-    return [sentence for sentence in dict.fromkeys(said) if sentence]
+    each = {(cell.scenario.name, str(cell.scenario.loop)): cell.scenario for cell in found.cells}
+    said = [loops.warning(s, found.study.name) for s in each.values()]
+    return [sentence for sentence in said if sentence]
 
 
 def parse(raw: dict[str, Any], where: str) -> Study:

@@ -10,7 +10,7 @@ from functools import cache
 from scipy import optimize, special, stats
 
 METRICS = ["mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time", "tail_mae", "tail_rmse", "tail_mse",
-           "tail_peak", "tracking_rmse", "tail_tracking_rmse"]  # fmt: skip
+           "tail_peak", "tracking_rmse", "tail_tracking_rmse", "cost", "tail_cost", "input_rms", "tail_input_rms"]  # fmt: skip
 LEVELS = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
 NAN = float("nan")
 

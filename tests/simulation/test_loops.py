@@ -1,11 +1,17 @@
 """Loops on any plant against the independent reference: laws, set points, networks on both sides; metrics of a run."""
 
+from types import SimpleNamespace
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from loops import Q1, Q2, TICK, N, over, plant, resting, study
 from reference import loop
 
 import pcbench
+from pcbench.simulation import events_per_lane, lanes
+from pcbench.simulation.lanes.packed import Kept
+from pcbench.simulation.problem import State
 
 T = TICK * np.arange(2 * N)
 STEP = np.where(T >= 0.3 - 1e-9, 0.7, 0.0)
@@ -88,16 +94,20 @@ def test_pid_with_a_filter_a_limit_and_a_table_of_set_points():
     assert gap(pcbench.trace(study(controller), "dkf"), want) < 1e-10
 
 
+@pytest.mark.slow
 def test_perfect_start_holds_in_a_loop_whose_inputs_are_lost_and_late_and_acknowledged():
     """True model, true start, no noise: no error, whatever the networks do; a noise of commands would make one."""
-    raw = study(LQR | BOTH | {"command_std": 0.0, "set_point": AIMS}, RANDOM, 2, ("dkf", "pccebo"))
+    raw = study(LQR | BOTH | {"command_std": 0.0, "set_point": AIMS}, RANDOM, 2, ("dkf", "pccebo", "ekf"))
     raw["lti"] |= {"xhat0": raw["lti"]["x0"], "noise_std": 0.0}
-    runs = pcbench.run(raw).runs
-    assert runs.peak.max() < 1e-12
+    peak = pcbench.run(raw).runs.groupby("observer").peak.max()
+    assert peak[["dkf", "pccebo"]].max() < 1e-12
+    assert peak["ekf"] < 1e-8, "its Runge-Kutta steps, under the inputs that it asks for again at every arrival"
+    raw["observers"] = ["dkf", "pccebo"]
     raw["controller"]["command_std"] = 0.05
     assert pcbench.run(raw).runs.peak.min() > 1e-4
 
 
+@pytest.mark.slow
 def test_observers_each_have_a_plant_of_their_own_on_the_same_draws():
     """A worse estimate is a dearer loop; the draws are those of the observer alone."""
     raw = study(LQR | BOTH, seeds=8, observers=("dkf", "open-loop"))
@@ -106,3 +116,15 @@ def test_observers_each_have_a_plant_of_their_own_on_the_same_draws():
     assert (cost["dkf"] < cost["open-loop"]).mean() > 0.8
     alone = pcbench.run(raw, observers="dkf").runs
     np.testing.assert_array_equal(alone.rmse, runs[runs.observer == "dkf"].rmse)
+
+
+def test_runs_that_are_taken_out_bring_their_own_commands():
+    """Three runs, two rows of one command: the second and the first are taken out, in this order."""
+    commands = lanes.table(lanes.split(jnp.arange(6.0).reshape(2, 1, 3)))
+    state = State(
+        x=(), drawn=(), memories=Kept([], jnp.zeros((0, 3))), flight=(), streams={}, watches={}, commands=commands
+    )
+    events = SimpleNamespace(layout=SimpleNamespace(controller=True), form=SimpleNamespace(whole=lambda kept: kept))
+    chunk = events_per_lane.Chunk(jnp.array([1, 0]), jnp.zeros(2, int), jnp.asarray(2))
+    mine = events_per_lane._taken_out(events, state, chunk).commands
+    np.testing.assert_array_equal(lanes.join(mine), [[[1.0, 0.0]], [[4.0, 3.0]]])

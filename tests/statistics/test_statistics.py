@@ -201,7 +201,7 @@ def test_rounding_of_zero_is_no_difference():
 
 
 SIGNALS, SIZES = ["position", "velocity"], (1.0, 0.01)
-TRACKED = ("tracking_rmse", "tail_tracking_rmse")
+TRACKED = ("tracking_rmse", "tail_tracking_rmse", *statistics.OF_RUN)
 
 
 def cell(seed, n, observers, divergence, kind):

@@ -17,7 +17,7 @@ from pcbench.study import scenarios_of
 
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
 # least first, where there are such
-BESIDE = ("cost", "rmse", "recovery_time", "tail_tracking_rmse", "settling_time", "efficiency")
+BESIDE = ("rmse", "recovery_time", "tail_tracking_rmse", "settling_time", "cost", "efficiency")
 LESS = "less the best"
 PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Holm, 5 %)."
 HALF = "± is half a 95 % interval; one that leans to one side is written by its ends."
