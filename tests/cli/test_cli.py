@@ -212,6 +212,7 @@ def test_commands_stand_in_the_order_of_work_and_no_line_is_cut():
     assert names == [
         "list",
         "show",
+        "new",
         "run",
         "report",
         "trace",

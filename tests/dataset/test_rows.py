@@ -7,7 +7,7 @@ import pcbench
 from pcbench.dataset import columns, run_study
 from pcbench.errors import UserError
 from pcbench.statistics import RUN_METRICS
-from pcbench.study.axes import AXES
+from pcbench.study.axes import AXES, COMMANDS
 
 SIGNALS = (("position", "m"), ("velocity", "m/s"), ("push", "N"))
 SEEDS = np.array([7, 8, 9])
@@ -70,5 +70,5 @@ def test_how_a_study_is_run_is_checked_before_any_work(how, sentence):
 
 def test_every_axis_has_a_unit_and_a_meaning():
     """An axis without one would have no column in stats and pairs."""
-    assert set(columns.AXIS_UNITS) == set(AXES)
-    assert set(AXES) <= set(columns.MEANING)
+    assert set(columns.AXIS_UNITS) == {*AXES, *COMMANDS}
+    assert {*AXES, *COMMANDS} <= set(columns.MEANING)
