@@ -106,19 +106,19 @@ def test_kfbo_solves_its_riccati_equation_for_what_it_assumes(given, Q, R):
 def test_a_list_and_a_covariance_are_numbers_without_bounds_in_tuning(value):
     """By entry, and positive whatever the numbers are; a covariance stays one."""
     options = entry_of("dkf").options(R=value)
-    found, at = parameters.start("dkf", options, {}, ["R"], "test")
+    found, at = parameters.start("dkf", entry_of("dkf"), options, {}, ["R"], "test")
     assert len(at) == (2 if np.ndim(value) == 1 else 6)
     np.testing.assert_allclose(parameters.put(options, found, at).R, value, rtol=1e-9, atol=1e-12)
     there = at + np.random.default_rng(3).normal(size=len(at))
     moved = np.array(parameters.put(options, found, there).R)
     assert (np.linalg.eigvalsh(moved) > 0).all() if moved.ndim == 2 else (moved > 0).all()
-    _, back = parameters.start("dkf", entry_of("dkf").options(R=moved.tolist()), {}, ["R"], "test")
+    _, back = parameters.start("dkf", entry_of("dkf"), entry_of("dkf").options(R=moved.tolist()), {}, ["R"], "test")
     np.testing.assert_allclose(back, there, rtol=1e-6, atol=1e-8)
 
 
 def test_tuning_starts_from_what_designers_are_told_of_each_channel_and_state():
     numbers = pcbench.design(study("dkf", {}), "dkf").certificate.numbers
-    found, at = parameters.start("dkf", entry_of("dkf").options(), numbers, ["R", "Q"], "test")
+    found, at = parameters.start("dkf", entry_of("dkf"), entry_of("dkf").options(), numbers, ["R", "Q"], "test")
     assert [(f.name, f.size) for f in found] == [("R", 2), ("Q", 3)]
     np.testing.assert_allclose(np.exp(at), [0.01, 0.09, 4e-4, 1e-12, 1e-2], rtol=1e-9)
 
