@@ -13,7 +13,7 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.study import cells, read, scenario_toml
 from pcbench.study.cells import cell_of, identity
 
-CHEAP = ("cart/slow", "csth/10s-noise")
+CHEAP = ("cart/slow",)
 NAMES = [pytest.param(name, marks=() if name in CHEAP else pytest.mark.slow) for name in SCENARIOS]
 
 

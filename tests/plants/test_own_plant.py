@@ -60,6 +60,7 @@ def test_its_run_is_scipys(own):
     assert np.abs(got[-1, 1]) > 1.0, "far from upright: the equations count"
 
 
+@pytest.mark.slow
 def test_observers_run_on_it_and_those_that_cannot_say_why(own):
     observers = ["ekf", "dkf", "pccebo", "open-loop"]
     stats = pcbench.run(own(observers=observers, seeds=16)).stats
@@ -119,6 +120,7 @@ def test_signals_are_deviations_from_the_operating_point(own):
     np.testing.assert_array_equal(hover.nominal(hover.numbers).B[:, 0], [0.0, 1.0, 0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_away_from_an_equilibrium_linear_observers_refuse_and_ekf_runs(own):
     slope = pendulum(operating_point=([0.0, 0.5, 0.0, 0.0], [0.0]))
     with pytest.raises(UserError, match=r"dkf in mine got an operating point that is no equilibrium \(rate changes by"):
@@ -129,6 +131,7 @@ def test_away_from_an_equilibrium_linear_observers_refuse_and_ekf_runs(own):
         read.parse(own({"drift": 1.0}), "mine.toml")
 
 
+@pytest.mark.slow
 def test_unknown_parameters_are_found_beside_the_state(own):
     """Friction, declared and not programmed: `ekf` finds it, and linear observers do without it."""
     entry = pendulum(unknown_parameters={"b": ("N s/m", 0.0, 5.0)})
@@ -152,6 +155,7 @@ def test_unknown_parameters_are_found_beside_the_state(own):
     assert frame["ekf.b"].iloc[-1] == pytest.approx(0.4, abs=0.02)
 
 
+@pytest.mark.slow
 def test_unknown_inputs_are_a_signal_that_observers_may_find(own):
     entry = pendulum(unknown_inputs={"push": "N"})
     np.testing.assert_allclose(entry.nominal(entry.numbers).E, matrices()[1], atol=1e-12)
@@ -194,6 +198,7 @@ def test_a_plant_given_by_its_step_moves_by_it(own):
         pcbench.trace(own({}, entry), ["ekf"])
 
 
+@pytest.mark.slow
 def test_a_sensor_that_is_not_linear_is_measured_by_its_slope(own):
     """The camera's image of the bob, position + l sin(angle): at its prediction `ekf` takes the derivative."""
     import jax.numpy as jnp

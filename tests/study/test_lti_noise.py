@@ -112,6 +112,7 @@ def test_it_is_an_axis_of_which_designers_are_told():
     assert "process_std" not in the_cell().values, "a column only where it is an axis"
 
 
+@pytest.mark.slow
 def test_the_tables_say_the_noise_of_every_cell_and_a_filter_attains_the_bound():
     """256 runs from the prior: efficiency 1 within four of its standard errors; none at all where the model is wrong."""
     asked = study(PLANT, horizon=2.0, tail=0.5) | {
