@@ -180,6 +180,7 @@ def test_unknown_inputs_are_a_signal_that_observers_may_find(own):
     assert set(stats[stats.observer == "dkf"].signal) == states, "it looks for inputs only, and shows all or none"
 
 
+@pytest.mark.slow
 def test_a_plant_given_by_its_step_moves_by_it(own):
     """x one tick later is the user's; the linear model is discrete, and `ekf` takes the step's slope."""
     euler = {"field": None, "step": lambda p, now, x: x + now.dt * field(p, now, x), "tick": 0.01}

@@ -79,6 +79,7 @@ def test_state_feedback_over_a_constant_delay(late, knows):
     assert gap(pcbench.trace(study(controller), "dkf"), want) < 1e-10
 
 
+@pytest.mark.slow
 def test_pid_with_a_filter_a_limit_and_a_table_of_set_points():
     p = plant()
     table = [[0.1, 0.2], [0.6, -0.3], [1.0, 0.4]]
