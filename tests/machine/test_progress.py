@@ -2,6 +2,7 @@
 
 import io
 
+import pytest
 from rich import progress as rich
 from rich.console import Console
 
