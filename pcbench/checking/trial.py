@@ -66,9 +66,9 @@ class Trial(NamedTuple):
 def cases(scenario: Scenario, takes: str) -> list[Case]:
     """Return the schedules to try, without gains."""
     measured, x0 = scenario.sampling, scenario.truth.x0
-    every, at_once = round(measured.sampling_period[0] / scenario.dt), len(measured.delay)
+    every, at_once = times.whole(measured.sampling_period[0], scenario), len(measured.delay)
     seconds = [every * scenario.dt * late for late in (0, 1, 2.5)]
-    usual = all(not isinstance(d, str) and round(d / scenario.dt) <= 3 * every for d in measured.delay)
+    usual = all(not isinstance(d, str) and times.whole(d, scenario) <= 3 * every for d in measured.delay)
     plain = scenario._replace(
         truth=Truth(x0, unknown_input="zero" if scenario.truth.unknown_input else ""),
         loop=Loop(input="zero"),

@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 from pcbench import statistics
 from pcbench.dataset import block_files, columns, store
 from pcbench.dataset.block_files import Block
-from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, common
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
-from pcbench.study import observers_of
 from pcbench.study.cells import Cell
 
 
@@ -26,11 +24,11 @@ class ObserverRuns(NamedTuple):
 
 
 def observed(
-    target: store.Target, owned: Owned, cell: Cell, blocks: dict[tuple[str, int, str], list[Block]]
+    target: store.Target, cell: Cell, blocks: dict[tuple[str, int, str], list[Block]]
 ) -> dict[str, ObserverRuns]:
     """Return what there is of a cell, by observer."""
     out = {}
-    for name in observers_of(owned.study, cell.scenario.name):
+    for name in cell.options:
         if mine := blocks.get((*cell.key, name)):
             out[name] = ObserverRuns(mine, block_files.about_block(target, mine[0]))
     return out

@@ -163,7 +163,7 @@ def _over(side: Side, shared: CommonSeeds) -> pa.Table:
     axes = columns.axes_of(dict.fromkeys(side.stats.column_names))
     parts = []
     for cell in side.owned.cells if shared else ():
-        found = cell_rows.observed(side.target, side.owned, cell, side.blocks)
+        found = cell_rows.observed(side.target, cell, side.blocks)
         for observer, each in found.items():
             within = shared.get((cell.scenario.name, side.digests[cell.key], observer))
             rows, _ = cell_rows.rows_of(side.target, side.owned.study.name, cell, {observer: each}, within)

@@ -24,7 +24,6 @@ from pcbench.machine import provenance
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.planning.padding import Plan
-from pcbench.study import observers_of
 from pcbench.study.cells import Cell
 
 CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
@@ -71,7 +70,7 @@ def everything(owned: Owned, there: list[Block]) -> SeedsOf:
 def whole(target: store.Target, owned: Owned, say: Callable[[str], None]) -> list[Block]:
     """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
     digests = ownership.digests(owned)
-    known = {s: set(observers_of(owned.study, s)) for s in owned.study.scenarios}
+    known = {cell.scenario.name: cell.options.keys() for cell in owned.cells}
     there = block_files.present(target)
     for b in there:
         if (b.scenario, b.cell) not in digests or b.observer not in known[b.scenario]:
@@ -115,7 +114,7 @@ def missing(owned: Owned, there: list[Block], wanted: SeedsOf, size: Callable[[C
         have.setdefault((b.scenario, b.cell, b.observer), []).append(b.seeds)
     out: Gaps = {}
     for cell in owned.cells:
-        for o in observers_of(owned.study, cell.scenario.name):
+        for o in cell.options:
             if ranges := gaps(have.get((*cell.key, o), []), wanted(cell), size(cell)):
                 out.setdefault(cell.key, {})[o] = ranges
     return out
@@ -178,17 +177,17 @@ def _alike(report: task.Report) -> None:
 def _block(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
     """Seeds a block: up to four calls, while tasks enough are left to share; more where there would be too many files."""
     if sizes.block:
-        one = task.bytes_of_a_block(cell, owned.study, 1)
+        one = task.bytes_of_a_block(cell, 1)
         return int(max(min(sizes.block, sizes.memory / one), 1))
     many = wanted(cell).many
-    size, pairs = planning.width(cell), sum(len(observers_of(owned.study, c.scenario.name)) for c in owned.cells)
+    size, pairs = planning.width(cell), sum(len(c.options) for c in owned.cells)
 
     def may_double() -> bool:
         tasks = len(owned.cells) * many / (2 * size)
         few = size < CALLS * planning.width(cell) and tasks >= TASKS
         return few or pairs * many / size > MANY_FILES
 
-    while may_double() and task.bytes_of_a_block(cell, owned.study, 2 * size) < sizes.memory:
+    while may_double() and task.bytes_of_a_block(cell, 2 * size) < sizes.memory:
         size *= 2
     return size
 

@@ -15,7 +15,6 @@ from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, counted
 from pcbench.errors import UserError, unknown
 from pcbench.plants import signals_of
-from pcbench.study import scenarios_of
 from pcbench.study.cells import Cell
 
 MARGIN = 1.05  # the standard error is an estimate itself
@@ -108,9 +107,9 @@ def _error(
     blocks: dict[tuple[str, int, str], list[block_files.Block]] = {}
     for b in there:
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    found = cell_rows.observed(target, owned, cell, blocks)
+    found = cell_rows.observed(target, cell, blocks)
     rows, _ = cell_rows.rows_of(target, owned.study.name, cell, found, Seeds(0, stop))
-    shown = scenarios_of(owned.study)[cell.scenario.name].scoring.headline or (signals_of(cell.scenario)[0][0],)
+    shown = cell.scenario.scoring.headline or (signals_of(cell.scenario)[0][0],)
     signals = [goal.signal] if goal.signal else shown
     mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
     if not mine:

@@ -72,7 +72,7 @@ def closing_tables(
     for b in sorted(there):
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
     for cell in owned.cells:
-        found = cell_rows.observed(target, owned, cell, blocks)
+        found = cell_rows.observed(target, cell, blocks)
         if not found:
             continue
         rows, compared = cell_rows.rows_of(target, owned.study.name, cell, found)

@@ -22,7 +22,6 @@ from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.simulation import batch
 from pcbench.statistics import RUN_METRICS
-from pcbench.study import Study, observers_of
 from pcbench.study.cells import Cell
 
 ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
@@ -139,9 +138,9 @@ def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> 
         yield Task(parcel, tuple(pieces))
 
 
-def bytes_of_a_block(cell: Cell, study: Study, seeds: int) -> int:
+def bytes_of_a_block(cell: Cell, seeds: int) -> int:
     """Return the memory that the results of some seeds take for all observers of a cell: arrays, rows and a file's bytes."""
-    return seeds * len(signals_of(cell.scenario)) * len(observers_of(study, cell.scenario.name)) * ROW_BYTES
+    return seeds * len(signals_of(cell.scenario)) * len(cell.options) * ROW_BYTES
 
 
 def _fits(p: Plan, needed: int, given: float) -> None:

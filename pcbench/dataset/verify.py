@@ -15,7 +15,6 @@ from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
-from pcbench.study import observers_of
 from pcbench.study.as_toml import digest
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
@@ -62,7 +61,7 @@ def status(out: str | Path) -> Status:
     for scenario in study.scenarios:
         mine = [c for c in owned.cells if c.scenario.name == scenario]
         asked = sum(wanted(cell).many for cell in mine)
-        for observer in observers_of(study, scenario):
+        for observer in mine[0].options:
             gaps = [todo.get((scenario, c.number), {}).get(observer, []) for c in mine]
             lacking = sum(seeds.many for ranges in gaps for seeds in ranges)
             blocks_there = len(by.get((scenario, observer), []))

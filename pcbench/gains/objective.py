@@ -11,6 +11,7 @@ from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import jumps
 from pcbench.simulation import differentiable
 from pcbench.statistics import COMPARED, OF_RUN, POOLED
+from pcbench.study.times import whole
 
 MEASURES = (*COMPARED, *POOLED)
 
@@ -51,7 +52,7 @@ def objective_of(objective: str, scenario: Scenario, signal: str | None, where: 
 
     Raises UserError for an unknown one.
     """
-    ticks = round(scenario.horizon / scenario.dt)
+    ticks = whole(scenario.horizon, scenario)
     loop, jumping = bool(scenario.loop.controller), jumps(scenario.truth.unknown_input, scenario.dt, ticks).size > 0
     there = [m for m in MEASURES if (loop or "tracking" not in m) and (jumping or m != "recovery_time")]
     there = [m for m in there if m not in OF_RUN]  # of no signal

@@ -16,6 +16,7 @@ from pcbench.reproduce.claim import Claim, found, statement
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import Study, options_of
 from pcbench.study.cells import cell_of
+from pcbench.study.times import whole
 
 SEEDS = 256
 
@@ -34,7 +35,7 @@ def _findings() -> list[Claim]:
     frame = api.trace("arm/sine", ["smo", "pio"])
     e = {o: frame[signals].to_numpy() - frame[[f"{o}.{s}" for s in signals]].to_numpy() for o in ("smo", "pio")}
     ebar = {o: each[:, [0, 3]] - each[:, [2]] * smo.PRINTED.L1[:, 0] for o, each in e.items()}
-    k = round(6.0 / SCENARIOS["arm/sine"].dt)
+    k = whole(6.0, SCENARIOS["arm/sine"])
     off_by = max(np.abs(b[k] - expm(6 * A11b) @ b[0]).max() for b in ebar.values())
     jump = arm_table.nominal().query("scenario == 'arm/sawtooth' and signal == 'input'")
     recovery = jump.set_index("observer").recovery_time * 1e3

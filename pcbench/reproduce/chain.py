@@ -13,6 +13,7 @@ from pcbench.plants import csth
 from pcbench.reproduce import chain_design
 from pcbench.reproduce.claim import FALSE, REPRODUCED, Claim, found, statement
 from pcbench.scenarios import SCENARIOS
+from pcbench.study.times import whole
 
 SEEDS = 256
 PLANTS = (
@@ -41,7 +42,7 @@ def _remark_2() -> list[Claim]:
 
 def _remark_3() -> list[Claim]:
     """Remark 3: what the poles and the delays do; and chain 3, said to be chain 1."""
-    tau = [round(float(d) / SCENARIOS["csth/10s"].dt) for d in SCENARIOS["csth/10s"].sampling.delay]
+    tau = [whole(float(d), SCENARIOS["csth/10s"]) for d in SCENARIOS["csth/10s"].sampling.delay]
     steps = np.diff([0, *sorted(tau)])
     alike = (
         f"delays {tau} leave steps of {', '.join(map(str, steps))} samples: (8) is the same for the first and the last"

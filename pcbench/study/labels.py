@@ -31,11 +31,9 @@ def labelled(raw: dict[str, Any], where: str, folder: Path | None = None) -> dic
     if isinstance(given, dict):
         raw = raw | {"observers": list(given), "options": _options(given, options, use, where)}
     elif isinstance(given, list):
-        raw = raw | {"observers": _labels(given, use, f"{where}: observers", folder)}
+        raw = raw | {"observers": _labels(given, use, f"{where}: observers")}
     if isinstance(raw.get("lti"), dict) and isinstance(raw["lti"].get("observers"), list):
-        raw["lti"] = raw["lti"] | {
-            "observers": _labels(raw["lti"]["observers"], use, f"{where}: lti.observers", folder)
-        }
+        raw["lti"] = raw["lti"] | {"observers": _labels(raw["lti"]["observers"], use, f"{where}: lti.observers")}
     if folder is not None:
         use = {label: _beside(text, folder) for label, text in use.items()}
     return raw | {"use": use} if use else raw
@@ -51,7 +49,7 @@ def absolute(use: dict[str, str]) -> dict[str, str]:
     return {label: _beside(text, Path().resolve()) for label, text in use.items()}
 
 
-def _labels(names: list[Any], use: dict[str, str], where: str, folder: Path | None) -> list[Any]:
+def _labels(names: list[Any], use: dict[str, str], where: str) -> list[Any]:
     """The labels of a list of names; what they stand for is put into `use`."""
     out: list[Any] = []
     for name in names:

@@ -17,7 +17,7 @@ def parts(out, cell=0, within=None):
     claimed, blocks = ownership.opened(place), {}
     for b in block_files.present(place):
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    found = cell_rows.observed(place, claimed, claimed.cells[cell], blocks)
+    found = cell_rows.observed(place, claimed.cells[cell], blocks)
     return list(cell_rows.chunks(place, found, within))
 
 
