@@ -14,6 +14,8 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.api import design as design
     from pcbench.api import run as run
     from pcbench.api import trace as trace
+    from pcbench.controllers import ControllerEntry as ControllerEntry
+    from pcbench.controllers.parts.told import Told as Told
     from pcbench.dataset.result import Result as Result
     from pcbench.dataset.result import opened as opened
     from pcbench.dynamics.linear import held as held
@@ -26,6 +28,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.plants import PlantEntry as PlantEntry
     from pcbench.plants import plant as plant
     from pcbench.protocols import Arrival as Arrival
+    from pcbench.protocols import Controller as Controller
     from pcbench.protocols import Now as Now
     from pcbench.protocols import Observer as Observer
     from pcbench.protocols import Plant as Plant
@@ -61,6 +64,9 @@ _LAZY = {
     "Entry": "observers",
     "plant": "plants",
     "PlantEntry": "plants",
+    "Controller": "protocols",
+    "ControllerEntry": "controllers",
+    "Told": "controllers.parts.told",
     "Setting": "synthesis.certificate",
     "Design": "synthesis.certificate",
     "Certificate": "synthesis.certificate",

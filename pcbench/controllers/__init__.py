@@ -16,14 +16,17 @@ from pcbench.synthesis.lqr import Law
 class Entry(NamedTuple):
     """A controller, its options, and how its numbers are made."""
 
-    controller: Callable[[Any], Controller]  # options ->
+    controller: Callable[[Any], Controller] | Controller  # options -> the law; or the law, whatever the options
     options: type[BaseModel]
     prepare: Callable[[Any, Told], Any]  # options -> params
     summary: str
     check: Callable[[Any, Sizes], None] | None = (
         None  # raises UserError where options do not fit; None: it is for one plant
     )
-    linear: Callable[[Any, Told], Law] | None = None  # the law about its set point, as eigenvalues need it
+    linear: Callable[[Any, Told], Law | None] | None = None  # the law about its set point, as eigenvalues need it
+
+
+ControllerEntry = Entry  # its name in `pcbench`, where `Entry` is an observer's
 
 
 def _pd(options: Any, told: Told) -> Any:
@@ -47,7 +50,13 @@ CONTROLLERS = {
 }
 
 
+def law_of(entry: Entry, options: Any) -> Controller:
+    """Return the law that the options ask for."""
+    return entry.controller if isinstance(entry.controller, Controller) else entry.controller(options)
+
+
 def entry_of(scenario: Scenario) -> Entry:
     """Return the controller of a scenario's loop: the one that it carries itself, or else the one of its name."""
-    entry: Entry = CONTROLLERS[scenario.loop.controller] if scenario.loop.law is None else scenario.loop.law
-    return entry
+    mine = scenario.own.get("controller")
+    found: Entry = mine.entry if mine else CONTROLLERS[scenario.loop.controller]
+    return found

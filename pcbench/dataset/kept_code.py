@@ -1,4 +1,4 @@
-"""The code of a user's own observers, copied into the dataset that was made with it.
+"""The code of what is a user's own in a study, copied into the dataset that was made with it.
 
 A file stands as code/DIGEST/FILE, with the files beside it that it imports. A result is read without any of it.
 """
@@ -8,9 +8,10 @@ from typing import Any
 
 from pcbench.dataset import store
 from pcbench.errors import UserError
-from pcbench.study import Study, own, own_observers
-from pcbench.study.own_observers import OwnObserver
+from pcbench.study import Study, own, own_controllers, own_entries, own_observers, own_plants
+from pcbench.study.own import Own
 from pcbench.study.read import Load
+from pcbench.study.references import Named
 
 
 def keep(target: store.Target, study: Study) -> None:
@@ -36,25 +37,40 @@ def copy(target: store.Target, into: store.Target) -> None:
 
 
 def loader(target: store.Target, there: dict[str, Any], run: bool) -> Load:
-    """Return what finds the observers of the study whose text is `there`: by their code where it is to be `run`, else without.
+    """Return what finds what is the user's own in the study whose text is `there`: by its code where it is to be `run`.
 
-    Without it they have the options that the text says they had.
+    Without it observers and controllers have the options that the text says they had, and plants the facts.
     """
-    every = there["resolved"]["options"]
 
-    def load(label: str, reference: str, where: str) -> OwnObserver:
-        module, name = own.split(reference, where)
+    def load(named: Named, where: str) -> Own:
+        module, name = own.split(named.reference, where)
+        kept, path = module.startswith(f"{own.FOLDER}/"), PurePosixPath(module)
         if not run:
-            options: dict[str, Any] = next(
-                (every[s][label] for s in there["resolved"]["observers"] if label in every.get(s, {})), {}
-            )
-            return own_observers.absent(label, reference, options)
-        if not module.startswith(f"{own.FOLDER}/"):
-            return own_observers.load(reference, where)
-        path = PurePosixPath(module)
-        return own_observers.of(own.Code(path.name, name, _files(target, path), path.parent.name), where)
+            digest = path.parent.name if kept else ""
+            return _absent(named, own.Code(path.name if kept else module, name, (), digest), there)
+        if not kept:
+            return own_entries.load(named.kind, named.reference, where)
+        return own_entries.of(named.kind, own.Code(path.name, name, _files(target, path), path.parent.name), where)
 
     return load
+
+
+def _absent(named: Named, code: own.Code, there: dict[str, Any]) -> Own:
+    """What stands for a user's own whose code is left alone."""
+    resolved = there["resolved"]
+    digest = code.digest or resolved.get("code", {}).get(
+        named.key if named.kind == "observer" else f"{named.kind} {code.name}", ""
+    )
+    code = code._replace(digest=digest)
+    if named.kind == "plant":
+        return own_plants.absent(named.reference, code, resolved["plants"][named.reference])
+    if named.kind == "controller":
+        return own_controllers.absent(named.reference, code)
+    every = resolved["options"]
+    options: dict[str, Any] = next(
+        (every[s][named.key] for s in resolved["observers"] if named.key in every.get(s, {})), {}
+    )
+    return own_observers.absent(named.reference, code, options)
 
 
 def _files(target: store.Target, path: PurePosixPath) -> tuple[tuple[str, bytes], ...]:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pcbench.dataset import block_files, kept_code, repair, store
+from pcbench.dataset.changes import changes
 from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.study import Study, read
@@ -22,8 +23,6 @@ BESIDE = ("tuning/", "training/")  # of a study whose gains are tuned: made befo
 KEPT = ("options", "scenarios", "observers", "cells")  # under [resolved]
 NOT_TOML_EITHER = (*NOT_TOML, KeyError, TypeError, AttributeError)
 SHOWN = 3  # differences that a refusal names
-GROWS = ("seeds", "first_seed", "axes", "observers", "use", "scenarios", "options", "lti", "resolved")
-GONE = {"drift_sign": 1}  # a choice of earlier releases, as it was where it was not chosen
 
 
 class Owned(NamedTuple):
@@ -184,56 +183,3 @@ def _parts(said: bytes) -> dict[str, Any]:
     if not (numbers and lists and parts and isinstance(there.get("axes", {}), dict)):
         raise ValueError("not of the kinds that are written")
     return there
-
-
-def changes(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
-    """Yield what differs between a study on disk and one that is to go on there, a phrase each."""
-    for key in sorted((there.keys() | here.keys()) - set(GROWS)):
-        if there.get(key) != here.get(key):
-            yield _phrase(key, there.get(key), here.get(key))
-    a, b = (counted(study["first_seed"], study["seeds"]) for study in (there, here))
-    if common(a, b) != a:
-        yield f"seeds: {a.first} .. {a.stop - 1} there, {b.first} .. {b.stop - 1} here"
-    old, new = there["resolved"], here["resolved"]
-    for scenario, names in old["observers"].items():
-        if scenario not in new["observers"]:
-            yield f"scenarios: {scenario} there, not here"
-            continue
-        for name in names:
-            if name not in new["observers"][scenario]:
-                yield f"observers: {name} there, not here"
-        yield from _deep(f"options of {scenario}", old["options"].get(scenario, {}), new["options"][scenario], names)
-        yield from _deep(scenario, old["scenarios"].get(scenario, {}), new["scenarios"][scenario])
-    chosen = {k: v for k, v in old["options"]["scenario"].items() if GONE.get(k) != v}
-    yield from _deep("options.scenario", chosen, new["options"]["scenario"])
-    for label, digest in old.get("code", {}).items():
-        now = new.get("code", {}).get(label, digest)
-        if digest != now:
-            yield f"the code of {label}: {there['use'][label]} there, {here['use'][label]} here"
-    yield from _lost(there, here)
-
-
-def _lost(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
-    """Yield, where cells were lost, the axes that lost a value or are new."""
-    old, new = there["resolved"].get("cells", {}), here["resolved"].get("cells", {})
-    if any(set(old[s]) - set(new.get(s, [])) or len(set(new.get(s, []))) < len(old[s]) for s in old):
-        axes, found = (there.get("axes", {}), here.get("axes", {})), []
-        for name in sorted(axes[0].keys() | axes[1].keys()):
-            a, b = (each.get(name) for each in axes)
-            if a is None or b is None or any(v not in b for v in a):
-                found.append(_phrase(f"axes.{name}", a, b))
-        yield from found or ["cells: some that stand there are not of this study"]
-
-
-def _deep(where: str, old: dict[str, Any], new: dict[str, Any], names: list[str] | None = None) -> Iterator[str]:
-    for key in sorted(names if names is not None else old.keys() | new.keys()):
-        a, b = old.get(key), new.get(key)
-        if isinstance(a, dict) and isinstance(b, dict):
-            yield from _deep(f"{where}.{key}", a, b)
-        elif a != b:
-            yield _phrase(f"{where}.{key}", a, b)
-
-
-def _phrase(where: str, there: Any, here: Any) -> str:
-    say = ["nothing" if v is None else repr(v) if len(repr(v)) < 60 else repr(v)[:57] + "..." for v in (there, here)]
-    return f"{where}: {say[0]} there, {say[1]} here"

@@ -12,7 +12,7 @@ from pcbench import plants
 from pcbench.observers import base_of
 from pcbench.planning import controller
 from pcbench.planning.padding import Plan
-from pcbench.study import own_observers
+from pcbench.study import own_entries
 
 
 def pack(p: Plan) -> bytes | Plan:
@@ -23,8 +23,9 @@ def pack(p: Plan) -> bytes | Plan:
     plain = {k: dict(v) for k, v in p.cell.scenario.flat().items() if isinstance(v, MappingProxyType)}
     proofs = {o: c._replace(numbers={}) for o, c in p.certificates.items()}
     layout = p.layout._replace(plant=None, observers=None, controller=None)  # type: ignore[arg-type]
-    cell = p.cell._replace(scenario=p.cell.scenario.having(**plain), options={}, own={})
-    codes = {o: mine.code for o, mine in p.cell.own.items() if o in p.labels}
+    cell = p.cell._replace(scenario=p.cell.scenario.having(own={}, **plain), options={}, own={})
+    codes = {("observer", o): mine.code for o, mine in p.cell.own.items() if o in p.labels}
+    codes |= {(kind, ""): mine.code for kind, mine in p.cell.scenario.own.items()}
     try:
         return pickle.dumps((codes, pickle.dumps(p._replace(cell=cell, layout=layout, certificates=proofs))))
     except (pickle.PicklingError, AttributeError):
@@ -39,10 +40,10 @@ def unpack(parcel: bytes | Plan) -> Plan:
     if isinstance(parcel, Plan):
         return parcel
     codes, numbers = pickle.loads(parcel)
-    own = {o: own_observers.of(code, o) for o, code in codes.items()}
+    found = {(kind, o): own_entries.of(kind, code, o or kind) for (kind, o), code in codes.items()}
     p: Plan = pickle.loads(numbers)
-    cell = p.cell._replace(own=own)
-    s = cell.scenario
+    s = p.cell.scenario.having(own={kind: mine for (kind, o), mine in found.items() if not o})
+    cell = p.cell._replace(scenario=s, own={o: mine for (_, o), mine in found.items() if o})
     names = [(base_of(o) or o) if s.loop.controller else o for o in p.labels]
     each = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
     plant, law = plants.entry_of(s).plant, controller.controller(cell)

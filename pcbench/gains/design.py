@@ -14,8 +14,9 @@ from pcbench.observers.parts.options import WAY, extra
 from pcbench.planning import setting
 from pcbench.study import Study
 from pcbench.study.cells import Cell
-from pcbench.study.labels import absolute, label_of
+from pcbench.study.labels import label_of
 from pcbench.study.read import Described, one_cell
+from pcbench.study.references import absolute
 from pcbench.synthesis.certificate import Design
 
 FEW = 6  # entries of an array that a row of a trade-off shows
@@ -55,8 +56,7 @@ def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str
     c = found.certificate
     proof = {"inequality": c.inequality, "margin": _finite(c.margin), "solver": c.solver, "status": c.status}
     proof |= {"fallback": c.fallback, "decay_rate": _finite(c.rate)}
-    raw = study.model_dump(exclude_none=True, exclude_defaults=True)
-    raw |= {"use": absolute(study.use)} if study.use else {}
+    raw = absolute(study.model_dump(exclude_none=True, exclude_defaults=True))
     given = {k: v for k, v in raw.get("options", {}).items() if k != observer}
     raw["name"] = study.name if study.name.endswith(f"-{observer}") else f"{study.name}-{observer}"
     options_table = {"options": given | {observer: chosen}} if given or chosen else {}

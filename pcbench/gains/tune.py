@@ -23,7 +23,8 @@ from pcbench.planning import padding
 from pcbench.study import Study, given, read
 from pcbench.study.as_toml import digest
 from pcbench.study.cells import Cell
-from pcbench.study.labels import absolute, label_of
+from pcbench.study.labels import label_of
+from pcbench.study.references import absolute
 from pcbench.synthesis.certificate import Design, Setting
 
 BUDGET = 60
@@ -204,8 +205,7 @@ def _check(budget: int, training: Seeds, judges: Seeds, where: str) -> None:
 
 def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:
     """The study with the observer's options put in, as TOML writes it."""
-    raw = study.model_dump(exclude_none=True, exclude_defaults=True)
-    raw |= {"use": absolute(study.use)} if study.use else {}
+    raw = absolute(study.model_dump(exclude_none=True, exclude_defaults=True))
     options = raw.get("options", {})
     mine = options.get(observer, {}) | chosen
     return raw | ({"options": options | {observer: mine}} if mine else {})

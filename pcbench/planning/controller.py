@@ -2,14 +2,16 @@
 
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jax.tree_util import Partial
 from pydantic import BaseModel
 
 from pcbench import controllers
+from pcbench.errors import UserError, raised
 from pcbench.plants import entry_of, numbers_of
 from pcbench.protocols import Controller
-from pcbench.simulation import actuator, metrics
+from pcbench.simulation import actuator, law_conformance, metrics
 from pcbench.simulation import network as network_of
 from pcbench.simulation.schedule import per_lane, shared
 from pcbench.study import loops, times
@@ -32,7 +34,7 @@ def options(cell: Cell) -> BaseModel:
 def controller(cell: Cell) -> Controller | None:
     """Return the control law of a cell; None of an open loop."""
     s = cell.scenario
-    return controllers.entry_of(s).controller(options(cell)) if s.loop.controller else None
+    return controllers.law_of(controllers.entry_of(s), options(cell)) if s.loop.controller else None
 
 
 def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
@@ -63,10 +65,32 @@ def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:
         field=Partial(plant.model, params) if plant.model else None,
         inverse=Partial(plant.inverse, params) if plant.inverse else None,
     )
-    law = controllers.entry_of(s).prepare(options(cell), told)
+    law = _numbers(cell, told)
     if loops.held(s):
         return law, actuator.held_line(told.late, reach.back, ticks + reach.ahead)
     return law, actuator.line(told.delay, s.dt, reach.back, ticks + reach.ahead)
+
+
+def _numbers(cell: Cell, told: controllers.Told) -> Any:
+    """The law's numbers; raise UserError where a law of a user's own does not keep to the protocol."""
+    s, entry = cell.scenario, controllers.entry_of(cell.scenario)
+    if "controller" not in s.own:
+        return entry.prepare(options(cell), told)
+    name = s.loop.controller
+    try:
+        numbers = entry.prepare(options(cell), told)
+        traced = jax.tree.map(np.asarray, numbers)
+    except Exception as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(
+            f"controller {name}: prepare: got {raised(error)}, expected a pytree of arrays; mend that line."
+        ) from error
+    (n, m), signals = told.model.B.shape, len(s.scoring.settle_band)
+    law_conformance.check(
+        name, controllers.law_of(entry, options(cell)), traced, law_conformance.Sizes(n, signals - n, m)
+    )
+    return numbers
 
 
 def pending(cell: Cell) -> int:
@@ -85,7 +109,7 @@ def network(cell: Cell) -> Any:
         return ()
     told = loops.told(s)
     return network_of.Numbers(
-        every=np.asarray(told.every(options(cell).period)),  # type: ignore[attr-defined]
+        every=np.asarray(told.every(getattr(options(cell), "period", None))),
         delay=np.asarray(times.whole(loop.actuator_delay or 0.0, s)),
         jitter=np.asarray(times.whole(loop.command_jitter, s)),
         loss=np.asarray(loop.command_loss),

@@ -73,7 +73,7 @@ PLANTS: dict[str, Entry] = {
 
 def entry_of(scenario: Scenario) -> Entry:
     """Return a scenario's plant: the one that it carries itself, or else the one of its name."""
-    found: Entry = PLANTS[scenario.plant] if scenario.entry is None else scenario.entry
+    found: Entry = scenario.own["plant"].entry if "plant" in scenario.own else PLANTS[scenario.plant]
     return found
 
 

@@ -41,7 +41,7 @@ def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame | No
     kept = None if found is None else parquet.whole(found)
     if kept is not None and kept.schema.metadata.get(KEY) == key:
         return kept.to_pandas()
-    if any(map(is_absent, first.own.values())):
+    if any(map(is_absent, [*first.own.values(), *first.scenario.own.values()])):
         return None
     made = _made(study, first)
     if target is not None:

@@ -33,7 +33,6 @@ class Loop(NamedTuple):
     controller: str = ""  # of a closed loop: a name in `controllers`; empty: the loop is open
     control: Mapping[str, Any] = NOTHING  # the controller's options
     actuator_delay: float | None = None  # s, from command to plant; None: that of the measurements
-    law: Any = None  # the entry of a controller of a user's own; None: the one of its name
     command_jitter: float = 0.0  # s, a command comes up to this much later, in each run its own way
     command_loss: float = 0.0  # probability that a command never comes: the last one is held
     command_std: float = 0.0  # of the noise of one command
@@ -89,7 +88,7 @@ RECORDS = {
 }
 OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
-CODE = ("entry", "law")  # functions, which no digest and no file holds
+CODE = ("own",)  # functions, which no digest and no file holds
 
 
 class Scenario(NamedTuple):
@@ -108,7 +107,9 @@ class Scenario(NamedTuple):
     dt: float = 1e-3  # s, the tick
     horizon: float = 10.0  # s
     options: Mapping[str, dict[str, Any]] = NOTHING  # by observer
-    entry: Any = None  # of a plant of a user's own; None: the one of its name
+    own: Mapping[str, Any] = (
+        NOTHING  # what is a user's own (entry, code): "plant", "controller"; else those of the names
+    )
 
     def having(self, **changes: Any) -> "Scenario":
         """Return the scenario with fields changed, each in the record that has it; raise TypeError for one that none has."""
@@ -128,9 +129,13 @@ class Scenario(NamedTuple):
         return getattr(getattr(self, RECORD_OF[name]) if name in RECORD_OF else self, name)
 
     def flat(self) -> dict[str, Any]:
-        """Return every field by its name, the records' among them: what digests are made of and `study.toml` says."""
+        """Return every field by its name, the records' among them: what digests are made of and `study.toml` says.
+
+        Of a user's own code it is the digest.
+        """
         hidden = {
             name for name in OF_COMMANDS if not self.value(name)
         }  # earlier folders know their cells without these
         names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE, *hidden)]
-        return {name: self.value(name) for name in names}
+        code = {"code": {kind: mine.code.digest for kind, mine in self.own.items()}} if self.own else {}
+        return {name: self.value(name) for name in names} | code

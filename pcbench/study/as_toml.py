@@ -8,7 +8,8 @@ import tomli_w
 
 from pcbench.study import Study, choices_of, scenarios_of
 from pcbench.study.cells import Cell, numbering
-from pcbench.study.names import own_in
+from pcbench.study.own_plants import facts
+from pcbench.study.references import Named, named_in, renamed
 
 
 def resolved(study: Study, every: list[Cell]) -> dict[str, Any]:
@@ -21,21 +22,23 @@ def resolved(study: Study, every: list[Cell]) -> dict[str, Any]:
     scenarios = {s: _without_null(json.loads(json.dumps(known[s].flat(), default=dict))) for s in study.scenarios}
     ran_by = {s: list(options[s]) for s in study.scenarios}
     said = {"options": options, "scenarios": scenarios, "observers": ran_by, "cells": numbering(every)}
-    if digests := {label: mine.code.digest for label in study.use if (mine := own_in(study, label))}:
-        said["code"] = digests
+    owned = {each: study._own[each.key] for each in named_in(study.model_dump(exclude_none=True))}
+    if owned:
+        named = {n: n.key if n.kind == "observer" else f"{n.kind} {mine.code.name}" for n, mine in owned.items()}
+        said["code"] = {named[n]: mine.code.digest for n, mine in owned.items()}
+    if plants := {mine.code.reference: facts(mine.entry) for n, mine in owned.items() if n.kind == "plant"}:
+        said["plants"] = plants
     return as_dict(study) | {"resolved": said}
 
 
 def as_dict(study: Study) -> dict[str, Any]:
     """Return a study as it can be run again; its tuning is left out, by now its gains are options like any others."""
-    said = study.model_dump(exclude_none=True, exclude={"tuning", "tune", "use"})
-    return said | {"use": {label: _reference(study, label) for label in study.use}} if study.use else said
+    said = study.model_dump(exclude_none=True, exclude={"tuning", "tune", *([] if study.use else ["use"])})
 
+    def copied(each: Named) -> str:
+        return study._own[each.key].code.reference if each.key in study._own else each.reference
 
-def _reference(study: Study, label: str) -> str:
-    """MODULE:NAME as the dataset has it, with its own copy of a file."""
-    mine = own_in(study, label)
-    return mine.code.reference if mine else study.use[label]
+    return renamed(said, copied)
 
 
 def _without_null(scenario: dict[str, Any]) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from pcbench.study import axes as axis
 from pcbench.study.axes import axes_of
 from pcbench.study.lti_plant import require_plant
 from pcbench.study.names import own_in
-from pcbench.study.own_observers import OwnObserver
+from pcbench.study.own import Own
 from pcbench.study.times import Timing, times_of, whole
 
 
@@ -30,7 +30,7 @@ class Cell(NamedTuple):
     choices: Choices
     times: Timing
     options: dict[str, BaseModel]  # by label of its observers, checked and complete
-    own: dict[str, OwnObserver]  # by label, of those that are the user's own
+    own: dict[str, Own]  # by label, of those that are the user's own
     told: dict[str, str]  # by label, the digest of those
     digest: str  # of all that decides its numbers except its observers; empty: it belongs to no study
 
@@ -164,7 +164,7 @@ def identity(cell: Cell, root_seed: int) -> str:
     return _hashed(said)[:16]
 
 
-def told(options: BaseModel, own: OwnObserver | None = None) -> str:
+def told(options: BaseModel, own: Own | None = None) -> str:
     """Return the digest of an observer's options, and of its code where it is a user's own: what else decides its numbers."""
     if own:
         return _hashed([options.model_dump(exclude_none=True), own.code.digest])[:16]

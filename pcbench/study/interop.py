@@ -17,6 +17,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.plants.lti import nominal
 from pcbench.study import Study
 from pcbench.study.lti import Lti
+from pcbench.study.own_scenarios import plain
 from pcbench.study.read import parse
 
 
@@ -36,7 +37,7 @@ def lti(system: Any, *, name: str = "lti", **experiment: Any) -> Study:
             raise unknown("pcbench.lti", "key of an experiment", key, known)
     labels = [str(label) for label in getattr(system, "state_labels", None) or []]
     named = {"states": labels} if labels and all(re.fullmatch(r"[A-Za-z]\w*", label) for label in labels) else {}
-    given = {key: _plain(value) for key, value in experiment.items() if value is not None}
+    given = {key: plain(value) for key, value in experiment.items() if value is not None}
     return parse({"name": name, "lti": matrices | named | given}, "pcbench.lti")
 
 
@@ -74,7 +75,7 @@ def _state_space(system: Any) -> dict[str, Any]:
             f"pcbench.lti: got a system with dt = {dt}, whose time base is not said, expected seconds; give it dt in seconds"
             + (", or 0 for a continuous one." if dt is None else ".")
         )
-    matrices = {key: _plain(np.asarray(getattr(form, key), float)) for key in "ABCD"}
+    matrices = {key: plain(np.asarray(getattr(form, key), float)) for key in "ABCD"}
     return matrices | ({"dt": float(dt)} if dt else {})
 
 
@@ -91,10 +92,3 @@ def _matrices(plant: Lti) -> tuple[list[NDArray[np.float64]], float | None]:
     """Return A, B, C, D and the time base [s], None of a continuous plant."""
     model = nominal(plant.numbers("lti"))
     return [model.A, model.B, model.C, model.feedthrough], plant.dt
-
-
-def _plain(value: Any) -> Any:
-    """Arrays and tuples as the lists that a study holds."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    return [_plain(v) for v in value] if isinstance(value, tuple | list) else value

@@ -10,18 +10,17 @@ study file, and on the command line and in Python to the working folder.
 """
 
 import re
-from pathlib import Path
 from typing import Any
 
 from pcbench.errors import UserError, short, shown
 from pcbench.observers import LONGEST, OBSERVERS, base_of
 from pcbench.study import own
-from pcbench.study.own_observers import installed
+from pcbench.study.own_entries import installed
 
 LABEL = re.compile(rf"\w[\w.+-]{{0,{LONGEST - 1}}}")
 
 
-def labelled(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[str, Any]:
+def labelled(raw: dict[str, Any], where: str) -> dict[str, Any]:
     """Return a raw study whose observers are labels, those of the user's own found by its table `use`.
 
     Raises UserError for a label that is none, or that two observers have.
@@ -32,10 +31,13 @@ def labelled(raw: dict[str, Any], where: str, folder: Path | None = None) -> dic
         raw = raw | {"observers": list(given), "options": _options(given, options, use, where)}
     elif isinstance(given, list):
         raw = raw | {"observers": _labels(given, use, f"{where}: observers")}
-    if isinstance(raw.get("lti"), dict) and isinstance(raw["lti"].get("observers"), list):
-        raw["lti"] = raw["lti"] | {"observers": _labels(raw["lti"]["observers"], use, f"{where}: lti.observers")}
-    if folder is not None:
-        use = {label: _beside(text, folder) for label, text in use.items()}
+    for table in ("lti", "scenario"):
+        raw = _inside(raw, table, use, f"{where}: {table}")
+    if isinstance(raw.get("tables"), dict):
+        tables = dict(raw["tables"])
+        for name in tables:
+            tables = _inside(tables, name, use, f"{where}: scenarios.{name}")
+        raw = raw | {"tables": tables}
     return raw | {"use": use} if use else raw
 
 
@@ -44,9 +46,12 @@ def label_of(name: str) -> str:
     return name.rpartition(":")[2] if own.is_reference(name) else name
 
 
-def absolute(use: dict[str, str]) -> dict[str, str]:
-    """Return a table `use` that names the same files from every folder."""
-    return {label: _beside(text, Path().resolve()) for label, text in use.items()}
+def _inside(raw: dict[str, Any], key: str, use: dict[str, str], where: str) -> dict[str, Any]:
+    """A dict whose table of a key has labels for its list of observers, where it has one."""
+    table = raw.get(key)
+    if not isinstance(table, dict) or not isinstance(table.get("observers"), list):
+        return raw
+    return raw | {key: table | {"observers": _labels(table["observers"], use, f"{where}.observers")}}
 
 
 def _labels(names: list[Any], use: dict[str, str], where: str) -> list[Any]:
@@ -66,8 +71,8 @@ def _labels(names: list[Any], use: dict[str, str], where: str) -> list[Any]:
                     f'write [observers.LABEL] use = "{short(name)}".'
                 )
             use[label] = name
-        elif label not in use and base_of(label) is None and (found := installed().get(label)):
-            use[label] = found
+        elif label not in use and base_of(label) is None and (found := installed("observer").get(label)):
+            use[label] = found.reference
         out.append(label)
     return out
 
@@ -112,9 +117,3 @@ def _free(label: str, name: str, where: str) -> None:
             f"{where}: got '{short(name)}' as '{label}', which is pcbench's own name; expected another label; write "
             f'[observers.my-{label}] use = "{short(name)}".'
         )
-
-
-def _beside(text: str, folder: Path) -> str:
-    """MODULE:NAME with a path taken from a folder."""
-    module, _, name = text.rpartition(":")
-    return f"{folder / module}:{name}" if own.is_file(module) else text

@@ -1,11 +1,13 @@
 """A study's own controller, `[controller]`: which law closes the loop of its scenarios, with what options, how far away."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
 
 from pcbench.controllers import CONTROLLERS, Told
+from pcbench.controllers import entry_of as law_of
 from pcbench.controllers.parts.sizes import Sizes, matrix
 from pcbench.dynamics.linear import Model
 from pcbench.dynamics.observability import shown as shown_mode
@@ -13,6 +15,7 @@ from pcbench.errors import DesignError, UserError, unknown
 from pcbench.plants import entry_of, numbers_of, states_of
 from pcbench.scenarios import Scenario
 from pcbench.study import axes, times
+from pcbench.study.own import Own
 from pcbench.study.sentences import sentence
 from pcbench.synthesis import lqr
 
@@ -24,34 +27,43 @@ class Network(BaseModel):
     """What `[controller]` says of the way to the plant, beside the law's own options."""
 
     model_config = ConfigDict(extra="ignore", allow_inf_nan=False)
-    use: str = Field(description="which law: " + ", ".join(name for name, e in CONTROLLERS.items() if e.check))
+    use: str = Field(
+        description="which law: "
+        + ", ".join(name for name, e in CONTROLLERS.items() if e.check)
+        + ", or MODULE:NAME of one's own"
+    )
     actuator_delay: Size = Field(0.0, description="from command to plant [s]")
     command_jitter: Size = Field(0.0, description="a command comes up to this much later [s]")
     command_loss: Size = Field(0.0, le=1, description="probability that a command never comes: the last one is held")
     command_std: Size = Field(0.0, description="standard deviation of the noise of a command")
 
 
-def closed(s: Scenario, given: dict[str, Any], where: str) -> Scenario:
-    """Return a scenario with its loop closed by a study's controller; raise UserError naming the key that does not fit."""
+def closed(s: Scenario, given: dict[str, Any], where: str, own: Mapping[str, Own]) -> Scenario:
+    """Return a scenario with its loop closed by a study's controller; `own` has those of the user's, by MODULE:NAME.
+
+    Raises UserError naming the key that does not fit.
+    """
     try:
         way = Network.model_validate(given)
     except ValidationError as error:
         raise sentence(where, error, {"": [*Network.model_fields]}) from None
     able = [name for name, entry in CONTROLLERS.items() if entry.check]
-    if way.use not in able:
-        raise unknown(f"{where}.use", "controller for any plant", way.use, able)
+    mine = own.get(way.use)
+    if mine is None and way.use not in able:
+        raise unknown(f"{where}.use", "controller for any plant (or MODULE:NAME)", way.use, able)
     if s.sampling.early:
         raise UserError(
             f"{where}: got a controller for {s.name}, whose measuring began before t = 0, expected a scenario that starts at "
             "t = 0; leave the table out, or take another scenario."
         )
-    own = {key: value for key, value in given.items() if key not in Network.model_fields}
-    entry = CONTROLLERS[way.use]
-    for key in own:
-        if key not in entry.options.model_fields:
-            raise unknown(where, f"option of {way.use}", key, [*entry.options.model_fields, *Network.model_fields])
+    control = {key: value for key, value in given.items() if key not in Network.model_fields}
+    entry = mine.entry if mine else CONTROLLERS[way.use]
+    fields, open_ended = entry.options.model_fields, entry.options.model_config.get("extra") == "allow"
+    for key in control:
+        if key not in fields and not open_ended:
+            raise unknown(where, f"option of {way.use}", key, [*fields, *Network.model_fields])
     try:
-        options = entry.options.model_validate(own)
+        options = entry.options.model_validate(control)
     except ValidationError as error:
         raise sentence(where, error, {"": entry.options.model_fields}) from None
     if entry_of(s).nominal(numbers_of(s)).feedthrough.any():
@@ -64,12 +76,13 @@ def closed(s: Scenario, given: dict[str, Any], where: str) -> Scenario:
     network = {name: getattr(way, name) for name in ("actuator_delay", *axes.COMMANDS)}
     for name, value in network.items():
         axes.point(name, value, s, f"{where}.{name}")
-    return s.having(controller=way.use, control=own, input="", **network)
+    name, code = (mine.code.name, {**s.own, "controller": mine}) if mine else (way.use, s.own)
+    return s.having(controller=name, control=control, input="", own=code, **network)
 
 
 def held(s: Scenario) -> bool:
     """Say whether a scenario's loop is closed by a law for any plant, whose commands are held as they are."""
-    return bool(s.loop.controller) and CONTROLLERS[s.loop.controller].check is not None
+    return bool(s.loop.controller) and law_of(s).check is not None
 
 
 def sizes(s: Scenario, where: str) -> Sizes:
@@ -110,7 +123,7 @@ def warning(s: Scenario, where: str) -> str:
     """Return a sentence that names the eigenvalue with which a scenario's loop does not settle; empty where it does."""
     if not held(s):
         return ""
-    entry, known = CONTROLLERS[s.loop.controller], told(s)
+    entry, known = law_of(s), told(s)
     options = entry.options.model_validate(dict(s.loop.control))
     if entry.linear is None:
         return ""
@@ -118,8 +131,10 @@ def warning(s: Scenario, where: str) -> str:
         law = entry.linear(options, known)
     except DesignError as error:
         raise DesignError(f"{where}: {error}") from None
+    if law is None:
+        return ""
     late = 0 if getattr(options, "knows_delay", False) else known.late
-    every = known.every(options.period)  # type: ignore[attr-defined]
+    every = known.every(getattr(options, "period", None))
     modes = np.linalg.eigvals(lqr.closed(known.tick, law, every, late))
     worst = complex(modes[np.argmax(np.abs(modes))])
     if abs(worst) < 1:

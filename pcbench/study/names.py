@@ -3,7 +3,7 @@
 from pcbench.observers import LONGEST, OBSERVERS, Entry, base_of
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study.loops import closed
-from pcbench.study.own_observers import OwnObserver
+from pcbench.study.own import Own
 from pcbench.study.scenario_of_table import scenario_of
 from pcbench.study.schema import Study
 
@@ -11,7 +11,7 @@ LTI = "lti"  # the scenario of a linear plant that a study brings
 
 
 def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
-    """Return every scenario that a study may name: the published ones, `lti` where it brings a plant, and one of its own.
+    """Return every scenario that a study may name: the published ones, `lti` where it brings a plant, and those of its own.
 
     Where the study has a controller, those that it names have their loops closed by that.
     """
@@ -20,11 +20,13 @@ def scenarios_of(study: Study, where: str | None = None) -> dict[str, Scenario]:
         known = known | {LTI: study.lti.scenario(LTI, f"{where}: lti")}
     if study.scenario is not None:
         name = study.scenario.name or study.name
-        known = known | {name: scenario_of(study.scenario, name, f"{where}: scenario")}
+        known = known | {name: scenario_of(study.scenario, name, f"{where}: scenario", study._own)}
+    for name, table in (study.tables or {}).items():
+        known = known | {name: scenario_of(table, name, f"{where}: scenarios.{name}", study._own)}
     if study.controller is None:
         return known
     mine = [name for name in study.scenarios if name in known]
-    return known | {name: closed(known[name], study.controller, f"{where}: controller") for name in mine}
+    return known | {name: closed(known[name], study.controller, f"{where}: controller", study._own) for name in mine}
 
 
 def labels_of(study: Study) -> list[str]:
@@ -40,7 +42,7 @@ def base_in(study: Study, label: str) -> str | None:
     return max(found, key=len) if found and label.isprintable() and len(label) <= LONGEST else base_of(label)
 
 
-def own_in(study: Study, label: str) -> OwnObserver | None:
+def own_in(study: Study, label: str) -> Own | None:
     """Return the observer of a user's own that a label names in a study; None where it is one of pcbench's."""
     return study._own.get(base_in(study, label) or label)
 

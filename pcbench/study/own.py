@@ -43,6 +43,13 @@ class Code(NamedTuple):
         )
 
 
+class Own(NamedTuple):
+    """What is a user's own, as an entry beside pcbench's, and the code that makes it."""
+
+    entry: Any
+    code: Code
+
+
 def is_reference(text: str) -> bool:
     """Say whether a name is MODULE:NAME."""
     return ":" in text
@@ -58,8 +65,8 @@ def split(text: str, where: str) -> tuple[str, str]:
     module, colon, name = text.rpartition(":")
     if not colon or not module or not name:
         raise UserError(
-            f"{where}: got '{short(text)}', expected MODULE:OBSERVER such as mine.py:nudge; name the module, or its file, "
-            "and the observer in it."
+            f"{where}: got '{short(text)}', expected MODULE:NAME such as mine.py:nudge; name the module, or its file, "
+            "and what it is called in it."
         )
     return module, name
 
@@ -105,6 +112,12 @@ def digest_of(code: Code, module: ModuleType) -> str:
     if code.files or not getattr(module, "__file__", None):
         return code.digest
     return hashlib.sha256(Path(str(module.__file__)).read_bytes()).hexdigest()[:DIGITS]
+
+
+def beside(text: str, folder: Path) -> str:
+    """Return MODULE:NAME with the path of a file taken from a folder; anything else as it is."""
+    module, _, name = text.rpartition(":")
+    return f"{folder / module}:{name}" if is_file(module) else text
 
 
 def _with_siblings(path: Path) -> Iterator[tuple[str, bytes]]:
@@ -209,6 +222,6 @@ def _files(folder: Path) -> list[str]:
 
 def found_in(module: ModuleType, name: str, kind: type | tuple[type, ...]) -> tuple[Any, list[str]]:
     """Return the attribute of a module, None where there is none, and the names of those of a kind, or else all public ones."""
-    there = [n for n, v in vars(module).items() if isinstance(v, kind)]
+    there = [n for n, v in vars(module).items() if isinstance(v, kind) and not n.startswith("__")]
     public = [n for n in vars(module) if not n.startswith("_")]
     return getattr(module, name, None), there or public

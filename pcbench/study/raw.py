@@ -9,10 +9,12 @@ from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS, parameters_of
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import STUDIES, Choices, Study, underscored
+from pcbench.study import STUDIES, Choices, Study, own, underscored
 from pcbench.study import axes as axis
 from pcbench.study.labels import labelled
 from pcbench.study.lti_inputs import located
+from pcbench.study.own_scenarios import tabled
+from pcbench.study.references import absolute, looked_up
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
 NOT_TOML = (ValueError, RecursionError)  # what tomllib raises, also for numbers too long and lists too deep
@@ -29,6 +31,8 @@ def raw_of(what: Described, overrides: list[str]) -> dict[str, Any]:
         raw = STUDIES[name].model_dump(exclude_none=True)
     elif name in SCENARIOS:
         raw = {"name": name, "scenarios": [name]}
+    elif own.is_reference(name):
+        raw = {"name": name.rpartition(":")[2], "scenarios": [name]}
     elif name.endswith(".toml") or _is_file(name):
         raw, folder = _read(Path(name)), Path(name).parent
     else:
@@ -52,10 +56,14 @@ def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[s
             if key in axes:
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
-    raw = labelled(underscored(raw, where), where, folder)
+    raw = labelled(tabled(underscored(raw, where), where, folder), where)
+    raw = looked_up(raw) if folder is None else absolute(looked_up(raw), folder)
     for table in ("lti", "scenario", "tune", "controller"):
         if isinstance(raw.get(table), dict):
             raw[table] = underscored(raw[table], f"{where}: {table}")
+    for name in raw.get("tables", ()) if isinstance(raw.get("tables"), dict) else ():
+        if isinstance(raw["tables"][name], dict):
+            raw["tables"][name] = underscored(raw["tables"][name], f"{where}: scenarios.{name}")
     if isinstance(raw.get("lti"), dict):
         raw["lti"] = located(raw["lti"], folder)
     if isinstance(raw.get("axes"), dict):

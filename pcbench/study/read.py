@@ -3,7 +3,7 @@
 Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from pydantic import ValidationError
@@ -20,15 +20,22 @@ from pcbench.study import (
     fits,
     labels_of,
     loops,
-    own_observers,
+    own_entries,
     scenarios_of,
     sentence,
 )
 from pcbench.study.cells import Cell, Grid, cells
-from pcbench.study.own_observers import OwnObserver
+from pcbench.study.own import Own
 from pcbench.study.raw import Described, named, raw_of, where_of
+from pcbench.study.references import Named, named_in
+from pcbench.study.scenario_table import ScenarioTable
 
-Load = Callable[[str, str, str], OwnObserver]  # (label, MODULE:NAME, where) -> the observer
+Load = Callable[[Named, str], Own]  # (what a study names, where) -> what is a user's own
+
+
+def from_here(named: Named, where: str) -> Own:
+    """Return what a study names, by its code, a path taken from the working folder."""
+    return own_entries.load(named.kind, named.reference, where)
 
 
 def load(what: str, overrides: list[str] | None = None) -> Study:
@@ -36,10 +43,10 @@ def load(what: str, overrides: list[str] | None = None) -> Study:
     return parse(raw_of(what, overrides or []), what)
 
 
-def described(raw: dict[str, Any], where: str, load: Load = own_observers.named) -> Study:
+def described(raw: dict[str, Any], where: str, load: Load = from_here) -> Study:
     """Return the study that `raw` describes; its names and options are checked, its cells are not made.
 
-    `load` finds the observers of the user's own.
+    `load` finds what is the user's own.
 
     Raises UserError naming the place in it that is wrong.
     """
@@ -51,7 +58,8 @@ def described(raw: dict[str, Any], where: str, load: Load = own_observers.named)
         study = Study.model_validate(raw)
     except ValidationError as error:
         raise sentence(where, error, KEYS) from None
-    study._own = {label: load(label, text, f"{where}: {label}") for label, text in study.use.items()}
+    for each in named_in(raw):
+        study._own[each.key] = load(each, f"{where}: {each.key if each.kind == 'observer' else each.kind}")
     known = scenarios_of(study, where)
     for name in study.scenarios:
         if name not in known:
@@ -61,11 +69,11 @@ def described(raw: dict[str, Any], where: str, load: Load = own_observers.named)
         _observers(study, study.observers, f"{where}: observers")
     if study.lti is not None:
         _observers(study, study.lti.observers, f"{where}: lti.observers")
-    if study.scenario is not None:
-        if study.scenario.observers is not None:
-            _observers(study, study.scenario.observers, f"{where}: scenario.observers")
-        for name, given in (study.scenario.options or {}).items():
-            checked_options(study, name, given, f"{where}: scenario.options.{name}")
+    for place, table in _tables(study):
+        if table.observers is not None:
+            _observers(study, table.observers, f"{where}: {place}.observers")
+        for name, given in (table.options or {}).items():
+            checked_options(study, name, given, f"{where}: {place}.options.{name}")
     for name, given in study.options.items():
         checked_options(study, name, given, f"{where}: options.{name}")
     return study
@@ -75,10 +83,22 @@ def _own(raw: dict[str, Any]) -> list[str]:
     """The scenarios that a raw study brings: those it names where it says no others."""
     table = raw.get("scenario")
     name = (table.get("name") if isinstance(table, dict) else None) or raw.get("name")
-    return [LTI] * (raw.get("lti") is not None) + [str(name)] * (table is not None)
+    tables = raw.get("tables")
+    return [
+        *[LTI] * (raw.get("lti") is not None),
+        *[str(name)] * (table is not None),
+        *(tables if isinstance(tables, dict) else ()),
+    ]
 
 
-def grid(raw: dict[str, Any], where: str, load: Load = own_observers.named) -> Grid:
+def _tables(study: Study) -> Iterator[tuple[str, ScenarioTable]]:
+    """Yield the tables of a study's own scenarios, each with where it stands."""
+    if study.scenario is not None:
+        yield "scenario", study.scenario
+    yield from ((f"scenarios.{name}", table) for name, table in (study.tables or {}).items())
+
+
+def grid(raw: dict[str, Any], where: str, load: Load = from_here) -> Grid:
     """Return the study that `raw` describes with its cells; raise UserError naming the place in it that is wrong."""
     study, every = described(raw, where, load), []
     for name in study.scenarios:

@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pcbench.controllers import CONTROLLERS
+from pcbench.controllers import entry_of as controller_of
 from pcbench.errors import UserError, short, shown, unknown
 from pcbench.plants import PLANTS, Entry, signals_of
 from pcbench.scenarios import Scenario
@@ -32,12 +33,12 @@ EACH = {"n": "state", "s": "unknown", "q": "output", "n + s": "state and unknown
 def control(s: Scenario, entry: Entry, where: str) -> dict[str, Any]:
     """The controller's options, checked."""
     name = s.loop.controller
-    if name not in CONTROLLERS:
-        raise unknown(f"{where}.controller", "controller", name, CONTROLLERS)
+    if name not in CONTROLLERS and "controller" not in s.own:
+        raise unknown(f"{where}.controller", "controller (or MODULE:NAME)", name, CONTROLLERS)
     if name == "pd" and entry.inverse is None:
         able = ", ".join(each for each, plant in PLANTS.items() if plant.inverse)
         raise UserError(f"{where}.controller: got 'pd' on {s.plant}, expected a plant that it is for: {able}.")
-    control, model = dict(s.loop.control), CONTROLLERS[name].options
+    control, model = dict(s.loop.control), controller_of(s).options
     try:
         model.model_validate(control)
     except ValidationError as error:

@@ -3,21 +3,26 @@
 Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 from pcbench.errors import UserError, shown, unknown
-from pcbench.plants import PLANTS, Entry, entry_of, numbers_of, parameters_of, signals_of, states_of
+from pcbench.plants import PLANTS, entry_of, numbers_of, parameters_of, signals_of, states_of
 from pcbench.scenarios import INTERVAL, SCENARIOS, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import SIGNALS, SINGLE
 from pcbench.study import axes, limits
 from pcbench.study import scenario_fit as fit
+from pcbench.study.own import Own
 from pcbench.study.scenario_table import ScenarioTable
 
 REQUIRED = ("plant", "x0", "sampling_period", "delay", "noise_std")
 
 
-def scenario_of(table: ScenarioTable, name: str, where: str) -> Scenario:
-    """Return the scenario that a table describes; raise UserError naming the key that does not fit."""
+def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, Own]) -> Scenario:
+    """Return the scenario that a table describes; `own` has the plants and controllers of the user's, by MODULE:NAME.
+
+    Raises UserError naming the key that does not fit.
+    """
     if name in SCENARIOS or name == "lti":
         raise UserError(
             f"{where}.name: got '{name}', expected a name that no other scenario has; write another, such as "
@@ -27,7 +32,7 @@ def scenario_of(table: ScenarioTable, name: str, where: str) -> Scenario:
     start = _base(table, given, where)._replace(name=name)
     start = start.having(**{key: given[key] for key in ("dt", "horizon") if key in given})
     limits.ticks_of(start.horizon, start.dt, where)
-    s = _of_plant(start, given, where)
+    s = _of_plant(start, given, where, own)
     entry, model = entry_of(s), entry_of(s).nominal(numbers_of(s))
     many = {"n": len(model.A), "s": len(signals_of(s)) - len(states_of(s)), "q": len(model.C)}
     many["n + s"] = many["n"] + many["s"]
@@ -38,7 +43,7 @@ def scenario_of(table: ScenarioTable, name: str, where: str) -> Scenario:
     s = s.having(**{key: given[key] for key in plain if key in given})
     if "bound" in given:
         s = s.having(bound=tuple(given["bound"]) if isinstance(given["bound"], list) else given["bound"])
-    s = _driven(s, given, entry, model.B.shape[1], where)
+    s = _driven(s, given, model.B.shape[1], where, own)
     fit.require_fit(s, many, entry, where)
     if s.sampling.continuous and (entry.plant.field is None or model.discrete):
         raise UserError(
@@ -76,7 +81,7 @@ def _base(table: ScenarioTable, given: dict[str, Any], where: str) -> Scenario:
     )
 
 
-def _of_plant(s: Scenario, given: dict[str, Any], where: str) -> Scenario:
+def _of_plant(s: Scenario, given: dict[str, Any], where: str, own: Mapping[str, Own]) -> Scenario:
     """The scenario with its plant: what it is called, its parameters, its signals."""
     valid = [name for name in PLANTS if name != "lti"]
     plant = given.get("plant", s.plant)
@@ -84,9 +89,12 @@ def _of_plant(s: Scenario, given: dict[str, Any], where: str) -> Scenario:
         raise UserError(
             f"{where}.plant: got 'lti', expected a plant with equations of its own; write the table [lti] for a linear plant."
         )
-    if plant not in valid:
-        raise unknown(f"{where}.plant", "plant", plant, valid)
-    s = s._replace(plant=plant)
+    if mine := own.get(plant):
+        s = s._replace(plant=mine.code.name, own={**s.own, "plant": mine})
+    elif plant not in valid:
+        raise unknown(f"{where}.plant", "plant (or MODULE:NAME)", plant, valid)
+    else:
+        s = s._replace(plant=plant)
     if "parameters" in given:
         known = parameters_of(entry_of(s))
         s = s.having(
@@ -144,9 +152,13 @@ def _measured(s: Scenario, given: dict[str, Any], q: int, where: str) -> Scenari
     return s
 
 
-def _driven(s: Scenario, given: dict[str, Any], entry: Entry, m: int, where: str) -> Scenario:
+def _driven(s: Scenario, given: dict[str, Any], m: int, where: str, own: Mapping[str, Own]) -> Scenario:
     """The scenario with its input, its controller and its unknown input."""
+    entry = entry_of(s)
     loop = {key: given[key] for key in ("input", "controller", "control") if key in given}
+    if mine := own.get(loop.get("controller", "")):
+        loop["controller"] = mine.code.name
+        s = s._replace(own={**s.own, "controller": mine})
     s = s.having(**loop)
     if loop.get("input") and s.loop.controller and "controller" not in loop:
         s = s.having(controller="", control={})  # an input opens the loop of a base

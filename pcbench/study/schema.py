@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
 
 from pcbench.scenarios.signals import PATHS
 from pcbench.study.lti import Lti
-from pcbench.study.own_observers import OwnObserver
+from pcbench.study.own import Own
 from pcbench.study.scenario_table import ScenarioTable
 
 Values = list[Any]
@@ -68,10 +68,14 @@ class Study(BaseModel):
     options: dict[str, dict[str, Any]] = {}
     lti: Lti | None = None
     scenario: ScenarioTable | None = None
+    tables: dict[str, ScenarioTable] | None = Field(
+        None, description="scenarios of one's own, by name; a study file writes [scenarios.NAME]"
+    )
     controller: dict[str, Any] | None = Field(None, description="a law that closes the loop of every scenario")
     tuning: str | list[str] = Field("paper", description="whose gains: " + ", ".join(TUNINGS) + ", or a list of them")
     tune: Tune = Tune()
-    _own: dict[str, OwnObserver] = PrivateAttr({})  # by label of `use`, once the study is read
+    # what is a user's own, once the study is read: observers by label of `use`, plants and controllers by MODULE:NAME
+    _own: dict[str, Own] = PrivateAttr({})
 
     @field_validator("tuning", mode="before")
     @classmethod

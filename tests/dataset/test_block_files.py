@@ -149,3 +149,28 @@ def test_a_table_that_is_no_block_is_named(dataset, tmp_path):
     stray.write_bytes(Path(next((dataset / "runs").rglob("*.parquet"))).read_bytes())
     with pytest.raises(UserError, match=r"mine.parquet: is no block"):
         block_files.present(store.target(tmp_path))
+
+
+def test_a_column_of_lists_is_as_it_was_written(tmp_path):
+    """Parquet names what is in a list as it likes: `item` is written, `element` may come back."""
+    kind = pa.list_(pa.field("item", pa.float64()))
+    table = pa.table({"seed": [0, 1], "noise_std": pa.array([[1e-3, 2e-3]] * 2, kind)})
+    written = block_files.sealed(table, {"cell": "a", "observer": "o", "first": 0, "last": 2})
+    read = written.cast(written.schema.set(1, pa.field("noise_std", pa.list_(pa.field("element", pa.float64())))))
+    said = block_files.about(written)
+    assert str(read.schema.field(1).type) != str(written.schema.field(1).type)
+    assert block_files.digest(read, said) == said["digest"]
+    changed = table.set_column(1, "noise_std", pa.array([[1, 2]] * 2, pa.list_(pa.int64())))
+    assert block_files.digest(changed, said) != said["digest"]
+
+
+@pytest.mark.slow
+def test_a_study_with_noise_by_channel_has_nothing_left_to_do(tmp_path):
+    study = {
+        "name": "s",
+        "scenarios": ["csth/10s"],
+        "observers": ["open-loop"],
+        "axes": {"noise_std": [[0.1, 0.2, 0.1]]},
+    }
+    assert pcbench.run(study, seeds=2, out=tmp_path).cost.runs == 2
+    assert pcbench.run(study, seeds=2, out=tmp_path).cost.runs == 0

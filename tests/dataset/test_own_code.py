@@ -99,6 +99,34 @@ def test_only_what_is_named_is_copied(here):
     assert store.names(store.target("plain"), "code") == []
 
 
+LOOP = {"name": "s", "scenarios": ["mine.py:late"], "observers": ["mine.py:nudge", "dkf"], "seeds": 4}
+
+
+def test_plants_and_laws_are_kept_likewise(here):
+    """One dataset of an observer, a plant, a law and a scenario: read without the file, come out again by the copy."""
+    loop = SOURCE.with_name("own_loop.py").read_text().replace("Options", "Gentle")
+    entry = 'law = pcbench.ControllerEntry(options=Gentle, prepare=prepare, summary="PI", controller='
+    loop = loop.replace("law = ", entry, 1).replace("params.m,\n)", "params.m,\n))")
+    (here / "mine.py").write_text(SOURCE.read_text() + loop)
+    pcbench.run(LOOP, out="out")
+    before = tables(here / "out")
+    kept = (here / "mine.py").rename(here / "aside.py")
+    forget()
+    opened = pcbench.opened("out")
+    assert set(opened.stats.observer) == {"nudge", "dkf"}
+    assert verify.status(here / "out").closed
+    assert compare(here / "out", here / "out").largest == 0
+    assert not [name for name in sys.modules if name.startswith("mine_")], "nothing of it was run"
+    found = verify.verify(here / "out", None, 0)
+    assert (found.wrong, found.differing, len(found.recomputed)) == ([], [], 2)
+    kept.rename(here / "mine.py")
+    assert pcbench.run(LOOP, out="out").cost.runs == 0, "its blocks are known again"
+    (here / "mine.py").write_text((here / "mine.py").read_text().replace("0.4  # 1/s", "0.5  # 1/s"))
+    with pytest.raises(pcbench.UserError, match=r"the code of plant pendulum: code/\w+ there, code/\w+ here"):
+        pcbench.run(LOOP | {"seeds": 8}, out="out")
+    assert tables(here / "out") == before
+
+
 @pytest.mark.slow
 def test_a_report_has_the_run_in_time_that_was_kept(here):
     """By the command line: the code is at hand when the study is run, and gone when it is reported."""
@@ -114,11 +142,14 @@ def test_a_report_has_the_run_in_time_that_was_kept(here):
 
 
 @pytest.mark.slow
-def test_workers_need_no_file(here):
+@pytest.mark.parametrize("study", [STUDY, LOOP | {"observers": ["dkf"], "seeds": 8}], ids=["observer", "plant and law"])
+def test_workers_need_no_file(here, study):
     """Two Dask workers that stand in another folder leave the bytes that this process leaves."""
     pytest.importorskip("distributed")
-    pcbench.run(STUDY, out=here / "whole", block=4)
-    code = f"import pcbench; pcbench.run({STUDY!r}, out={str(here / 'out')!r}, block=4, dask='local', workers=2)"
+    if study is not STUDY:
+        shutil.copy(SOURCE.with_name("own_loop.py"), here / "mine.py")
+    pcbench.run(study, out=here / "whole", block=4)
+    code = f"import pcbench; pcbench.run({study!r}, out={str(here / 'out')!r}, block=4, dask='local', workers=2)"
     script = here / "go.py"
     script.write_text(f"if __name__ == '__main__':\n    {code}\n")
     subprocess.run([sys.executable, str(script)], check=True, cwd=here, env=os.environ | {"PYTHONPATH": ROOT})

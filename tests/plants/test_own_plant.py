@@ -11,6 +11,7 @@ from pcbench.plants import PLANTS, entry_of
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import read
 from pcbench.study.cells import cell_of
+from pcbench.study.own import Code, Own
 
 TABLE = {
     "plant": "pendulum",
@@ -238,8 +239,8 @@ def test_an_lqr_holds_it_upright_by_what_a_late_camera_sees(own):
 def test_a_scenario_carries_it_without_a_name():
     entry, four, two = pendulum(), (0.1,) * 4, (0.03,) * 2
     mine = SCENARIOS["cart/white"].having(
-        entry=entry,
-        plant="mine.py:pendulum",
+        own={"plant": Own(entry, Code("mine.py", "pendulum", (), "abc"))},
+        plant="pendulum",
         x0=four,
         xhat0=four,
         prior_std=four,

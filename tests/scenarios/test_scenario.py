@@ -12,6 +12,7 @@ from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.scenarios.scenario import CODE, OF_COMMANDS, RECORDS
 from pcbench.study import Study
 from pcbench.study.cells import cell_of, cells, identity
+from pcbench.study.own import Code, Own
 
 ARM = SCENARIOS["arm/sampled"]
 
@@ -50,12 +51,14 @@ def test_folders_of_earlier_releases_know_their_cells_again(scenario, digest):
     assert identity(cell, 0) == digest
 
 
-def test_a_scenario_may_carry_its_plant_and_its_controller_and_no_digest_says_so():
-    """The functions of a user's own: looked up before names are, and in no file."""
+def test_a_scenario_may_carry_its_plant_and_its_controller_of_which_it_says_the_code():
+    """The functions of a user's own: looked up before names are, and in no file; the digest of their code is."""
     plain = SCENARIOS["helicopter/constant"]
     plant, law = PLANTS["helicopter"]._replace(heavy=False), CONTROLLERS["pd"]._replace(options=Options)
-    own = plain.having(entry=plant, law=law, plant="mine", controller="mine")
+    code = Code("mine.py", "mine", (), "abc")
+    own = plain.having(own={"plant": Own(plant, code), "controller": Own(law, code)}, plant="mine", controller="mine")
     assert (plants.entry_of(own), controllers.entry_of(own)) == (plant, law)
     assert (plants.entry_of(plain), controllers.entry_of(plain)) == (PLANTS["helicopter"], CONTROLLERS["pd"])
-    assert own.having(plant="helicopter", controller="pd").flat() == plain.flat()
+    code = {"plant": "abc", "controller": "abc"}
+    assert own.having(plant="helicopter", controller="pd").flat() == plain.flat() | {"code": code}
     assert planning.arrays.width(cell_of(own)) != planning.arrays.width(cell_of(plain))

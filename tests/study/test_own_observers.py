@@ -132,7 +132,7 @@ WRONG = {
     "a file nearly": (["mien.py:nudge"], "did you mean 'mine.py'?"),
     "no such name": (["mine.py:nudg"], "did you mean 'nudge'?"),
     "no observer": (["mine.py:design"], "got a function, expected a pcbench.Observer"),
-    "no name": (["mine.py:"], "expected MODULE:OBSERVER such as mine.py:nudge"),
+    "no name": (["mine.py:"], "expected MODULE:NAME such as mine.py:nudge"),
     "two labels alike": (["mine.py:nudge", "mine:nudge"], "expected a label for each; write [observers.LABEL]"),
     "a label of pcbench's": ({"dkf": {"use": "mine.py:nudge"}}, "which is pcbench's own name"),
     "a label that is none": ({"a b": {"use": "mine.py:nudge"}}, "got the label 'a b', expected letters"),

@@ -1,0 +1,82 @@
+"""Does a control law keep the protocol? Asked of its shapes alone, before anything is compiled or simulated."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from pcbench.errors import UserError, raised
+from pcbench.protocols import Controller, Now
+
+
+class Sizes(NamedTuple):
+    """n states, s unknowns that an estimate may have beside them, m inputs."""
+
+    n: int
+    s: int
+    m: int
+
+
+def check(label: str, law: Controller, params: Any, sizes: Sizes) -> None:
+    """Raise UserError, naming the law, the function, what was found and what was expected, where a shape is wrong.
+
+    `target` must return a vector of at most n, `before` and `command` [m], and a `command` that keeps something what `start`
+    returns: its structure, shapes and types. An estimate may have the plant's unknowns after the states.
+    """
+    for length in sorted({sizes.n, sizes.n + sizes.s}):
+        _check(label, law, params, sizes, length)
+
+
+def _check(label: str, law: Controller, params: Any, sizes: Sizes, length: int) -> None:
+    tick, estimate = jnp.asarray(1), jax.ShapeDtypeStruct((length,), float)
+
+    def ask(name: str, f: Any, *args: Any) -> Any:
+        try:
+            return jax.eval_shape(f, params, *args)
+        except Exception as error:
+            raise UserError(
+                f"controller {label}: {name} cannot be traced with an estimate of {length} ({raised(error)}); expected pure "
+                "jax.numpy code for one run, which takes the states from the front."
+            ) from error
+
+    def command(params: Any, xhat: Any, *kept: Any) -> Any:
+        now = Now(tick * 1.0, tick, jnp.asarray(1.0), jnp.zeros(sizes.m), lambda age: jnp.zeros(sizes.m))
+        decide: Any = law.command
+        out = decide(params, now, xhat, lambda i: jnp.zeros(sizes.m), *kept)
+        return out if kept else (out, ())
+
+    target = ask("target", lambda params: jnp.asarray(law.target(params, tick)))
+    if target.ndim != 1 or target.shape[0] > sizes.n:
+        raise UserError(
+            f"controller {label}: target returned shape {target.shape}, expected the set point of the first states, "
+            f"({sizes.n},) at most; return a vector."
+        )
+    before = ask("before", lambda params, xhat: jnp.asarray(law.before(params, tick, xhat)), estimate)
+    kept = [ask("start", law.start, estimate)] if law.start else []
+    try:
+        decided, after = ask("command", command, estimate, *kept)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(
+            f"controller {label}: command returned no pair, expected (command, what is kept), as the law has `start`; "
+            "return both."
+        ) from None
+    for name, found in (("before", before), ("command", decided)):
+        if getattr(found, "shape", None) != (sizes.m,):
+            raise UserError(
+                f"controller {label}: {name} returned {_form(found)}, expected ({sizes.m},), a number for each input; return "
+                "that."
+            )
+    if kept and _form(after) != _form(kept[0]):
+        raise UserError(
+            f"controller {label}: command keeps {_form(after)}, expected what start returns, {_form(kept[0])}; keep its "
+            "structure, shapes and types."
+        )
+
+
+def _form(tree: Any) -> str:
+    """The structure of a tree with its shapes and types."""
+    if hasattr(tree, "shape"):
+        return f"shape {tuple(tree.shape)} of {tree.dtype}"
+    return str(jax.tree.map(lambda a: f"{a.dtype}{list(a.shape)}", tree))

@@ -1,0 +1,103 @@
+"""What is a user's own in a study, by kind: what MODULE:NAME names, as an entry beside pcbench's.
+
+An observer, a plant, a controller or a scenario is the attribute NAME of a module; installed packages offer theirs by entry
+points, of the group `pcbench.observers` and its like, and nothing is imported that is not named.
+"""
+
+from collections.abc import Callable, Iterable
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from pcbench import controllers, observers, plants
+from pcbench.errors import UserError, unknown
+from pcbench.protocols import Controller, Observer
+from pcbench.study import own, own_controllers, own_observers
+from pcbench.study.own import Own
+
+DICT = "a dict with the keys of a table [scenario]"
+
+
+class Kind(NamedTuple):
+    """A kind of thing that may be a user's own."""
+
+    types: tuple[type, ...]  # of what a module may hold
+    expected: str  # in words
+    entry: Callable[[Any, ModuleType, str], Any]  # what is found, of what module, where -> its entry
+
+
+def _as_it_is(found: Any, module: ModuleType, where: str) -> Any:
+    return found
+
+
+KINDS = {
+    "observer": Kind(
+        (Observer, observers.Entry), "a pcbench.Observer, or an Entry of pcbench.observers", own_observers.entry
+    ),
+    "plant": Kind((plants.Entry,), "what pcbench.plant returns", _as_it_is),
+    "controller": Kind(
+        (Controller, controllers.Entry), "a pcbench.Controller, or a pcbench.ControllerEntry", own_controllers.entry
+    ),
+    "scenario": Kind((dict,), DICT, _as_it_is),
+}
+
+
+class Installed(NamedTuple):
+    """What an installed package offers by a plain name."""
+
+    reference: str  # MODULE:NAME
+    package: str
+
+
+def installed(kind: str) -> dict[str, Installed]:
+    """Return what installed packages offer of a kind, by name; nothing is imported."""
+    points = entry_points(group=f"pcbench.{kind}s")
+    return {point.name: Installed(point.value, point.dist.name if point.dist else "") for point in points}
+
+
+def load(kind: str, reference: str, where: str, folder: Path | None = None) -> Own:
+    """Return what MODULE:NAME names, a path taken from a `folder` (default: the working folder).
+
+    Raises UserError where there is none, where its module raises, or where it is of another kind.
+    """
+    code = own.code_of(reference, where, folder)
+    module, _ = own.split(reference, where)
+    here = ((folder or Path()) / module).resolve().parent if code.files else None
+    return of(kind, code, where, here)
+
+
+def of(kind: str, code: own.Code, where: str, folder: Path | None = None) -> Own:
+    """Return what some code makes; raise UserError where it makes none."""
+    module = own.module_of(code, where, folder)
+    found = the(kind, code.name, module, f"{where} {code.module}")
+    if not isinstance(found, KINDS[kind].types):
+        raise UserError(f"{where}: got {called(found)}, expected {KINDS[kind].expected}; name one of those.")
+    _free(kind, code.name, where)
+    return Own(KINDS[kind].entry(found, module, where), code._replace(digest=own.digest_of(code, module)))
+
+
+def the(kind: str, name: str, module: ModuleType, where: str) -> Any:
+    """Return the attribute of a module; raise UserError where there is none, with the names of those of the kind."""
+    found, there = own.found_in(module, name, KINDS[kind].types)
+    if found is None:
+        raise unknown(where, f"{kind} there", name, there)
+    return found
+
+
+def _free(kind: str, name: str, where: str) -> None:
+    """Raise UserError where a plant or a controller is called as one of pcbench's."""
+    taken: dict[str, Iterable[str]] = {"plant": plants.PLANTS, "controller": controllers.CONTROLLERS}
+    if name in taken.get(kind, ()):
+        raise UserError(f"{where}: got a {kind} called '{name}', which is pcbench's own name; give it another name.")
+
+
+def called(found: Any) -> str:
+    """Return what something is, in a word or two."""
+    if isinstance(found, plants.Entry):
+        return "a plant"
+    if isinstance(found, observers.Entry | Observer):
+        return "an observer"
+    if isinstance(found, controllers.Entry | Controller):
+        return "a controller"
+    return "a function" if callable(found) and not isinstance(found, type) else f"a {type(found).__name__}"
