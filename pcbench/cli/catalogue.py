@@ -5,6 +5,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from pcbench import controllers, observers, plants
+from pcbench.controllers import CONTROLLERS
 from pcbench.dataset.columns import AXIS_UNITS, MEANING
 from pcbench.errors import unknown
 from pcbench.observers import OBSERVERS
@@ -13,7 +15,7 @@ from pcbench.plants import PLANTS, entry_of, parameters_of
 from pcbench.plants import signals_of as signals_in
 from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
 from pcbench.statistics import POOLED, RUN_METRICS
-from pcbench.study import STUDIES, Choices
+from pcbench.study import STUDIES, Choices, own, own_entries, read
 from pcbench.study.axes import AXES
 
 TAKES = {
@@ -27,7 +29,11 @@ Description = dict[str, Any]
 
 def plant(name: str) -> Description:
     """Return a plant with its states, unknown inputs, and parameters."""
-    p = PLANTS[name]
+    return plant_of(PLANTS[name])
+
+
+def plant_of(p: plants.Entry) -> Description:
+    """Return any plant likewise."""
     return {
         "summary": p.summary,
         "signals": [{"name": s, "unit": u} for s, u in p.signals] or "the study's",
@@ -38,7 +44,11 @@ def plant(name: str) -> Description:
 
 def observer(name: str) -> Description:
     """Return an observer with the samples it takes and its options."""
-    o = OBSERVERS[name]
+    return observer_of(OBSERVERS[name])
+
+
+def observer_of(o: observers.Entry) -> Description:
+    """Return any observer likewise."""
     return {
         "summary": o.summary,
         "knows_schedule": o.knows_schedule,
@@ -46,6 +56,16 @@ def observer(name: str) -> Description:
         "plants": "nonlinear ones too" if o.nonlinear else "linear",
         "options": options(o.options),
     }
+
+
+def controller(name: str) -> Description:
+    """Return a controller with its options, of a study's table [controller]."""
+    return controller_of(CONTROLLERS[name])
+
+
+def controller_of(c: controllers.Entry) -> Description:
+    """Return any controller likewise."""
+    return {"summary": c.summary, "table": "[controller]", "options": options(c.options)}
 
 
 def options(model: type[BaseModel]) -> dict[str, Description]:
@@ -77,7 +97,7 @@ def _kind(schema: Mapping[str, Any]) -> Description:
 def _type(schema: Mapping[str, Any]) -> str:
     kind = schema.get("type", "value")
     if kind == "array":
-        inner = schema["items"].get("type")
+        inner = schema.get("items", {}).get("type", "value")
         return "matrix" if inner == "array" else f"list of {inner}s"
     return {"boolean": "true or false", "object": "table", "integer": "whole number", "string": "text"}.get(kind, kind)
 
@@ -152,12 +172,18 @@ CATALOGUE: dict[str, tuple[tuple[str, ...], Callable[[str], Description]]] = {
     "observers": (tuple(OBSERVERS), observer),
     "scenarios": (tuple(SCENARIOS), scenario),
     "plants": (tuple(PLANTS), plant),
+    "controllers": (tuple(CONTROLLERS), controller),
     "studies": (tuple(STUDIES), study),
     "axes": (AXES, axis),
     "metrics": ((*RUN_METRICS, *POOLED, "efficiency", "divergence", "unsettled"), metric),
     "choices": (tuple(Choices.model_fields), choice),
 }
-WITHOUT_WORD = ("observers", "scenarios", "plants", "studies")  # what `pcbench list` alone names
+OWN: dict[str, tuple[str, Callable[[Any], Description]]] = {  # kinds of what may be a user's own
+    "observers": ("observer", observer_of),
+    "plants": ("plant", plant_of),
+    "controllers": ("controller", controller_of),
+}
+WITHOUT_WORD = ("observers", "scenarios", "plants", "controllers", "studies")  # what `pcbench list` alone names
 TITLES = {"choices": "choices ([options.scenario] of a study)", "axes": "axes (besides plant.PARAMETER)"}
 
 
@@ -166,6 +192,27 @@ def found(kind: str, name: str | None = None) -> dict[str, Description]:
     if kind not in CATALOGUE:
         raise unknown("list", "kind of thing", kind, CATALOGUE)
     names, say = CATALOGUE[kind]
-    if name is not None and name not in names:
-        raise unknown(f"list {kind}", "name there", name, names)
-    return {each: say(each) for each in (names if name is None else [name])}
+    there = own_entries.installed(kind.removesuffix("s"))
+    if name is None:
+        return {each: say(each) for each in names} | {each: _offered(offer) for each, offer in there.items()}
+    if name in names:
+        return {name: say(name)}
+    if name in there or own.is_reference(name):
+        return {name: _own(kind, there[name].reference if name in there else name)}
+    raise unknown(f"list {kind}", "name there (or MODULE:NAME)", name, [*names, *there])
+
+
+def _offered(offer: own_entries.Installed) -> Description:
+    """What is said of something that an installed package offers, without its code."""
+    return {"summary": f"of the package {offer.package}", "use": offer.reference}
+
+
+def _own(kind: str, reference: str) -> Description:
+    """What is said of a user's own by its code."""
+    where = f"list {kind}"
+    if kind == "scenarios":
+        return sheet(read.scenario_of(reference))
+    if kind not in OWN:
+        raise unknown(where, "name there", reference, CATALOGUE[kind][0])
+    singular, say = OWN[kind]
+    return say(own_entries.load(singular, reference, where).entry)

@@ -12,10 +12,12 @@ def list_(
     what: Annotated[
         str | None,
         typer.Argument(
-            help="observers, scenarios, plants, studies, axes, metrics or choices [default: the first four]"
+            help="observers, scenarios, plants, controllers, studies, axes, metrics or choices [default: the first five]"
         ),
     ] = None,
-    name: Annotated[str | None, typer.Argument(help="one of them, in full: with options and ranges")] = None,
+    name: Annotated[
+        str | None, typer.Argument(help="one of them, or MODULE:NAME of your own, in full: with options and ranges")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """List what there is, or one thing in full.

@@ -1,9 +1,14 @@
 """What there is, as data: every name with what is said of it, numbers with their units."""
 
+import shutil
+from pathlib import Path
+
 import pytest
 
 from pcbench.cli import catalogue
 from pcbench.cli.catalogue import CATALOGUE, found
+from pcbench.controllers import CONTROLLERS
+from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
@@ -11,7 +16,13 @@ from pcbench.study import STUDIES
 
 
 def test_everything_that_there_is_is_listed():
-    for kind, known in (("plants", PLANTS), ("observers", OBSERVERS), ("scenarios", SCENARIOS), ("studies", STUDIES)):
+    for kind, known in (
+        ("plants", PLANTS),
+        ("observers", OBSERVERS),
+        ("scenarios", SCENARIOS),
+        ("studies", STUDIES),
+        ("controllers", CONTROLLERS),
+    ):
         assert list(found(kind)) == list(known)
     for kind in CATALOGUE:
         assert all(said["summary"] for said in found(kind).values())
@@ -65,3 +76,13 @@ def test_observers_say_what_they_know_and_take():
 def test_an_option_says_its_type_and_range(schema, said):
     kind = catalogue._kind(schema)
     assert (kind["type"], kind["range"]) == said
+
+
+def test_what_is_a_users_own_is_said_by_its_code(tmp_path, monkeypatch):
+    shutil.copy(Path(__file__).parents[1] / "support" / "own_loop.py", tmp_path / "mine.py")
+    monkeypatch.chdir(tmp_path)
+    assert found("plants", "mine.py:pendulum")["mine.py:pendulum"]["parameters"] == {"length": 0.5, "friction": 0.4}
+    assert found("controllers", "mine.py:law")["mine.py:law"]["options"]["kp"]["default"] == 2.0
+    assert found("scenarios", "mine.py:late")["mine.py:late"]["plant"] == "pendulum"
+    with pytest.raises(UserError, match=r"got a plant, expected a pcbench\.Observer"):
+        found("observers", "mine.py:pendulum")

@@ -1,6 +1,7 @@
 """Plants, controllers and scenarios of a user's own by name: found where a name of pcbench's may stand; else one sentence."""
 
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 import pcbench
+from pcbench.cli import catalogue
 from pcbench.controllers.parts.told import Told
 from pcbench.dataset import pickled
 from pcbench.dynamics.linear import Model
@@ -77,21 +79,53 @@ def test_an_observer_is_named_beside_them(here):
     assert list(cell(raw).options) == ["nudge", "dkf"]
 
 
-def test_an_installed_package_offers_all_four_by_plain_names(here, monkeypatch):
-    (here / "site").mkdir()
-    shutil.copy(SOURCE, here / "site" / "swing_package.py")
-    about = here / "site" / "swing-1.0.dist-info"
-    about.mkdir()
-    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: swing\nVersion: 1.0\n")
-    groups = {"plants": "swing = swing_package:pendulum", "controllers": "push = swing_package:law",
-              "scenarios": "swing/late = swing_package:late"}  # fmt: skip
-    (about / "entry_points.txt").write_text("".join(f"[pcbench.{k}]\n{v}\n" for k, v in groups.items()))
+PROJECT = """[build-system]
+requires = ["hatchling"]
+build-backend = "hatchling.build"
+[project]
+name = "swing-observers"
+version = "1.0"
+[project.entry-points."pcbench.observers"]
+gentle = "swing_package.observer:nudge"
+[project.entry-points."pcbench.plants"]
+swing = "swing_package.loop:pendulum"
+[project.entry-points."pcbench.controllers"]
+push = "swing_package.loop:law"
+[project.entry-points."pcbench.scenarios"]
+"swing/late" = "swing_package.loop:late"
+[tool.hatch.build.targets.wheel]
+packages = ["swing_package"]
+"""
+
+
+def test_a_package_that_is_built_and_installed_offers_all_four_by_plain_names(here, monkeypatch):
+    (here / "swing_package").mkdir()
+    (here / "swing_package" / "__init__.py").touch()
+    shutil.copy(SOURCE, here / "swing_package" / "loop.py")
+    shutil.copy(SOURCE.with_name("own_observer.py"), here / "swing_package" / "observer.py")
+    (here / "pyproject.toml").write_text(PROJECT)
+    alone = ["--quiet", "--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check"]
+    pip = [sys.executable, "-m", "pip", "install", *alone, "--target", str(here / "site"), str(here)]
+    done = subprocess.run(pip, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    shutil.rmtree(here / "swing_package")
     monkeypatch.syspath_prepend(str(here / "site"))
-    assert own_entries.installed("plant")["swing"] == ("swing_package:pendulum", "swing")
+    assert own_entries.installed("plant")["swing"] == ("swing_package.loop:pendulum", "swing-observers")
+    for kind, name in (
+        ("observers", "gentle"),
+        ("plants", "swing"),
+        ("controllers", "push"),
+        ("scenarios", "swing/late"),
+    ):
+        assert catalogue.found(kind)[name]["summary"] == "of the package swing-observers"
+    read.grid_of(STUDY, {}, [])
     assert "swing_package" not in sys.modules, "nothing is imported that is not named"
-    found = cell(STUDY | {"scenario": TABLE | {"plant": "swing"}, "controller": {"use": "push"}})
+    raw = {"scenario": TABLE | {"plant": "swing", "observers": ["gentle", "dkf"]}, "controller": {"use": "push"}}
+    found = cell(STUDY | raw)
     assert (found.scenario.plant, found.scenario.loop.controller) == ("pendulum", "law")
+    assert found.entry("gentle").observer is sys.modules["swing_package.observer"].nudge
     assert entry_of(cell({"name": "s", "scenarios": ["swing/late"]}).scenario).signals[0] == ("angle", "rad")
+    assert catalogue.found("controllers", "push")["push"]["options"]["kp"]["default"] == 2.0
 
 
 def test_a_planned_cell_takes_plant_and_law_along(here):

@@ -9,7 +9,7 @@ from rich.padding import Padding
 
 from pcbench.cli.screen.tables import titled
 
-OWN = ("summary", "options", "signals", "unknown", "parameters")  # not said in a line
+OWN = ("summary", "options", "table", "signals", "unknown", "parameters")  # not said in a line
 
 
 def lines(title: str, rows: Mapping[str, Mapping[str, Any]], console: Console) -> None:
@@ -37,7 +37,8 @@ def whole(name: str, said: Mapping[str, Any], console: Console) -> None:
     for key, value in said.get("parameters", {}).items():
         console.print(f"  parameter plant.{key} = {value:g}", highlight=False, markup=False)
     if said.get("options"):
-        console.print("  options, which a study sets below [options.NAME]:", highlight=False, markup=False)
+        below = said.get("table", "[options.NAME]")
+        console.print(f"  options, which a study sets below {below}:", highlight=False, markup=False)
         _options(said["options"], console)
 
 
@@ -55,7 +56,7 @@ def _options(options: Mapping[str, Mapping[str, Any]], console: Console) -> None
 
 def words(value: Any) -> str:
     """Return a value as a person writes it."""
-    if value is None:
+    if value is None or value == {}:
         return "none"
     if isinstance(value, bool):
         return "yes" if value else "no"
