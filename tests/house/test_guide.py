@@ -1,0 +1,43 @@
+"""The guide claims only what runs: its Python and its commands are executed as they stand."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import pcbench
+from pcbench.planning import plan
+from pcbench.study import read
+
+GUIDE = Path(pcbench.__file__).parent / "guide"
+LOOP = (GUIDE / "a_loop_of_your_own.md").read_text()
+
+
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```$", page, re.S | re.M)
+
+
+@pytest.fixture
+def pendulum(tmp_path, monkeypatch):
+    """A working folder with the page's file."""
+    (tmp_path / "pendulum.py").write_text(blocks(LOOP, "python")[0])
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_pendulums_file_is_a_study(pendulum):
+    (cell,) = read.grid_of("pendulum.py:late_camera", {}, []).cells
+    assert list(cell.options) == ["dkf", "ekf", "pccebo", "shortcut"]
+    (p,) = plan(read.study_of("pendulum.py:late_camera", {"observers": ["shortcut"]}, []))
+    assert p.certificates["shortcut"].status == "uncertified"
+    assert not read.unstable(read.grid_of("pendulum.py:late_camera", {}, []))
+
+
+@pytest.mark.slow
+def test_for_small_angles_it_is_the_linear_plant_that_the_page_writes_down(pendulum):
+    (pendulum / "same.py").write_text(blocks(LOOP, "python")[1])
+    done = subprocess.run([sys.executable, "same.py"], capture_output=True, text=True, check=True)
+    apart = float(re.search(r"but for (\S+) of them", done.stdout)[1])
+    assert apart < 1e-9
