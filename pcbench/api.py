@@ -1,5 +1,6 @@
 """The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ def run(
     block: int | None = None,
     memory: str | int | None = None,
     progress: Progress = SILENT,
-    say: Say = lambda sentence: None,
+    say: Say | None = None,
 ) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there: run again, it goes on.
 
@@ -52,7 +53,7 @@ def run(
     that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a scheduler's address,
     or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
     a time; by default a quarter of the machine's). `progress` hears how far it is (`machine.progress`), `say` of damaged files
-    and of loops that do not settle.
+    and of loops that do not settle; without it the latter are Python's warnings.
     A study's `tuning` is done first: `gains.versions`; of several the result has a table `fair`. Raises UserError, one
     sentence, for whatever the user can mend.
     """
@@ -70,10 +71,10 @@ def run(
             block=block,
             memory=memory,
             progress=progress,
-            say=say,
+            say=say or (lambda sentence: None),
         ).checked()
         for sentence in read.unstable(grid):
-            say(sentence)
+            (say or warnings.warn)(sentence)
         made = versions.prepare(grid, out, fresh, progress)
         return fair_table.report(made, run_study.execute(made.grid, out, how), out, how)
 

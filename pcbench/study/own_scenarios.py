@@ -25,9 +25,11 @@ def tabled(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[
     """Return a raw study whose own scenarios are tables by name; raise UserError for one that cannot be read."""
     given, tables = raw.get("scenarios"), dict(raw["tables"]) if isinstance(raw.get("tables"), dict) else {}
     names: list[Any] = []
-    for name, table in given.items() if isinstance(given, dict) else [(each, {}) for each in given or ()]:
+    if not isinstance(given, dict | list):  # the model says what is wrong
+        given = []
+    for name, table in given.items() if isinstance(given, dict) else [(each, {}) for each in given]:
         here = f"{where}: scenarios.{short(str(name))}"
-        if name in tables and not table:  # it has been read
+        if isinstance(name, str) and name in tables and not table:  # it has been read
             names.append(name)
             continue
         if not isinstance(table, dict):

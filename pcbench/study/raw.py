@@ -63,9 +63,10 @@ def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[s
             raw[table] = underscored(raw[table], f"{where}: {table}")
     for name in raw.get("tables", ()) if isinstance(raw.get("tables"), dict) else ():
         if isinstance(raw["tables"][name], dict):
-            raw["tables"][name] = underscored(raw["tables"][name], f"{where}: scenarios.{name}")
-    if isinstance(raw.get("lti"), dict):
-        raw["lti"] = located(raw["lti"], folder)
+            raw["tables"][name] = located(underscored(raw["tables"][name], f"{where}: scenarios.{name}"), folder)
+    for table in ("lti", "scenario"):
+        if isinstance(raw.get(table), dict):
+            raw[table] = located(raw[table], folder)
     if isinstance(raw.get("axes"), dict):
         raw["axes"] = {
             k: v if isinstance(v, list) else [v]

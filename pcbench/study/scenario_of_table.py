@@ -3,15 +3,18 @@
 Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from pcbench.controllers import entry_of as controller_of
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import PLANTS, entry_of, numbers_of, parameters_of, signals_of, states_of
 from pcbench.scenarios import INTERVAL, SCENARIOS, Belief, Loop, Sampling, Scenario, Scoring, Truth
 from pcbench.scenarios.signals import SIGNALS, SINGLE
-from pcbench.study import axes, limits
+from pcbench.scenarios.sources import Sources
+from pcbench.study import axes, limits, loops, times
 from pcbench.study import scenario_fit as fit
+from pcbench.study.lti_inputs import sources
 from pcbench.study.own import Own
 from pcbench.study.scenario_table import ScenarioTable
 
@@ -156,6 +159,7 @@ def _driven(s: Scenario, given: dict[str, Any], m: int, where: str, own: Mapping
     """The scenario with its input, its controller and its unknown input."""
     entry = entry_of(s)
     loop = {key: given[key] for key in ("input", "controller", "control") if key in given}
+    commands = {key: given[key] for key in axes.COMMANDS if given.get(key)}
     if mine := own.get(loop.get("controller", "")):
         loop["controller"] = mine.code.name
         s = s._replace(own={**s.own, "controller": mine})
@@ -171,8 +175,18 @@ def _driven(s: Scenario, given: dict[str, Any], m: int, where: str, own: Mapping
         )
     if s.loop.controller:
         s = s.having(control=fit.control(s, entry, where))
+        law = controller_of(s)
+        if law.check:
+            law.check(law.options.model_validate(dict(s.loop.control)), loops.sizes(s, f"{where}.control"))
     else:
-        fit.require_names(str(s.loop.input), SIGNALS, m, "input", f"{where}.input")
+        s = s.having(input=_sources(s, s.loop.input, m, SIGNALS, "input", f"{where}.input"))
+    for key, value in commands.items():
+        if key not in axes.axes_of(s):
+            raise UserError(
+                f"{where}.{key}: got {shown(value)} where no controller for any plant gives commands, expected none; "
+                "leave it out."
+            )
+        s = s.having(**{key: axes.point(key, value, s, f"{where}.{key}")})
     if given.get("unknown_input"):
         if "unknown_input" not in entry.numbers._fields:
             raise UserError(
@@ -180,5 +194,16 @@ def _driven(s: Scenario, given: dict[str, Any], m: int, where: str, own: Mapping
                 "input; leave it out."
             )
         many = len(signals_of(s)) - len(states_of(s))
-        fit.require_names(given["unknown_input"], SINGLE, many, "unknown input", f"{where}.unknown_input")
-    return s.having(unknown_input=given.get("unknown_input", s.truth.unknown_input))
+        pushing = _sources(s, given["unknown_input"], many, SINGLE, "unknown input", f"{where}.unknown_input")
+        s = s.having(unknown_input=pushing)
+    return s.having(unknown_input="") if given.get("unknown_input") == "" else s
+
+
+def _sources(s: Scenario, given: Any, many: int, valid: Iterable[str], kind: str, where: str) -> Sources:
+    """What drives `many` inputs, from a signal's names or from data."""
+    if isinstance(given, str):
+        fit.require_names(given, valid, many, kind, where)
+        return given
+    if isinstance(given, tuple):  # a base's
+        return given
+    return sources(given, many, valid, (times.whole(s.horizon, s), s.dt), f"{kind}s", where)

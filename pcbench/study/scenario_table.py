@@ -2,15 +2,17 @@
 
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, Strict
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict
 
 from pcbench.study import axes
+from pcbench.study.lti_inputs import read
 
 Number = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST)]  # Strict: no text, no true or false
 Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
 Size = Annotated[Number, Field(ge=0)]
 Switch = Annotated[bool, Strict()]
 PerChannel = Number | list[Number]
+Input = Annotated[Any, BeforeValidator(read)]
 
 
 class ScenarioTable(BaseModel):
@@ -32,12 +34,20 @@ class ScenarioTable(BaseModel):
     drift: Number | None = Field(None, description="scale of the plant's parameter drift")
     parameters: dict[str, Any] | None = Field(None, description="the plant's, where they differ from its own")
     process_std: list[Size] | None = Field(None, description="[n] of the noise added to each state at every tick")
-    unknown_input: str | None = Field(None, description="a signal's name, or one for each unknown input, with commas")
+    unknown_input: Input | None = Field(None, description="of what pushes: as `input` says it")
     # what drives the plant
-    input: str | None = Field(None, description="a signal's name, or one for each input, with commas; default: sine")
+    input: Input | None = Field(
+        None,
+        description="a signal's name, or one for each input, with commas; or a wave, values, rows, a CSV file; default: sine",
+    )
     controller: str | None = Field(None, description="what gives the commands of a closed loop; empty: it is open")
     control: dict[str, Any] | None = Field(None, description="the controller's options")
     actuator_delay: Size | None = Field(None, description="s, from command to plant; left out: the measurements'")
+    command_jitter: Size | None = Field(None, description="s, a command comes up to this much later")
+    command_loss: Annotated[Size, Field(le=1)] | None = Field(
+        None, description="probability that a command never comes"
+    )
+    command_std: Size | None = Field(None, description="of the noise of one command")
     # how it is measured
     sampling_period: PerChannel | None = Field(None, description="[q] s, one or one for each output")
     delay: PerChannel | str | None = Field(None, description="[q] s, one or one for each output, or 'interval'")

@@ -7,6 +7,7 @@ from typing import Any
 from pcbench.errors import UserError
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.scenarios.scenario import RECORDS
+from pcbench.scenarios.sources import Source, Wave
 from pcbench.study.scenario_table import ScenarioTable
 
 TITLES = {
@@ -42,11 +43,20 @@ def _line(s: Scenario, key: str) -> str:
     """One key with its value and its meaning; a comment where the value is what it is without the key."""
     value, about = s.value(key), ScenarioTable.model_fields[key].description
     default = getattr(s, _record(key))._field_defaults if _record(key) and key != "tail" else {}
-    if key in ("signals", "unknowns"):
+    if key in ("input", "unknown_input") and not isinstance(value, str):
+        text = said([_driving(each) for each in value] if len(value) > 1 else _driving(value[0]))
+    elif key in ("signals", "unknowns"):
         text = said([f"{name} [{unit}]" for name, unit in value])
     else:
         text = said(INTERVAL if key == "delay" and set(value) == {INTERVAL} else value)
     return f"{'# ' if key in default and value == default[key] else ''}{key} = {text}  # {about}"
+
+
+def _driving(source: Source) -> Any:
+    """A wave as a table, a table as rows."""
+    if isinstance(source, Wave):
+        return {"signal": source.shape} | {k: v for k, v in source._asdict().items() if k != "shape" and v != ""}
+    return source if isinstance(source, str) else [[t, *u] for t, u in zip(source.t, source.u, strict=True)]
 
 
 def _record(key: str) -> str:
