@@ -41,3 +41,24 @@ def test_for_small_angles_it_is_the_linear_plant_that_the_page_writes_down(pendu
     done = subprocess.run([sys.executable, "same.py"], capture_output=True, text=True, check=True)
     apart = float(re.search(r"but for (\S+) of them", done.stdout)[1])
     assert apart < 1e-9
+
+
+@pytest.mark.slow
+def test_the_pendulums_observers_are_as_the_page_says(pendulum):
+    """The two filters are one; the shortcut is off by less than pccebo and costs more."""
+    result = pcbench.run("pendulum.py:late_camera", seeds=64)
+    wide = result.stats[result.stats.signal == "position"].set_index(["metric", "observer"])["mean"]
+    said = {cells[0].strip("` "): cells[1:] for cells in rows(LOOP) if cells[0].startswith("`")}
+    for observer, (rms, _, cost) in said.items():
+        assert wide["tail_rmse", observer] == pytest.approx(float(rms.split("±")[0]), rel=0.1)
+        assert wide["cost", observer] == pytest.approx(float(cost.split("±")[0]), rel=0.1)
+    assert wide["tail_rmse", "shortcut"] < wide["tail_rmse", "pccebo"]
+    assert wide["cost", "shortcut"] > wide["cost", "pccebo"] > wide["cost", "dkf"]
+    alike = result.pairs.query("metric == 'tail_rmse' and signal == 'position' and p_holm > 0.05")
+    assert {tuple(sorted(pair)) for pair in alike[["observer_a", "observer_b"]].to_numpy()} == {("dkf", "ekf")}
+
+
+def rows(page):
+    return [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line.startswith("| `")
+    ]

@@ -160,7 +160,10 @@ def test_a_law_that_does_not_settle_is_told_so_by_its_eigenvalue(here):
     (sentence,) = read.unstable(read.grid_of(STUDY | {"controller": LAW | {"kp": -40.0}}, {}, []))
     assert "law does not stabilise the plant of mine" in sentence
     assert "closed loop has the eigenvalue" in sentence
-    with pytest.warns(UserWarning, match="law does not stabilise"), pytest.raises(pcbench.UserError, match="holds other files"):
+    with (
+        pytest.warns(UserWarning, match="law does not stabilise"),
+        pytest.raises(pcbench.UserError, match="holds other files"),
+    ):
         pcbench.run(STUDY | {"controller": LAW | {"kp": -40.0}}, out=here)
     assert not read.unstable(read.grid_of(STUDY | {"controller": LAW}, {}, []))
     assert loops.held(cell(STUDY | {"controller": LAW}).scenario)
