@@ -1,0 +1,144 @@
+"""Checks of how a plant moves: rest, the tick, what its outputs show, and a perfect start of an observer on it."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pcbench import planning
+from pcbench.checking.finding import Noted, Skipped, require
+from pcbench.checking.plant_trial import EVERY, Given, Trial, asked, moves, now_of, points
+from pcbench.dynamics.integrate import rk4
+from pcbench.dynamics.observability import decays, unobservable
+from pcbench.dynamics.observability import shown as shown_mode
+from pcbench.observers import entry_of as observer_of
+from pcbench.plants import numbers_of
+from pcbench.plants.nonlinear import REST
+from pcbench.simulation import trace
+from pcbench.simulation.problem import present, truth
+from pcbench.study import times
+from pcbench.study.cells import cell_of
+
+EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
+NEAR, LINEAR, ROUNDING = 1e-6, 1e-4, 1e-9  # a start so near that the plant is linear; what it may be off then; or anywhere
+
+
+def rest(t: Trial) -> str:
+    """At the operating point nothing moves by itself."""
+    a, g = moves(t), points(t)[0]
+    moving = np.asarray(a.f(g))
+    if t.entry.residual is not None:
+        moving = t.entry.residual(numbers_of(t.scenario))
+    bad = np.flatnonzero(np.abs(moving) > REST * (1 + np.abs(t.model.A).max()))
+    if bad.size:
+        rates = ", ".join(f"{t.states[i]} by {moving[i]:.4g}" for i in bad)
+        raise Noted(
+            f"no equilibrium: {rates} a {'tick' if a.name == 'step' else 'second'} at the operating point: observers that need a "
+            "linear model refuse the plant there, ekf does not"
+        )
+    return "the operating point is an equilibrium"
+
+
+def tick(t: Trial) -> str:
+    """A tick of the plant is as exact as two of half its length."""
+    if moves(t).name == "step":
+        raise Skipped("it is given by its step: a tick is what that says")
+    dt, ticks = t.scenario.dt, times.whole(t.scenario.horizon, t.scenario)
+    own = jax.jit(next(a.f for a in asked(t) if a.name == "step"))
+    off = max(_off(t, g, np.asarray(own(g)), _steps(t, g, dt, 2)) for g in points(t))
+    if not off * ticks <= EXACT:
+        fine = next((h for h in _finer(dt) if _together(t, h) <= EXACT), None)
+        require(
+            False,
+            f"tick: got a tick of {dt:g} s that is off by {off:.2g} of a state, {ticks} times in {t.scenario.horizon:g} s, expected "
+            f"{EXACT:g} at most in all; "
+            + (f"write dt = {fine:g}, or less." if fine else "see whether step is what field says, or leave out what is so fast."),
+        )
+    return f"a tick of {dt:g} s is off by {off:.2g} of a state, {off * ticks:.2g} in {t.scenario.horizon:g} s"
+
+
+def _steps(t: Trial, g: Given, dt: float, many: int) -> np.ndarray:
+    """The state after a tick, by so many Runge-Kutta steps of the field."""
+    field = next(a.f for a in asked(t) if a.name == "field")
+
+    def step(x: Any) -> Any:
+        now = now_of(t, g.u)
+        return rk4(lambda s, x: field(g._replace(x=x)), now.t, x, jnp.asarray(dt / many))
+
+    x, f = g.x, jax.jit(step)
+    for _ in range(many):
+        x = f(x)
+    return np.asarray(x)
+
+
+def _off(t: Trial, g: Given, one: np.ndarray, two: np.ndarray) -> float:
+    """How far two results of a tick are apart, in parts of the state's spread; infinite where either is not finite."""
+    off = np.abs(one - two) / np.maximum(t.spread, np.abs(np.asarray(g.x)))
+    return float(off.max()) if np.isfinite(off).all() else np.inf
+
+
+def _together(t: Trial, dt: float) -> float:
+    """What all ticks of the horizon may be off together, each a Runge-Kutta step of dt."""
+    return max(_off(t, g, _steps(t, g, dt, 1), _steps(t, g, dt, 2)) for g in points(t)) * t.scenario.horizon / dt
+
+
+def _finer(dt: float) -> list[float]:
+    """The ticks shorter than dt that are 1, 2 or 5 in the first digit, down to a millionth."""
+    top = int(np.floor(np.log10(dt))) + 1
+    return [h for p in range(7) for d in (5, 2, 1) if (h := float(f"{d}e{top - 1 - p}")) < dt * (1 - 1e-9)]
+
+
+def seen(t: Trial) -> str:
+    """Every mode of the linear model shows in some output."""
+    hidden = unobservable(t.model.A, t.model.C)
+    lasting = [shown_mode(mode) for mode in hidden if not decays(mode, t.model.discrete)]
+    if lasting:
+        raise Noted(
+            f"no output shows the mode {' and '.join(lasting)}, which does not decay: no observer can find the state; measure "
+            "another output"
+        )
+    if hidden:
+        raise Noted(
+            f"no output shows the mode {' and '.join(map(shown_mode, hidden))}, which decays: observers that place every pole "
+            "refuse the plant, dkf and ekf do not"
+        )
+    return "every mode shows in some output"
+
+
+def perfect_start(t: Trial) -> str:
+    """Observers that know the plant have no error on it: true start, no noise."""
+    if t.model.known is not None:
+        raise Skipped("its unknown input has a known part, which the linear model leaves out")
+    away = t.entry.model is not None or t.entry.successor is not None
+    still = t.entry.residual is not None and not t.entry.residual(numbers_of(t.scenario)).any()
+    name, size = ("ekf", 1.0) if away and not still else ("open-loop", NEAR if away else 1.0)
+    x0 = tuple(map(float, size * t.spread))
+    n, every = len(t.spread), EVERY * t.scenario.dt
+    s = t.scenario.having(
+        x0=x0, xhat0=x0, drift=0.0, parameters={}, process_std=(), assumed_process_std=(), start_box=(), controller="",
+        control={}, input="zero", profile="periodic", jitter=0.0, delay_jitter=0.0, loss=0.0, early=False, continuous=False,
+        delay_swing=(0.0, 0.0), sampling_period=(every,) * len(t.model.C), delay=(every,) * len(t.model.C),
+        noise_std=(1e-3,) * len(t.model.C), actuator_delay=None, horizon=4 * every, tail=t.scenario.dt,
+        unknown_input="zero" if t.scenario.truth.unknown_input else "",
+    )  # fmt: skip
+    cell, entry = cell_of(s), observer_of(name)
+    known = planning.setting(cell)
+    drafted = planning.draft(cell, {}, known)
+    p = jax.tree.map(jnp.asarray, drafted.problem)
+    unknowns = truth(drafted.layout, p.params, present(p, jnp.asarray(0), True), p.x0)[n:]
+    known = known._replace(unknown0=tuple(map(float, unknowns)))
+    made = planning.draft(cell, {name: entry.options()}, known)
+    u = size * t.reach * np.random.default_rng(7).normal(size=made.problem.inputs.shape)
+    quiet = made.problem._replace(inputs=u, noise_std=np.zeros(len(t.model.C)))
+    out = jax.tree.map(np.asarray, trace.compiled()(made.layout, quiet, np.asarray(0), np.asarray(0)))
+    e = np.abs(out.x[:, :n] - out.estimates[name][:, :n]) / np.abs(out.x[:, :n]).max()
+    allowed = LINEAR if size == NEAR else ROUNDING
+    bad = np.argwhere(~(e <= allowed))
+    require(
+        not bad.size,
+        f"perfect start: got an error of {e[tuple(bad[0])] if bad.size else 0:.2g} of the largest state in "
+        f"{t.states[bad[0][1]] if bad.size else ''} at tick {bad[0][0] if bad.size else 0}, where {name} knows plant and start, "
+        "expected none; let step be what field or the linear model says, under now.u.",
+    )
+    return f"{name} has no error from the true start" + (", near the operating point" if size == NEAR else "")
