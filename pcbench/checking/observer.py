@@ -6,6 +6,7 @@ The order is that of what can be asked: without a design nothing, without the ri
 from collections.abc import Callable
 
 from pcbench.checking.finding import Finding, ask
+from pcbench.checking.in_loop import closed_loop
 from pcbench.checking.lanes import WIDTH, moved, same_in_lanes
 from pcbench.checking.loading import Candidate
 from pcbench.checking.observer_functions import asked, given
@@ -52,6 +53,7 @@ NEEDS = {
     "delay 0": RUN,
     "no peeking": RUN,
     "after the jump": RUN,
+    "closed loop": RUN,  # asked where the scenario is one
 }
 
 
@@ -63,4 +65,5 @@ def findings(candidate: Candidate, scenario: Scenario) -> list[Finding]:
         refused = f"; refused {len(made.refused)}: {made.refused[0]}" if made.refused else ""
         return made, f"gains on {len(made.cases)} schedules of {scenario.name}{refused}"
 
-    return ask("design", design, CHECKS, NEEDS)
+    loop = {"closed loop": lambda t: closed_loop(candidate, scenario)} if scenario.loop.controller else {}
+    return ask("design", design, CHECKS | loop, NEEDS)

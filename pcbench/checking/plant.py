@@ -1,4 +1,4 @@
-"""Does a plant keep to what pcbench asks of one? Of a plant by its equations `pcbench.plant` has asked the first things itself."""
+"""Does a plant keep to what pcbench asks of one? `pcbench.plant` has asked the first things itself, where it made the plant."""
 
 from collections.abc import Callable
 from functools import partial

@@ -57,13 +57,12 @@ def finite(t: Trial) -> str:
         f = jax.jit(a.f)
         for g in points(t):
             value = np.asarray(f(g))
-            bad = np.flatnonzero(~np.isfinite(value))
-            require(
-                not bad.size,
-                f"finite: got {value[bad[0]] if bad.size else 0} for {entries_of(t, a.name)[bad[0]] if bad.size else ''} in "
-                f"{a.name} at {shown_at(t, g)}, expected a number; guard the root or the quotient there, or name a --scenario "
-                "whose prior_std stays where the plant can be.",
-            )
+            for i in np.flatnonzero(~np.isfinite(value)):
+                raise UserError(
+                    f"finite: got {value[i]} for {entries_of(t, a.name)[i]} in {a.name} at {shown_at(t, g)}, expected a "
+                    "number; guard the root or the quotient there, or name a --scenario whose prior_std stays where the plant "
+                    "can be."
+                )
     return f"finite at the operating point and at {len(points(t)) - 1} points around it"
 
 
@@ -81,7 +80,9 @@ def slopes(t: Trial) -> str:
     return "jax and the linear model agree with differences of the values"
 
 
-def _compare(t: Trial, function: str, f: Any, g: Given, name: str, size: np.ndarray, said: np.ndarray, who: str) -> None:
+def _compare(
+    t: Trial, function: str, f: Any, g: Given, name: str, size: np.ndarray, said: np.ndarray, who: str
+) -> None:
     """Raise UserError where slopes, times the spread, are not those of values a little to either side."""
     at, names = np.asarray(f(g)), t.states if name == "x" else [f"u{i + 1}" for i in range(len(size))]
 
@@ -96,9 +97,9 @@ def _compare(t: Trial, function: str, f: Any, g: Given, name: str, size: np.ndar
         if bad.size:
             i, j = bad[0]
             raise UserError(
-                f"slopes: got {said[i, j] / size[j]:.6g} from {who} and {found[i, j] / size[j]:.6g} from differences for the slope "
-                f"of {entries_of(t, function)[i]} in {function} by {names[j]}, at {shown_at(t, g)}, expected the same; smooth "
-                "the kink there, or leave out what hides a slope (stop_gradient, NumPy, rounding)."
+                f"slopes: got {said[i, j] / size[j]:.6g} from {who} and {found[i, j] / size[j]:.6g} from differences for the "
+                f"slope of {entries_of(t, function)[i]} in {function} by {names[j]}, at {shown_at(t, g)}, expected the same; "
+                "smooth the kink there, or leave out what hides a slope (stop_gradient, NumPy, rounding)."
             )
 
 

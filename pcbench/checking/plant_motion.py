@@ -6,22 +6,26 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench import planning
-from pcbench.checking.finding import Noted, Skipped, require
+from pcbench.checking.finding import Noted, Skipped
 from pcbench.checking.plant_trial import EVERY, Given, Trial, asked, moves, now_of, points
+from pcbench.checking.quiet import in_parts, planned, quiet, recorded
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.observability import decays, unobservable
 from pcbench.dynamics.observability import shown as shown_mode
+from pcbench.errors import UserError
 from pcbench.observers import entry_of as observer_of
 from pcbench.plants import numbers_of
 from pcbench.plants.nonlinear import REST
-from pcbench.simulation import trace
-from pcbench.simulation.problem import present, truth
+from pcbench.scenarios import Loop, Sampling
 from pcbench.study import times
 from pcbench.study.cells import cell_of
 
 EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
-NEAR, LINEAR, ROUNDING = 1e-6, 1e-4, 1e-9  # a start so near that the plant is linear; what it may be off then; or anywhere
+NEAR, LINEAR, ROUNDING = (
+    1e-6,
+    1e-4,
+    1e-9,
+)  # a start so near that the plant is linear; what it may be off then; or anywhere
 
 
 def rest(t: Trial) -> str:
@@ -34,8 +38,8 @@ def rest(t: Trial) -> str:
     if bad.size:
         rates = ", ".join(f"{t.states[i]} by {moving[i]:.4g}" for i in bad)
         raise Noted(
-            f"no equilibrium: {rates} a {'tick' if a.name == 'step' else 'second'} at the operating point: observers that need a "
-            "linear model refuse the plant there, ekf does not"
+            f"no equilibrium: {rates} a {'tick' if a.name == 'step' else 'second'} at the operating point: observers that need "
+            "a linear model refuse the plant there, ekf does not"
         )
     return "the operating point is an equilibrium"
 
@@ -49,11 +53,14 @@ def tick(t: Trial) -> str:
     off = max(_off(t, g, np.asarray(own(g)), _steps(t, g, dt, 2)) for g in points(t))
     if not off * ticks <= EXACT:
         fine = next((h for h in _finer(dt) if _together(t, h) <= EXACT), None)
-        require(
-            False,
-            f"tick: got a tick of {dt:g} s that is off by {off:.2g} of a state, {ticks} times in {t.scenario.horizon:g} s, expected "
-            f"{EXACT:g} at most in all; "
-            + (f"write dt = {fine:g}, or less." if fine else "see whether step is what field says, or leave out what is so fast."),
+        advice = (
+            f"write dt = {fine:g}, or less"
+            if fine
+            else "see whether step is what field says, or leave out what is so fast"
+        )
+        raise UserError(
+            f"tick: got a tick of {dt:g} s that is off by {off:.2g} of a state, {ticks} times in {t.scenario.horizon:g} s, "
+            f"expected {EXACT:g} at most in all; {advice}."
         )
     return f"a tick of {dt:g} s is off by {off:.2g} of a state, {off * ticks:.2g} in {t.scenario.horizon:g} s"
 
@@ -113,32 +120,19 @@ def perfect_start(t: Trial) -> str:
     away = t.entry.model is not None or t.entry.successor is not None
     still = t.entry.residual is not None and not t.entry.residual(numbers_of(t.scenario)).any()
     name, size = ("ekf", 1.0) if away and not still else ("open-loop", NEAR if away else 1.0)
-    x0 = tuple(map(float, size * t.spread))
-    n, every = len(t.spread), EVERY * t.scenario.dt
-    s = t.scenario.having(
-        x0=x0, xhat0=x0, drift=0.0, parameters={}, process_std=(), assumed_process_std=(), start_box=(), controller="",
-        control={}, input="zero", profile="periodic", jitter=0.0, delay_jitter=0.0, loss=0.0, early=False, continuous=False,
-        delay_swing=(0.0, 0.0), sampling_period=(every,) * len(t.model.C), delay=(every,) * len(t.model.C),
-        noise_std=(1e-3,) * len(t.model.C), actuator_delay=None, horizon=4 * every, tail=t.scenario.dt,
-        unknown_input="zero" if t.scenario.truth.unknown_input else "",
-    )  # fmt: skip
-    cell, entry = cell_of(s), observer_of(name)
-    known = planning.setting(cell)
-    drafted = planning.draft(cell, {}, known)
-    p = jax.tree.map(jnp.asarray, drafted.problem)
-    unknowns = truth(drafted.layout, p.params, present(p, jnp.asarray(0), True), p.x0)[n:]
-    known = known._replace(unknown0=tuple(map(float, unknowns)))
-    made = planning.draft(cell, {name: entry.options()}, known)
-    u = size * t.reach * np.random.default_rng(7).normal(size=made.problem.inputs.shape)
-    quiet = made.problem._replace(inputs=u, noise_std=np.zeros(len(t.model.C)))
-    out = jax.tree.map(np.asarray, trace.compiled()(made.layout, quiet, np.asarray(0), np.asarray(0)))
-    e = np.abs(out.x[:, :n] - out.estimates[name][:, :n]) / np.abs(out.x[:, :n]).max()
-    allowed = LINEAR if size == NEAR else ROUNDING
-    bad = np.argwhere(~(e <= allowed))
-    require(
-        not bad.size,
-        f"perfect start: got an error of {e[tuple(bad[0])] if bad.size else 0:.2g} of the largest state in "
-        f"{t.states[bad[0][1]] if bad.size else ''} at tick {bad[0][0] if bad.size else 0}, where {name} knows plant and start, "
-        "expected none; let step be what field or the linear model says, under now.u.",
+    q, every = len(t.model.C), EVERY * t.scenario.dt
+    plain = t.scenario._replace(
+        loop=Loop(input="zero"), sampling=Sampling((every,) * q, (every,) * q, (1e-3,) * q), horizon=4 * every
     )
+    s = plain.having(x0=tuple(map(float, size * t.spread)), tail=t.scenario.dt)
+    cell = cell_of(s)._replace(options={name: observer_of(name).options()})
+    (p,) = planned(quiet(cell))
+    u = size * t.reach * np.random.default_rng(7).normal(size=p.problem.inputs.shape)
+    e = in_parts(p, recorded(p, noise=False, inputs=u))[name]
+    allowed = LINEAR if size == NEAR else ROUNDING
+    for k, i in np.argwhere(~(e <= allowed)):
+        raise UserError(
+            f"perfect start: got an error of {e[k, i]:.2g} of the largest state in {t.states[i]} at tick {k}, where {name} "
+            "knows plant and start, expected none; let step be what field or the linear model says, under now.u."
+        )
     return f"{name} has no error from the true start" + (", near the operating point" if size == NEAR else "")

@@ -1,7 +1,7 @@
 """What a plant is tried on: its numbers as observers know them, points around its operating point, a tick.
 
-With a scenario, its tick, its horizon and the spread of its start; else 1 ms (or the tick of a plant's `step`), 10 s, and a tenth
-of every state at the operating point, or of 1 where that is 0.
+With a scenario, its tick, its horizon and the spread of its start; else 1 ms (or the tick of a plant's `step`), 10 s, and a
+tenth of every state at the operating point, or of 1 where that is 0.
 """
 
 from typing import Any, NamedTuple
@@ -18,7 +18,12 @@ from pcbench.plants import Entry, entry_of, numbers_of, parameters_of, signals_o
 from pcbench.protocols import Now
 from pcbench.scenarios import Belief, Loop, Sampling, Scenario, Scoring, Truth
 
-SHARE, EVERY, POINTS, TICK = 0.1, 20, 8, 5  # of a state; ticks between samples; points; the tick at which functions are asked
+SHARE, EVERY, POINTS, TICK = (
+    0.1,
+    20,
+    8,
+    5,
+)  # of a state; ticks between samples; points; the tick at which functions are asked
 
 
 class Given(NamedTuple):
@@ -127,7 +132,9 @@ def asked(t: Trial) -> list[Asked]:
 
 def moves(t: Trial) -> Asked:
     """Return what says how the state moves: the field, or the step of a plant that has none."""
-    return next(a for a in asked(t) if a.name == ("step" if t.entry.plant.field is None or t.model.discrete else "field"))
+    return next(
+        a for a in asked(t) if a.name == ("step" if t.entry.plant.field is None or t.model.discrete else "field")
+    )
 
 
 def points(t: Trial) -> list[Given]:

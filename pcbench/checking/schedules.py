@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.checking.finding import Skipped, require
-from pcbench.checking.replay import none, replay
 from pcbench.checking.observer_functions import AGE, TICK, given
+from pcbench.checking.replay import none, replay
 from pcbench.checking.trial import Case, Trial
 from pcbench.protocols import Arrival
 from pcbench.simulation.events_shared import Shift

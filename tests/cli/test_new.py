@@ -20,9 +20,9 @@ def here(tmp_path, monkeypatch):
 def test_an_observer_passes_every_check(here, capsys):
     creating.new("observer", "gentle-push")
     assert "pcbench check gentle_push.py:gentle_push" in capsys.readouterr().out
-    label, found = checking.check("gentle_push.py:gentle_push")
-    assert label == "gentle_push"
-    assert [f.check for f in found if f.verdict != "passes"] == []
+    found = checking.check("gentle_push.py:gentle_push")
+    assert (found.kind, found.label, found.scenario) == ("observer", "gentle_push", "cart/white")
+    assert [f.check for f in found.findings if f.verdict != "passes"] == []
     assert "NAME" not in (here / "gentle_push.py").read_text()
 
 
