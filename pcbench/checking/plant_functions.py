@@ -68,12 +68,18 @@ def finite(t: Trial) -> str:
 
 def slopes(t: Trial) -> str:
     """What jax and the linear model take for slopes are those of the values, from either side."""
-    for a, model in ((moves(t), (t.model.A, t.model.B)), (next(a for a in asked(t) if a.name == "output"), None)):
+    linear = t.model.known is None and (
+        t.entry.model is None or t.entry.residual is not None
+    )  # then the model is the slope
+    for a, model in (
+        (moves(t), (t.model.A, t.model.B)),
+        (next(a for a in asked(t) if a.name == "output"), (t.model.C, t.model.feedthrough)),
+    ):
         f, here = jax.jit(a.f), points(t)
         derived = jax.jit(jax.jacfwd(a.f))
         for i, g in enumerate(here[: 1 + WIDTH]):
             slope = derived(g)
-            known = model if model and not i and t.model.known is None and t.entry.model is None else None
+            known = model if not i and linear else None
             for name, size, k in (("x", t.spread, 0), ("u", t.reach, 1)):
                 said = np.asarray(known[k] if known else getattr(slope, name)) * size
                 _compare(t, a.name, f, g, name, size, said, "the linear model" if known else "jax")

@@ -1,10 +1,12 @@
 """Checks of how a plant moves: rest, the tick, what its outputs show, and a perfect start of an observer on it."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from pcbench.checking.finding import Noted, Skipped
 from pcbench.checking.plant_trial import EVERY, Given, Trial, asked, moves, now_of, points
@@ -49,10 +51,10 @@ def tick(t: Trial) -> str:
     if moves(t).name == "step":
         raise Skipped("it is given by its step: a tick is what that says")
     dt, ticks = t.scenario.dt, times.whole(t.scenario.horizon, t.scenario)
-    own = jax.jit(next(a.f for a in asked(t) if a.name == "step"))
-    off = max(_off(t, g, np.asarray(own(g)), _steps(t, g, dt, 2)) for g in points(t))
+    own, by = jax.jit(next(a.f for a in asked(t) if a.name == "step")), stepping(t)
+    off = max(_off(t, g, own(g), by(by(g, dt / 2), dt / 2).x) for g in points(t))
     if not off * ticks <= EXACT:
-        fine = next((h for h in _finer(dt) if _together(t, h) <= EXACT), None)
+        fine = next((h for h in finer(dt) if together(t, by, h) <= EXACT), None)
         advice = (
             f"write dt = {fine:g}, or less"
             if fine
@@ -65,33 +67,32 @@ def tick(t: Trial) -> str:
     return f"a tick of {dt:g} s is off by {off:.2g} of a state, {off * ticks:.2g} in {t.scenario.horizon:g} s"
 
 
-def _steps(t: Trial, g: Given, dt: float, many: int) -> np.ndarray:
-    """The state after a tick, by so many Runge-Kutta steps of the field."""
+def stepping(t: Trial) -> Callable[[Given, float], Given]:
+    """Return what moves a point by one Runge-Kutta step of the field, of so many seconds."""
     field = next(a.f for a in asked(t) if a.name == "field")
 
-    def step(x: Any) -> Any:
-        now = now_of(t, g.u)
-        return rk4(lambda s, x: field(g._replace(x=x)), now.t, x, jnp.asarray(dt / many))
+    @jax.jit
+    def step(g: Given, h: Array) -> Given:
+        start = now_of(t, g.u).t
+        return g._replace(x=rk4(lambda s, x: field(g._replace(x=x)), start, g.x, h))
 
-    x, f = g.x, jax.jit(step)
-    for _ in range(many):
-        x = f(x)
-    return np.asarray(x)
+    return lambda g, h: step(g, jnp.asarray(h))
 
 
-def _off(t: Trial, g: Given, one: np.ndarray, two: np.ndarray) -> float:
+def _off(t: Trial, g: Given, one: Any, two: Any) -> float:
     """How far two results of a tick are apart, in parts of the state's spread; infinite where either is not finite."""
-    off = np.abs(one - two) / np.maximum(t.spread, np.abs(np.asarray(g.x)))
+    off = np.abs(np.asarray(one) - np.asarray(two)) / np.maximum(t.spread, np.abs(np.asarray(g.x)))
     return float(off.max()) if np.isfinite(off).all() else np.inf
 
 
-def _together(t: Trial, dt: float) -> float:
-    """What all ticks of the horizon may be off together, each a Runge-Kutta step of dt."""
-    return max(_off(t, g, _steps(t, g, dt, 1), _steps(t, g, dt, 2)) for g in points(t)) * t.scenario.horizon / dt
+def together(t: Trial, by: Callable[[Given, float], Given], dt: float) -> float:
+    """Return what all ticks of the horizon may be off together, each a Runge-Kutta step of dt."""
+    each = (_off(t, g, by(g, dt).x, by(by(g, dt / 2), dt / 2).x) for g in points(t))
+    return max(each) * t.scenario.horizon / dt
 
 
-def _finer(dt: float) -> list[float]:
-    """The ticks shorter than dt that are 1, 2 or 5 in the first digit, down to a millionth."""
+def finer(dt: float) -> list[float]:
+    """Return the ticks shorter than dt that are 1, 2 or 5 in the first digit, down to a millionth."""
     top = int(np.floor(np.log10(dt))) + 1
     return [h for p in range(7) for d in (5, 2, 1) if (h := float(f"{d}e{top - 1 - p}")) < dt * (1 - 1e-9)]
 
