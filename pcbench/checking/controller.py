@@ -14,10 +14,11 @@ from pcbench.checking.finding import Finding, Skipped, ask, require
 from pcbench.checking.lanes import WIDTH, moved, same_in_lanes
 from pcbench.checking.quiet import planned, quiet, recorded, short
 from pcbench.dynamics.observability import shown as shown_mode
-from pcbench.errors import UserError, raised
+from pcbench.errors import UserError
 from pcbench.observers import entry_of as observer_of
-from pcbench.plants import nonlinear, states_of
+from pcbench.plants import nonlinear, signals_of, states_of
 from pcbench.scenarios import Scenario
+from pcbench.simulation import law_conformance
 from pcbench.study import loops
 from pcbench.study.cells import cell_of
 from pcbench.study.own import Own
@@ -31,44 +32,9 @@ def numbers_are_arrays(t: Trial) -> str:
 
 def shapes(t: Trial) -> str:
     """A command for each input, set points of the first states, and what is kept comes back as it was."""
-    n, m, g, out = len(states_of(t.scenario)), t.told.model.B.shape[1], given(t), {}
-    for a in asked(t):
-        try:
-            out[a.name] = jax.eval_shape(a.f, g)
-        except Exception as error:
-            raise UserError(
-                f"shapes: {a.name} cannot be traced ({raised(error)}), expected pure jax.numpy code for one run, with "
-                "jnp.where in place of if; mend that line."
-            ) from None
-    if t.law.start:
-        pair = out["command"]
-        require(
-            isinstance(pair, tuple) and len(pair) == 2,
-            "shapes: got one value from command, expected (command, what is kept) of a law that has start; return both.",
-        )
-        out["command"], kept = pair
-        require(
-            _form(kept) == _form(out["start"]),
-            f"shapes: got {_form(kept)} kept by command, expected {_form(out['start'])}, what start returns; keep its "
-            "structure, shapes and types.",
-        )
-    for name in ("before", "command"):
-        require(
-            getattr(out[name], "shape", None) == (m,),
-            f"shapes: got {_form(out[name])} from {name}, expected an array of shape [{m}], a number for each input; return "
-            "that.",
-        )
-    aim: tuple[int, ...] = getattr(out["target"], "shape", ())
-    require(
-        len(aim) == 1 and aim[0] <= n,
-        f"shapes: got {_form(out['target'])} from target, expected the set points of the first r of {n} states, r of 0 or "
-        "more; return jnp.zeros(0) for none.",
-    )
-    return f"{m} commands, set points of {aim[0]} states" + (", and what it keeps" if t.law.start else "")
-
-
-def _form(tree: Any) -> str:
-    return str(jax.tree.map(lambda a: f"{a.dtype}{list(a.shape)}", tree))
+    n, m = t.told.model.B.shape
+    law_conformance.check(t.label, t.law, numbers(t), law_conformance.Sizes(n, len(signals_of(t.scenario)) - n, m))
+    return f"{', '.join(a.name for a in asked(t))} return what they should"
 
 
 def purity(t: Trial) -> str:

@@ -10,7 +10,7 @@ from jax import Array
 from pydantic import BaseModel
 
 from pcbench.checking.tracing import Asked
-from pcbench.controllers import Entry, Told, entry_of
+from pcbench.controllers import Entry, Told, entry_of, law_of
 from pcbench.errors import UserError, shown
 from pcbench.planning import controller
 from pcbench.plants import states_of
@@ -54,7 +54,7 @@ class Trial(NamedTuple):
     @property
     def law(self) -> Controller:
         """Return its functions."""
-        return self.entry.controller(self.options)
+        return law_of(self.entry, self.options)
 
     @property
     def every(self) -> int:

@@ -23,11 +23,8 @@ from pcbench.study import times
 from pcbench.study.cells import cell_of
 
 EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
-NEAR, LINEAR, ROUNDING = (
-    1e-6,
-    1e-4,
-    1e-9,
-)  # a start so near that the plant is linear; what it may be off then; or anywhere
+NEAR, LINEAR = 1e-7, 1e-5  # a start so near that the plant is linear; what its linear model may be off then
+ROUNDING = 1e-9  # what an observer that knows the plant may be off
 
 
 def rest(t: Trial) -> str:

@@ -1,4 +1,4 @@
-"""The checks of a user's plant: a sound one passes all, and for each check there is a plant that does not."""
+"""The checks of a user's plant: for each there is a plant that does not pass. A sound one passes all: `cli/test_new.py`."""
 
 import itertools
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS
 from pcbench.study.own import Code, Own
 
-SEEN, COUNT = [], itertools.count()
+COUNT = itertools.count()
 
 
 class Numbers(NamedTuple):
@@ -53,13 +53,6 @@ def of(**functions):
     return entry._replace(plant=entry.plant._replace(**functions))
 
 
-def test_a_sound_plant_passes_every_check():
-    found = findings("swing", alone(swing(unknown_parameters={"friction": ("1/s", 0.0, 2.0)})))
-    assert [f.check for f in found] == ["numbers", *CHECKS]
-    assert {f.verdict for f in found} == {"passes"}, found
-    assert found[0].why == "2 states, 1 inputs, 1 outputs; axes: plant.length, plant.friction"
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "notes"), [("cart/white", {"axes"}), ("csth/10s-noise", set()), ("arm/sampled", set()),
                                              ("helicopter/constant", {"rest"})])  # fmt: skip
@@ -74,11 +67,6 @@ def test_every_built_in_plant_passes(name, notes):
 
 def counted(p, now, x):
     return field(p, now, x) * (1 + 1e-9 * next(COUNT))
-
-
-def kept(p, now, x):
-    SEEN.append(x)
-    return field(p, now, x)
 
 
 def called_back(p, now, x):
@@ -107,7 +95,6 @@ BROKEN = {
     ],
     "purity": [
         (lambda: swing(field=counted), "two programs when step was traced twice"),
-        (lambda: swing(field=kept), "a traced value that step leaves behind"),
     ],
     "float64": [(lambda: of(output=lambda p, now, x: x[:1].astype(jnp.float32).astype(float)), "got float32 in output")],
     "finite": [
@@ -117,7 +104,7 @@ BROKEN = {
     "slopes": [
         (
             lambda: swing(field=lambda p, now, x: field(p, now, x) - 0.3 * jnp.sign(x[1]) * jnp.array([0.0, 1.0])),
-            "got -0.2 from the linear model and -.* from differences for the slope of rate in field by rate, at angle 0, rate 0",
+            "got -0.2 from the linear model and -.* from differences for the slope of rate in field by rate, at angle 0",
         ),
         (
             lambda: swing(output=lambda p, now, x: jnp.sin(x[:1]) + jnp.abs(x[1:])),
@@ -129,8 +116,8 @@ BROKEN = {
             "got 2 from the linear model and 1 from differences for the slope of rate in field by u1",
         ),
     ],
-    "tick": [(lambda: swing(field=stiff), "got a tick of 0.001 s that is off by .* of a state, 10000 times in 10 s.*write dt = ")],
-    "perfect start": [(lambda: of(step=late), "got an error of .* in (angle|rate) at tick 1, where open-loop knows")],
+    "tick": [(lambda: swing(field=stiff), "got a tick of 0.001 s that is off by .* of a state, 10000 times.*write dt = ")],
+    "perfect start": [(lambda: of(step=late), "got an error of .* in (angle|rate) at tick [12], where open-loop knows")],
 }  # fmt: skip
 BROKEN = [(check, make, sentence) for check, cases in BROKEN.items() for make, sentence in cases]
 
@@ -174,7 +161,7 @@ def test_there_is_a_plant_for_every_check():
 
 
 def test_numbers_that_are_none_are_named():
-    with pytest.raises(UserError, match="^numbers: got 'x' among what prepare returns"):
+    with pytest.raises(UserError, match=r"^numbers: got 'x' among what prepare returns"):
         asked("shapes", swing()._replace(prepare=lambda *given: "x"))
     with pytest.raises(UserError, match=r"^numbers: got A of shape \[2, 2\] in the linear model of 3 states"):
         asked("shapes", swing()._replace(signals=(("a", "1"),) * 3, operating_point=None))
@@ -203,6 +190,7 @@ def test_the_error_of_a_tick_is_what_scipy_finds_and_the_tick_that_is_advised_wi
     assert "is off by" in CHECKS["tick"](trial._replace(scenario=scenario))
 
 
+@pytest.mark.slow
 def test_a_plant_given_by_its_step_has_no_tick_to_be_asked():
     own = swing(field=None, step=lambda p, now, x: x + now.dt * field(p, now, x), tick=0.01)
     found = {f.check: f for f in findings("swing", alone(own))}
