@@ -11,6 +11,8 @@ from jax import Array
 from pcbench.checking.finding import Noted, Skipped
 from pcbench.checking.plant_trial import EVERY, Given, Trial, asked, moves, now_of, points
 from pcbench.checking.quiet import in_parts, planned, quiet, recorded
+from pcbench.checking.schedules import LINEAR, ROUNDING
+from pcbench.checking.trial import NEAR
 from pcbench.dynamics.integrate import rk4
 from pcbench.dynamics.observability import decays, unobservable
 from pcbench.dynamics.observability import shown as shown_mode
@@ -23,8 +25,6 @@ from pcbench.study import times
 from pcbench.study.cells import cell_of
 
 EXACT = 1e-3  # part of a state that the ticks of a horizon may be off together
-NEAR, LINEAR = 1e-7, 1e-5  # a start so near that the plant is linear; what its linear model may be off then
-ROUNDING = 1e-9  # what an observer that knows the plant may be off
 
 
 def rest(t: Trial) -> str:

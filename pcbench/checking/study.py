@@ -8,6 +8,7 @@ import numpy as np
 from pcbench import planning
 from pcbench.checking.finding import Finding, Noted, Skipped, ask
 from pcbench.checking.quiet import errors, in_parts, planned, quiet, recorded, short
+from pcbench.checking.schedules import ROUNDING
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import UserError
 from pcbench.plants import entry_of, nonlinear, numbers_of, states_of
@@ -15,7 +16,7 @@ from pcbench.study import loops, read
 from pcbench.study.cells import Cell, Grid
 from pcbench.study.read import Described
 
-MOST, SEEDS, ROUNDING = 6, 3, 1e-9  # cells of a scenario whose gains are asked; runs; of the largest state
+MOST, SEEDS = 6, 3  # cells of a scenario whose gains are asked; runs
 
 
 def reading(study: Described, overrides: Sequence[str]) -> tuple[Grid, str]:

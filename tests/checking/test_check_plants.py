@@ -150,6 +150,16 @@ def test_what_is_no_mistake_is_a_note(check):
         asked(check, make())
 
 
+def test_a_smooth_slope_between_two_is_a_kink():
+    """Of |rate| at rest jax says the slope 1 or 0, differences from both sides 0: those from one side tell."""
+    ramp = swing(output=lambda p, now, x: x[:1] + jnp.where(x[1:] > 0, 2 * x[1:], 0.0) - x[1:])
+    ramp = ramp._replace(nominal=lambda numbers: swing().nominal(numbers)._replace(C=np.array([[1.0, 0.0]])))
+    with pytest.raises(
+        UserError, match=r"got 0 from the linear model and (-1|1) from differences for the slope of output 1"
+    ):
+        asked("slopes", ramp)
+
+
 def test_a_mode_that_decays_unseen_is_named_too():
     own = swing(output=lambda p, now, x: x[:1], field=lambda p, now, x: jnp.stack([now.u[0] - x[0], -2.5 * x[1]]))
     with pytest.raises(Noted, match=r"no output shows the mode -2\.5, which decays"):
