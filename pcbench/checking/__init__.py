@@ -1,99 +1,79 @@
-"""Does an observer keep to what pcbench asks of one? Named checks, each with a verdict and a reason.
+"""Does what is a user's own keep to what pcbench asks of it? Named checks, each with a verdict and a reason."""
 
-The order is that of what can be asked: without a design nothing, without the right shapes nothing more.
-"""
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any
-
-from pcbench.checking.finding import FAILS, PASSES, SKIPPED, Finding, Skipped
-from pcbench.checking.lanes import lanes
-from pcbench.checking.loading import Candidate, load
-from pcbench.checking.programs import float64, gains, purity
-from pcbench.checking.schedules import after_the_jump, delay_0, no_peeking, perfect_start
-from pcbench.checking.trial import Trial, trial
-from pcbench.errors import UserError, raised, unknown
+from pcbench.checking import controller, kinds, observer, plant, plant_trial, study
+from pcbench.checking.finding import Finding
+from pcbench.checking.kinds import WHERE, kind_of
+from pcbench.checking.loading import load
+from pcbench.errors import UserError, short, unknown
 from pcbench.machine import process
+from pcbench.plants import parameters_of
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.simulation.conformance import check as shapes_of
+from pcbench.study import STUDIES, own, own_entries, read
+from pcbench.study.scenario_toml import said
 
-Check = Callable[[Trial], str]  # what passed; raises UserError or Skipped
-
-
-def shapes(t: Trial) -> str:
-    """Every function of the protocol returns what it should."""
-    for case in t.cases:
-        p = case.problem
-        shapes_of(t.label, t.observer, p, continuous=t.observer.field is not None)
-    return "init, note, jump, flow and estimate return what they should"
+DEFAULT = "cart/white"  # what an observer and a controller are tried on
 
 
-CHECKS: dict[str, Check] = {
-    "shapes": shapes,
-    "purity": purity,
-    "gains": gains,
-    "float64": float64,
-    "lanes": lanes,
-    "perfect start": perfect_start,
-    "delay 0": delay_0,
-    "no peeking": no_peeking,
-    "after the jump": after_the_jump,
-}
-BASIC = ("design", "shapes")  # what must pass before another check is asked
-RUN = (*BASIC, "lanes")  # a run is carried over lanes
-NEEDS = {
-    "shapes": ("design",),
-    "gains": (*BASIC, "purity"),
-    "perfect start": RUN,
-    "delay 0": RUN,
-    "no peeking": RUN,
-    "after the jump": RUN,
-}
+class Checked(NamedTuple):
+    """What every check says."""
+
+    kind: str  # observer, plant, controller, scenario or study
+    label: str
+    scenario: str  # what it is tried on; empty: itself
+    findings: list[Finding]
 
 
-def check(
-    target: str, scenario: str = "cart/white", options: dict[str, Any] | None = None
-) -> tuple[str, list[Finding]]:
-    """Return the name of the observer that MODULE:OBSERVER names, and what every check says of it on a scenario's plant.
+def check(target: str, scenario: str | None = None, options: Mapping[str, Any] | None = None) -> Checked:
+    """Return what every check says of what MODULE:NAME names, found out by what it is; or of a study.
 
-    Raises UserError where there is no such module, observer, option or scenario.
+    `scenario` is what it is tried on: a published one, a study file or MODULE:NAME with one. `options` are an observer's or a
+    controller's, numbers of a plant, or changes of a study by key. Raises UserError where something is not there.
     """
-    if scenario not in SCENARIOS:
-        raise unknown("check --scenario", "scenario", scenario, SCENARIOS)
     with process.float64():
-        candidate = load(target, options)
-        return candidate.label, findings(candidate, SCENARIOS[scenario])
+        kind, given = kind_of(target), dict(options or {})
+        label = target.rpartition(":")[2]
+        if kind in (kinds.STUDY, "scenario"):
+            if scenario is not None:
+                raise UserError(
+                    f"{WHERE} --scenario: got '{short(scenario)}' for a {kind}, expected none: it is tried on itself; leave it "
+                    "out."
+                )
+            read.raw_of(target, [])  # a file that is not there is no finding
+            found = study.findings(target, [f"{key}={said(value)}" for key, value in given.items()])
+            return Checked(kind, label, "", found)
+        if kind == "plant":
+            s = _of_plant(target, label, scenario, given)
+            return Checked(kind, label, s.name if scenario else "", plant.findings(label, s))
+        s = _scenario(scenario or DEFAULT)
+        if kind == "observer":
+            return Checked(kind, label, s.name, observer.findings(load(target, given), s))
+        mine = own_entries.load("controller", target, WHERE)
+        return Checked(kind, label, s.name, controller.findings(label, mine, s, given))
 
 
-def findings(candidate: Candidate, scenario: Scenario) -> list[Finding]:
-    """Return what every check says of an observer; nothing that its code raises comes out but in a sentence."""
-    made: list[Trial] = []
-
-    def design() -> str:
-        made.append(trial(candidate, scenario))
-        refused = f"; refused {len(made[0].refused)}: {made[0].refused[0]}" if made[0].refused else ""
-        return f"gains on {len(made[0].cases)} schedules of {scenario.name}{refused}"
-
-    out = [_verdict("design", design)]
-    for name, check in CHECKS.items():
-        failed = [f.check for f in out if f.verdict == FAILS]
-        first = next((need for need in NEEDS.get(name, BASIC) if need in failed), None)
-        if first:
-            out.append(Finding(name, SKIPPED, f"not asked before {first} passes"))
-        else:
-            out.append(_verdict(name, partial(check, made[0])))
-    return out
+def _scenario(name: str) -> Scenario:
+    """The one scenario that a name, a study file or MODULE:NAME says."""
+    if not (own.is_reference(name) or name.endswith(".toml") or name in STUDIES or name in SCENARIOS):
+        raise unknown(f"{WHERE} --scenario", "scenario", name, SCENARIOS)
+    return read.scenario_of(name)
 
 
-def _verdict(name: str, check: Callable[[], str]) -> Finding:
-    try:
-        return Finding(name, PASSES, check())
-    except Skipped as reason:
-        return Finding(name, SKIPPED, str(reason))
-    except UserError as error:
-        return Finding(name, FAILS, str(error))
-    except BaseException as error:
-        if isinstance(error, KeyboardInterrupt):
-            raise
-        return Finding(name, FAILS, f"{name}: got {raised(error)}, expected code that can be run; mend that line.")
+def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:
+    """A scenario of a plant of a user's own, with some of its numbers changed."""
+    mine = own_entries.load("plant", target, WHERE)
+    s = plant_trial.alone(label, mine.entry, {"own": {"plant": mine}}) if name is None else _scenario(name)
+    there = s.own.get("plant")
+    if there is None or (there.code.name, there.code.digest) != (mine.code.name, mine.code.digest):
+        raise UserError(
+            f"{WHERE} --scenario: got '{short(str(name))}', whose plant is {s.plant}, expected a scenario of {label}; name one "
+            f'with plant = "{short(target)}", or leave it out.'
+        )
+    for key, value in numbers.items():
+        if key not in parameters_of(mine.entry):
+            raise unknown(f"{WHERE} --set", f"number of {label}", key, parameters_of(mine.entry))
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise UserError(f"{WHERE} --set: got {key} = {short(str(value))}, expected a number; write one.")
+    return s.having(model={**s.belief.model, **{key: float(value) for key, value in numbers.items()}})

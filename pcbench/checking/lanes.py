@@ -1,5 +1,6 @@
 """Check that a batch of runs is the runs one at a time, carried over lanes as pcbench does it and as vmap does."""
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -7,8 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.checking.finding import require
-from pcbench.checking.tracing import Asked, asked, given
-from pcbench.checking.trial import Trial
+from pcbench.checking.tracing import Asked
 from pcbench.errors import UserError, raised
 from pcbench.simulation.lanes import is_lanes, join, split
 from pcbench.simulation.lanes.entrywise import over
@@ -16,19 +16,16 @@ from pcbench.simulation.lanes.entrywise import over
 WIDTH, CLOSE = 3, 1e-11  # sums over lanes may be in another order
 
 
-def lanes(t: Trial) -> str:
-    """Each lane of a batch is what the run gives alone; lanes stand last."""
-    case = t.cases[0]
-    first, every = given(t, case, case.problem.gains[t.label]), asked(t, case)
-    rows = [first._replace(memory=_moved(first.memory, i), value=first.value * (1 + i)) for i in range(WIDTH)]
-    stacked = jax.tree.map(lambda *a: jnp.stack(a, -1), *((g.memory, g.value) for g in rows))
+def same_in_lanes(every: Sequence[Asked], rows: Sequence[Any], with_: Callable[[Any], Any]) -> str:
+    """Each lane of a batch is what the run gives alone; `rows` are what differs between lanes, `with_` puts the rest beside."""
+    stacked = jax.tree.map(lambda *a: jnp.stack(a, -1), *rows)
 
-    def all_of(some: list[Asked]) -> Any:
-        return lambda own: {a.name: a.f(first._replace(memory=own[0], value=own[1])) for a in some}
+    def all_of(some: Sequence[Asked]) -> Any:
+        return lambda own: {a.name: a.f(with_(own)) for a in some}
 
-    def alone(some: list[Asked]) -> Any:
+    def alone(some: Sequence[Asked]) -> Any:
         f = jax.jit(all_of(some))
-        return jax.tree.map(lambda *a: jnp.stack(a, -1), *(f((g.memory, g.value)) for g in rows))
+        return jax.tree.map(lambda *a: jnp.stack(a, -1), *map(f, rows))
 
     ways = {
         "vmap over the last axis": lambda some: jax.jit(jax.vmap(all_of(some), -1, -1))(stacked),
@@ -47,10 +44,10 @@ def lanes(t: Trial) -> str:
                 f"lanes: {name} under {way}: got other numbers than one run at a time gives, expected the same; let no run "
                 "depend on how many there are.",
             )
-    return f"{WIDTH} runs at once are the same as one at a time"
+    return f"{len(rows)} runs at once are the same as one at a time"
 
 
-def _name_the_one(way: str, run: Any, every: list[Asked]) -> None:
+def _name_the_one(way: str, run: Any, every: Sequence[Asked]) -> None:
     """Raise UserError for the function that cannot be batched."""
     for a in every:
         try:
@@ -62,9 +59,9 @@ def _name_the_one(way: str, run: Any, every: list[Asked]) -> None:
             ) from None
 
 
-def _moved(memory: Any, i: int) -> Any:
-    """A memory of another lane: its real numbers differ."""
-    return jax.tree.map(lambda a: a * (1 + i / 8) + i / 16 if jnp.issubdtype(a.dtype, jnp.floating) else a, memory)
+def moved(tree: Any, i: int) -> Any:
+    """Return what another lane has in place of a pytree: its real numbers differ."""
+    return jax.tree.map(lambda a: a * (1 + i / 8) + i / 16 if jnp.issubdtype(a.dtype, jnp.floating) else a, tree)
 
 
 def _split(a: Any) -> Any:

@@ -1,14 +1,15 @@
-"""Checks that read the traced programs: gains are all the numbers there are, functions are pure, float64 is kept."""
+"""Checks that read an observer's programs: gains are all the numbers there are, functions are pure, float64 is kept."""
 
 from typing import Any
 
 import jax
 import numpy as np
 
+from pcbench.checking import pure
 from pcbench.checking.finding import require
-from pcbench.checking.tracing import Asked, Given, Program, alike, asked, given, inside, program
+from pcbench.checking.observer_functions import Given, asked, given
+from pcbench.checking.tracing import Program, alike, program
 from pcbench.checking.trial import Case, Trial, designed
-from pcbench.errors import UserError
 from pcbench.protocols import Gains
 
 ALLOWED = (-1.0, 0.0, 0.5, 1.0, 2.0)  # of arrays that pick or sign entries, or are a Runge-Kutta step's: no design's
@@ -45,67 +46,16 @@ def gains(t: Trial) -> str:
 
 def purity(t: Trial) -> str:
     """The same input gives the same output; nothing is kept outside, no argument is changed."""
-    case = t.cases[0]
-    g = given(t, case, case.problem.gains[t.label])
-    for a in asked(t, case):
-        require(
-            alike(_leakless(a, g), _leakless(a, g)),
-            f"purity: got two programs when {a.name} was traced twice, expected one; take out counters and random numbers of "
-            "Python.",
-        )
-        require(
-            not _changed(a, g),
-            f"purity: got arguments that {a.name} has changed, expected them as they were; return a new memory "
-            "(memory._replace, or {**memory, ...}).",
-        )
-    return "same input, same output; nothing kept outside, no argument changed"
+    return pure.purity(asked(t, t.cases[0]), _given(t))
 
 
 def float64(t: Trial) -> str:
     """No number is rounded to fewer bits than it came with."""
-    case = t.cases[0]
-    g = given(t, case, case.problem.gains[t.label])
-    for a in asked(t, case):
-        for eqn in (eqn for inner in inside(program(a, g).jaxpr) for eqn in inner.eqns):
-            narrow = [v.aval.dtype for v in eqn.outvars if str(getattr(v.aval, "dtype", "")) in NARROW]
-            require(
-                not narrow,
-                f"float64: got {narrow[0] if narrow else ''} in {a.name} ({eqn.primitive.name}), expected float64 throughout; "
-                "leave out dtypes, or write float.",
-            )
-    return "float64 in, float64 throughout"
+    return pure.float64(asked(t, t.cases[0]), _given(t))
 
 
-NARROW = ("float32", "float16", "bfloat16", "complex64")
-
-
-def _leakless(a: Asked, g: Given) -> Program:
-    """Trace a function; raise UserError where it keeps what it was traced with."""
-    try:
-        with jax.checking_leaks():
-            return program(a, g)
-    except Exception as error:
-        if "eak" not in str(error):
-            raise
-        raise UserError(
-            f"purity: got a traced value that {a.name} leaves behind outside itself, expected none; return what is to be kept "
-            "as memory."
-        ) from None
-
-
-def _changed(a: Asked, g: Given) -> bool:
-    """Whether a function changes its arguments while it is traced."""
-    found: list[bool] = []
-
-    def traced(g: Given) -> Any:
-        before, form = jax.tree.flatten(g)
-        out = a.f(g)
-        after, same = jax.tree.flatten(g)
-        found.append(str(form) != str(same) or any(x is not y for x, y in zip(before, after, strict=True)))
-        return out
-
-    jax.eval_shape(traced, g)
-    return found[0]
+def _given(t: Trial) -> Given:
+    return given(t, t.cases[0], t.cases[0].problem.gains[t.label])
 
 
 def _gains(t: Trial, case: Case) -> Gains:

@@ -2,7 +2,8 @@
 
 The schedules are those that the observer says it takes: the scenario's own, delay 0, a late one, samples on their way at the
 same time; where it takes them, intervals that vary and samples that overtake. All have one shape. An observer may refuse a
-schedule in a sentence of its own; it must take one.
+schedule in a sentence of its own; it must take one. One that is designed for the linear model of a nonlinear plant is tried
+so near its operating point that this is all there is.
 """
 
 from typing import NamedTuple
@@ -14,15 +15,16 @@ import numpy as np
 from pcbench import planning
 from pcbench.checking.loading import Candidate
 from pcbench.errors import UserError, raised
-from pcbench.plants import entry_of
+from pcbench.plants import entry_of, nonlinear
 from pcbench.protocols import Observer, Plant
 from pcbench.scenarios import Loop, Sampling, Scenario, Truth
 from pcbench.simulation.problem import Problem, present, truth
 from pcbench.simulation.schedule import shared
-from pcbench.study import times
+from pcbench.study import fits, times
 from pcbench.study.cells import cell_of
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
+NEAR = 1e-7  # of the spread of a start: there a plant is its linear model
 SLOTS, SPAN = 3, 8  # arrivals a tick that there is room for; the horizon in sampling periods
 VARYING = ("one clock", "any schedule")
 
@@ -42,6 +44,7 @@ class Trial(NamedTuple):
     plant: Plant
     cases: tuple[Case, ...]
     refused: tuple[str, ...]  # its own sentences
+    near: bool = False  # whether the runs are near the operating point of a nonlinear plant
 
     @property
     def label(self) -> str:
@@ -63,9 +66,10 @@ class Trial(NamedTuple):
         return next((case for case in self.cases if case.name == name), None)
 
 
-def cases(scenario: Scenario, takes: str) -> list[Case]:
-    """Return the schedules to try, without gains."""
-    measured, x0 = scenario.sampling, scenario.truth.x0
+def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
+    """Return the schedules to try, without gains; with runs `near` the operating point."""
+    measured, size = scenario.sampling, NEAR if near else 1.0
+    x0 = tuple(NEAR * (std or 1.0) for std in scenario.belief.prior_std) if near else scenario.truth.x0
     every, at_once = times.whole(measured.sampling_period[0], scenario), len(measured.delay)
     seconds = [every * scenario.dt * late for late in (0, 1, 2.5)]
     usual = all(not isinstance(d, str) and times.whole(d, scenario) <= 3 * every for d in measured.delay)
@@ -86,15 +90,15 @@ def cases(scenario: Scenario, takes: str) -> list[Case]:
     if takes in VARYING:
         turn = tuple(max(part, 1) * scenario.dt for part in (every, every // 2, every + every // 3))
         named["varying intervals"] = named["one period late"].having(profile=turn)
-    found = [_case(name, each, None) for name, each in named.items()]
+    found = [_case(name, each, None, size) for name, each in named.items()]
     if takes in VARYING:
-        found.append(_case("samples that overtake", named["one period late"], every))
+        found.append(_case("samples that overtake", named["one period late"], every, size))
     most = max(c.setting.overtaking for c in found), max(c.setting.reach for c in found)
     return [c._replace(setting=c.setting._replace(overtaking=most[0], reach=most[1])) for c in found]
 
 
-def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
-    """Lay out one schedule; where samples are `overtaken`, every third is so many and a half ticks later."""
+def _case(name: str, scenario: Scenario, overtaken: int | None, size: float) -> Case:
+    """Lay out one schedule, with inputs of a size; where samples are `overtaken`, every third is so much and a half later."""
     cell = cell_of(scenario)
     known = planning.setting(cell)
     drafted = planning.draft(cell, {}, known)
@@ -104,7 +108,7 @@ def _case(name: str, scenario: Scenario, overtaken: int | None) -> Case:
         late = [s._replace(arrives=s.arrives + (3 * overtaken // 2 if s.number % 3 == 1 else 0)) for s in taken]
         known = known._replace(overtaking=shared.overtaking(late))
         p = p._replace(schedule=shared.schedule(late, n, q))
-    u = np.random.default_rng(7).normal(size=p.inputs.shape) + 0.5
+    u = size * (np.random.default_rng(7).normal(size=p.inputs.shape) + 0.5)
     p = p._replace(schedule=shared.pad_slots(p.schedule, SLOTS), inputs=u)
     traced = jax.tree.map(jnp.asarray, p)
     own = np.asarray(truth(drafted.layout, traced.params, present(traced, jnp.asarray(0), True), traced.x0))[
@@ -152,7 +156,10 @@ def trial(candidate: Candidate, scenario: Scenario) -> Trial:
     """Design the observer on every schedule; raise UserError where it takes none or its design is broken."""
     kept: list[Case] = []
     refused: dict[str, str] = {}
-    for case in cases(scenario, candidate.entry.takes):
+    near = nonlinear(scenario) and not candidate.entry.nonlinear
+    if near:
+        fits.works_on(candidate.label, candidate.entry, scenario, "design")
+    for case in cases(scenario, candidate.entry.takes, near):
         try:
             made = designed(candidate, case)
         except Broken:
@@ -167,4 +174,4 @@ def trial(candidate: Candidate, scenario: Scenario) -> Trial:
             f"design: got a refusal of all {len(refused)} schedules, on {name} '{why.rstrip('.')}', expected one that is "
             "taken; name a --scenario that the observer is made for."
         )
-    return Trial(candidate, plant_of(scenario), tuple(kept), tuple(refused.values()))
+    return Trial(candidate, plant_of(scenario), tuple(kept), tuple(refused.values()), near)

@@ -10,7 +10,7 @@ from pcbench.cli import checking, creating, datasets, lists, observers, papers, 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
     "show": (lists.show, "a scenario in full, or as a study file to start from"),
-    "new": (creating.new, "a file to start from: an observer or a scenario of your own"),
+    "new": (creating.new, "a file to start from: an observer, plant, controller, scenario"),
     "run": (runs.run, "run a study, and leave its tables in a folder"),
     "report": (reports.report, "one HTML page of the results, or figures"),
     "trace": (runs.trace, "one run tick by tick, as a file"),
@@ -20,7 +20,7 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "compare": (datasets.compare, "what changed between two results of a study"),
     "design": (observers.design, "find gains and prove them"),
     "tune": (tuning.tune, "tune gains on some seeds, judge on others"),
-    "check": (checking.check, "check an observer of your own"),
+    "check": (checking.check, "check what is your own: observer, plant, controller, study"),
     "reproduce": (papers.reproduce, "what five papers print, against what comes out"),
 }
 NAMES = {"help_option_names": ["-h", "--help"]}

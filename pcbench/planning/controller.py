@@ -8,6 +8,7 @@ from jax.tree_util import Partial
 from pydantic import BaseModel
 
 from pcbench import controllers
+from pcbench.controllers import Told
 from pcbench.errors import UserError, raised
 from pcbench.plants import entry_of, numbers_of
 from pcbench.protocols import Controller
@@ -54,24 +55,29 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     return Reach(back, times.whole(longest, s) + 2 + times.whole(s.loop.command_jitter, s))
 
 
-def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:
-    """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end."""
+def told(cell: Cell, reach: Reach, ticks: int) -> Told:
+    """Return what the designer of a law knows of a cell, with room for `reach`."""
     s, plant = cell.scenario, entry_of(cell.scenario)
     params = plant.prepare(numbers_of(s), s.dt, ticks)
-    told = loops.told(s)._replace(
+    return loops.told(s)._replace(
         ticks=ticks,
         rows=reach.back,
         ahead=reach.ahead,
         field=Partial(plant.model, params) if plant.model else None,
         inverse=Partial(plant.inverse, params) if plant.inverse else None,
     )
-    law = _numbers(cell, told)
+
+
+def close(cell: Cell, reach: Reach, ticks: int) -> tuple[Any, actuator.Line]:
+    """Return the numbers of the control law and of the line, from `reach.back` ticks before 0 to `reach.ahead` past the end."""
+    s, known = cell.scenario, told(cell, reach, ticks)
+    law = _numbers(cell, known)
     if loops.held(s):
-        return law, actuator.held_line(told.late, reach.back, ticks + reach.ahead)
-    return law, actuator.line(told.delay, s.dt, reach.back, ticks + reach.ahead)
+        return law, actuator.held_line(known.late, reach.back, ticks + reach.ahead)
+    return law, actuator.line(known.delay, s.dt, reach.back, ticks + reach.ahead)
 
 
-def _numbers(cell: Cell, told: controllers.Told) -> Any:
+def _numbers(cell: Cell, told: Told) -> Any:
     """The law's numbers; raise UserError where a law of a user's own does not keep to the protocol."""
     s, entry = cell.scenario, controllers.entry_of(cell.scenario)
     if "controller" not in s.own:

@@ -29,3 +29,5 @@ class Entry(NamedTuple):
     drifts: bool = True  # whether `drift` has an effect; of a plant of one's own where it differs from the model
     # numbers -> dx/dt at the operating point where `nominal` is the slope and of which signals are deviations; None: no such
     residual: Callable[[Any], Any] | None = None
+    operating_point: tuple[tuple[float, ...], tuple[float, ...]] | None = None  # (x0 [n], u0 [m]) of such signals
+    tick: float | None = None  # s, of a plant given by its step; None: any

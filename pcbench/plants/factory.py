@@ -119,6 +119,8 @@ def plant(
         positive=tuple(positive),
         drifts="drift" in kept._fields,
         ranges=tuple(_range(name, each) for name, each in (pushed | sought).items()),
+        operating_point=(x0, u0),
+        tick=tick,
     )
 
 

@@ -1,7 +1,7 @@
 """A study's own controller, `[controller]`: which law closes the loop of its scenarios, with what options, how far away."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, Strict, ValidationError
@@ -19,7 +19,7 @@ from pcbench.study.own import Own
 from pcbench.study.sentences import sentence
 from pcbench.synthesis import lqr
 
-__all__ = ["Network", "closed", "held", "matrix", "sizes", "told", "warning"]
+__all__ = ["Network", "Slowest", "closed", "held", "matrix", "sizes", "slowest", "told", "warning"]
 Size = Annotated[float, Strict(), Field(ge=0)]
 
 
@@ -119,28 +119,41 @@ def _at_rest(model: Model) -> Model:
     return model._replace(A=model.A + model.E @ slope)
 
 
-def warning(s: Scenario, where: str) -> str:
-    """Return a sentence that names the eigenvalue with which a scenario's loop does not settle; empty where it does."""
+class Slowest(NamedTuple):
+    """The eigenvalue of a closed loop that is largest in size, over one period of its controller."""
+
+    mode: complex
+    late: float  # [s] of a command
+    period: float  # [s]
+
+
+def slowest(s: Scenario, where: str) -> Slowest | None:
+    """Return what a scenario's loop settles by, the state known; None where it has no law for any plant, or no linear one."""
     if not held(s):
-        return ""
+        return None
     entry, known = law_of(s), told(s)
     options = entry.options.model_validate(dict(s.loop.control))
     if entry.linear is None:
-        return ""
+        return None
     try:
         law = entry.linear(options, known)
     except DesignError as error:
         raise DesignError(f"{where}: {error}") from None
     if law is None:
-        return ""
+        return None
     late = 0 if getattr(options, "knows_delay", False) else known.late
     every = known.every(getattr(options, "period", None))
     modes = np.linalg.eigvals(lqr.closed(known.tick, law, every, late))
-    worst = complex(modes[np.argmax(np.abs(modes))])
-    if abs(worst) < 1:
+    return Slowest(complex(modes[np.argmax(np.abs(modes))]), late * s.dt, every * s.dt)
+
+
+def warning(s: Scenario, where: str) -> str:
+    """Return a sentence that names the eigenvalue with which a scenario's loop does not settle; empty where it does."""
+    found = slowest(s, where)
+    if found is None or abs(found.mode) < 1:
         return ""
-    size, mode = abs(worst), shown_mode(worst)
     return (
-        f"{where}: {s.loop.controller} does not stabilise the plant of {s.name}, its command {late * s.dt:g} s late: the "
-        f"closed loop has the eigenvalue {mode} over {every * s.dt:g} s, of size {size:.6g}, expected below 1."
+        f"{where}: {s.loop.controller} does not stabilise the plant of {s.name}, its command {found.late:g} s late: the "
+        f"closed loop has the eigenvalue {shown_mode(found.mode)} over {found.period:g} s, of size {abs(found.mode):.6g}, "
+        "expected below 1."
     )

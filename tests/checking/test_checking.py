@@ -9,11 +9,11 @@ import numpy as np
 import own_observer as own
 import pytest
 
-from pcbench import checking
-from pcbench.checking import CHECKS, findings
 from pcbench.checking.loading import Candidate
+from pcbench.checking.observer import CHECKS, findings
 from pcbench.checking.replay import none, replay
 from pcbench.checking.trial import trial
+from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, Entry
 from pcbench.scenarios import SCENARIOS
 from pcbench.synthesis.certificate import Design
@@ -202,7 +202,7 @@ def test_an_observer_that_declares_not_to_know_the_schedule_is_not_asked_for_a_p
 def test_a_design_may_refuse_a_schedule_but_not_all():
     def picky(setting, options):
         if setting.delay[0] < late:
-            raise checking.UserError("mine: got a short delay, expected a long one; wait.")
+            raise UserError("mine: got a short delay, expected a long one; wait.")
         return own.design(setting, options)
 
     late = 1

@@ -133,7 +133,7 @@ def test_the_observer_example_is_short_and_knows_its_schedule(tmp_path, monkeypa
     (example,) = [b for b in blocks("python") if "pcbench.Observer(" in b]
     assert len([line for line in example.splitlines() if line.strip()]) <= 25
     (tmp_path / "mine.py").write_text(example)
-    _, found = checking.check("mine.py:nudge", options={"share": 0.2})
+    found = checking.check("mine.py:nudge", options={"share": 0.2}).findings
     assert [f.check for f in found if f.verdict != "passes"] == []
     (study,) = [b for b in blocks("toml") if 'use = "mine.py:nudge"' in b]
     (tmp_path / "s.toml").write_text(study)

@@ -1,4 +1,4 @@
-"""Gains with what proves them, what a faster decay costs, what a tuning found, and what the checks of an observer say."""
+"""Gains with what proves them, what a faster decay costs, what a tuning found, and what the checks of a user's own say."""
 
 from typing import Any
 
@@ -112,7 +112,7 @@ def _short(value: Any) -> str:
 
 
 def checked(title: str, findings: list[Finding], console: Console) -> None:
-    """Print every check of an observer with its verdict and why."""
+    """Print every check with its verdict and why."""
     table = titled(title)
     for head in ("check", "verdict", "why"):
         table.add_column(head, overflow="fold", no_wrap=head != "why")

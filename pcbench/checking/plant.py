@@ -1,0 +1,39 @@
+"""Does a plant keep to what pcbench asks of one? `pcbench.plant` has asked the first things itself, where it made the plant."""
+
+from collections.abc import Callable
+from functools import partial
+
+from pcbench.checking.finding import Finding, ask
+from pcbench.checking.plant_functions import axes, finite, float64, lanes, purity, shapes, slopes
+from pcbench.checking.plant_motion import perfect_start, rest, seen, tick
+from pcbench.checking.plant_trial import Trial, trial
+from pcbench.scenarios import Scenario
+
+CHECKS: dict[str, Callable[[Trial], str]] = {
+    "shapes": shapes,
+    "purity": purity,
+    "float64": float64,
+    "finite": finite,
+    "lanes": lanes,
+    "axes": axes,
+    "slopes": slopes,
+    "rest": rest,
+    "tick": tick,
+    "seen": seen,
+    "perfect start": perfect_start,
+}
+BASIC = ("shapes",)
+NEEDS = {
+    "": BASIC,
+    "shapes": (),
+    "slopes": (*BASIC, "finite"),
+    "rest": (*BASIC, "finite"),
+    "tick": (*BASIC, "finite"),
+    "seen": (),
+    "perfect start": (*BASIC, "finite", "lanes"),
+}
+
+
+def findings(label: str, scenario: Scenario) -> list[Finding]:
+    """Return what every check says of the plant of a scenario."""
+    return ask("numbers", partial(trial, label, scenario), CHECKS, NEEDS)

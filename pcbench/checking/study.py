@@ -1,0 +1,141 @@
+"""Does a study, or a scenario, hold together before it is run: gains, loops, a perfect start, a few short runs."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+
+from pcbench import planning
+from pcbench.checking.finding import Finding, Noted, Skipped, ask
+from pcbench.checking.quiet import errors, in_parts, planned, quiet, recorded, short
+from pcbench.checking.schedules import ROUNDING
+from pcbench.dynamics.observability import shown as shown_mode
+from pcbench.errors import UserError
+from pcbench.plants import entry_of, nonlinear, numbers_of, states_of
+from pcbench.study import loops, read
+from pcbench.study.cells import Cell, Grid
+from pcbench.study.read import Described
+
+MOST, SEEDS = 6, 3  # cells of a scenario whose gains are asked; runs
+
+
+def reading(study: Described, overrides: Sequence[str]) -> tuple[Grid, str]:
+    """Return a study with its cells, and what there is; raise UserError naming the place in it that is wrong."""
+    grid = read.grid_of(study, {}, list(overrides))
+    names = ", ".join(dict.fromkeys(c.scenario.name for c in grid.cells))
+    observers = ", ".join(dict.fromkeys(o for c in grid.cells for o in c.options))
+    return grid, f"{names}: {len(grid.cells)} cell{'s' * (len(grid.cells) != 1)}; {observers}"
+
+
+def gains(grid: Grid) -> str:
+    """Every observer finds its gains, in the first and the last cell of each scenario and in some between."""
+    asked = [cell for mine in _by_scenario(grid) for cell in _spread(mine)]
+    for cell in asked:
+        for label, options in cell.options.items():
+            try:
+                planning.draft(cell, {label: options})
+            except UserError as error:
+                raise UserError(
+                    f"gains: got a refusal of {label} in {cell.scenario.name}{_where(cell)}: '{str(error).rstrip('.')}', "
+                    "expected gains in every cell; leave it, or that value of an axis, out, or give it other options."
+                ) from None
+    return f"found in {len(asked)} of {len(grid.cells)} cells"
+
+
+def _by_scenario(grid: Grid) -> list[list[Cell]]:
+    return [[c for c in grid.cells if c.scenario.name == name] for name in grid.study.scenarios]
+
+
+def _first(grid: Grid) -> list[Cell]:
+    """The first cell of each scenario."""
+    return [mine[0] for mine in _by_scenario(grid)]
+
+
+def _spread(cells: list[Cell]) -> list[Cell]:
+    """The first cell, the last, and some between."""
+    return [cells[i] for i in sorted({round(i) for i in np.linspace(0, len(cells) - 1, MOST)})]
+
+
+def _where(cell: Cell) -> str:
+    return f", cell {cell.number}" if cell.number else ""
+
+
+def settles(grid: Grid) -> str:
+    """Every loop settles: the eigenvalues lie within the unit circle, the state known."""
+    scenarios = {(c.scenario.name, str(c.scenario.loop)): c.scenario for c in grid.cells}
+    found = {name: loops.slowest(s, "settles") for (name, _), s in scenarios.items()}
+    known = {name: each for name, each in found.items() if each}
+    if sentences := read.unstable(grid):
+        raise UserError(sentences[0])
+    if not known:
+        raise Skipped("no loop is closed by a controller whose linear law is known")
+    return "; ".join(f"{name}: eigenvalue {shown_mode(e.mode)} over {e.period:g} s" for name, e in known.items())
+
+
+def perfect_start(grid: Grid) -> str:
+    """True model, true start, no noise: no error of the observers that claim so, in the first cell of each scenario."""
+    asked: list[str] = []
+    for cell in _first(grid):
+        claims = [label for label in cell.options if claims_it(cell, label)]
+        if not claims:
+            continue
+        for p in planned(quiet(short(cell))):  # all observers: the program is that of `runs`
+            for label, e in in_parts(p, recorded(p, noise=False)).items():
+                if label in claims:
+                    require_none(e, f"perfect start: got, from {label} in {cell.scenario.name},", cell)
+        asked.append(f"{cell.scenario.name}: {', '.join(claims)}")
+    if not asked:
+        raise Skipped("no observer here claims one, or an unknown input pushes the plant")
+    return f"no error in {'; '.join(asked)}"
+
+
+def claims_it(cell: Cell, label: str) -> bool:
+    """Say whether an observer claims a perfect start on a cell's plant."""
+    s, entry = cell.scenario, cell.entry(label)
+    pushed = entry_of(s).nominal(numbers_of(s)).E is not None
+    return entry.knows_schedule and not pushed and (entry.nonlinear or not nonlinear(s))
+
+
+def require_none(e: np.ndarray, got: str, cell: Cell) -> None:
+    """Raise UserError where there is an error e [N+1, n], in parts of the largest state."""
+    for k, i in np.argwhere(~(e <= ROUNDING)):
+        raise UserError(
+            f"{got} an error of {e[k, i]:.2g} of the largest state in {states_of(cell.scenario)[i][0]} at tick {k}, expected "
+            "none (true model, true start, no noise); look for a tick of slip, or declare knows_schedule False."
+        )
+
+
+def runs(grid: Grid) -> str:
+    """A few runs of the first cell of each scenario: the plant stays finite; which observers leave the bound is said."""
+    lost: list[str] = []
+    for cell in _first(grid):
+        mine = short(cell)
+        for p in planned(mine, known=False):
+            outs = [recorded(p, seed) for seed in range(SEEDS)]
+            n = len(states_of(cell.scenario))
+            for k in (k for out in outs for k in np.flatnonzero(~np.isfinite(np.asarray(out.x)[:, :n]).all(1))):
+                raise UserError(
+                    f"runs: got a plant of {cell.scenario.name} that is not finite after {k * cell.scenario.dt:g} s, expected "
+                    "numbers; close the loop, or give another start, a shorter tick or horizon."
+                )
+            for label in p.labels:
+                bound = np.broadcast_to(p.problem.bound, (len(p.problem.bound),))
+                left = [not (e <= bound[: e.shape[1]]).all() for e in (errors(p, out)[label] for out in outs)]
+                lost += [f"{label} in {cell.scenario.name} ({sum(left)} of {SEEDS} runs)"] if any(left) else []
+    if lost:
+        raise Noted(f"the error leaves the bound of {', '.join(lost)}")
+    return f"{SEEDS} of each scenario: all errors stay within their bounds"
+
+
+CHECKS: dict[str, Callable[[Grid], str]] = {
+    "gains": gains,
+    "settles": settles,
+    "perfect start": perfect_start,
+    "runs": runs,
+}
+NEEDS = {"": (), "perfect start": ("gains",), "runs": ("gains",)}
+
+
+def findings(study: Described, overrides: Sequence[str] = ()) -> list[Finding]:
+    """Return what every check says of a study."""
+    return ask("reads", partial(reading, study, overrides), CHECKS, NEEDS)
