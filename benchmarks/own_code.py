@@ -20,7 +20,6 @@ but for --small, where the last interval of the processors' seconds lies outside
 
 import argparse
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable
 from functools import partial
@@ -184,4 +183,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

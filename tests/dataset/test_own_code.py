@@ -1,6 +1,7 @@
 """A dataset made with observers of a user's own: it keeps their code, is read without it, and refuses another version of it."""
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -18,10 +19,14 @@ SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
 STUDY = {"name": "mine", "scenarios": ["cart/slow"], "observers": ["mine.py:nudge", "kfbo"], "seeds": 16}
 
 
+def marking(text, folder):
+    return f"{text}\nopen({str(folder / 'mark')!r}, 'a').close()\n"
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """A folder with an observer whose code leaves a mark wherever it is run, the copy of a dataset too."""
-    (tmp_path / "mine.py").write_text(f"{SOURCE.read_text()}\nopen({str(tmp_path / 'mark')!r}, 'a').close()\n")
+    (tmp_path / "mine.py").write_text(marking(SOURCE.read_text(), tmp_path))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -116,16 +121,17 @@ def test_plants_and_laws_are_kept_likewise(here):
     loop = SOURCE.with_name("own_loop.py").read_text().replace("Options", "Gentle")
     entry = 'law = pcbench.ControllerEntry(options=Gentle, prepare=prepare, summary="PI", controller='
     loop = loop.replace("law = ", entry, 1).replace("params.m,\n)", "params.m,\n))")
-    (here / "mine.py").write_text(SOURCE.read_text() + loop)
+    (here / "mine.py").write_text(marking(SOURCE.read_text() + loop, here))
     pcbench.run(LOOP, out="out")
     before = tables(here / "out")
     kept = (here / "mine.py").rename(here / "aside.py")
-    forget()
+    forget(here)
+    assert page.write(here / "out", here / "page.html")
     opened = pcbench.opened("out")
     assert set(opened.stats.observer) == {"nudge", "dkf"}
     assert verify.status(here / "out").closed
     assert compare(here / "out", here / "out").largest == 0
-    assert not [name for name in sys.modules if name.startswith("mine_")], "nothing of it was run"
+    assert not (here / "mark").exists(), "nothing of it was run"
     found = verify.verify(here / "out", None, 0)
     assert (found.wrong, found.differing, len(found.recomputed)) == ([], [], 2)
     kept.rename(here / "mine.py")
