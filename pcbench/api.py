@@ -20,7 +20,7 @@ from pcbench.plants import signals_of
 from pcbench.scenarios.sources import units
 from pcbench.study import read
 from pcbench.study.read import Described, grid_of, one_cell
-from pcbench.synthesis.certificate import Design
+from pcbench.synthesis.certificate import Design, is_certified
 
 
 def run(
@@ -117,6 +117,7 @@ def trace(
     driven = units(p.cell.scenario.loop.input, out.u.shape[1])
     frame.attrs["input_units"] = {f"u{i + 1}": unit for i, unit in enumerate(driven)}
     frame.attrs["carries_input"] = dict(p.carries_input)  # of the predictions to now, by observer
+    frame.attrs["certified"] = {o: is_certified(c._asdict()) for o, c in p.certificates.items()}
     return frame
 
 

@@ -35,6 +35,7 @@ def design(
     from pcbench.dataset import as_file, store
     from pcbench.gains import design
     from pcbench.machine import process
+    from pcbench.synthesis.certificate import is_certified
 
     if sweep is not None:
         if file is not None:
@@ -57,7 +58,8 @@ def design(
         store.make(target)
         store.put(target, Path(file).name, text.encode())
     if as_json:
-        print(readable({"scenario": scenario, "observer": observer} | found.certificate._asdict()))
+        fields = found.certificate._asdict()
+        print(readable({"scenario": scenario, "observer": observer, "certified": is_certified(fields)} | fields))
     else:
         screen = console()
         screen.print(f"{observer} in {scenario}", style="bold", highlight=False)

@@ -106,11 +106,11 @@ def trace(
     """
     setup()
     from pcbench import api
-    from pcbench.dataset import as_file, columns
+    from pcbench.dataset import as_file, traced
     from pcbench.plants import signals_of
     from pcbench.study import read
 
     as_file.kind_of(file)
     frame = api.trace(scenario, names(observer), seed=seed, overrides=changes)
-    as_file.put(file, columns.trace_table(frame, signals_of(read.scenario_of(scenario, changes))))
+    as_file.put(file, traced.trace_table(frame, signals_of(read.scenario_of(scenario, changes))))
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")

@@ -1,7 +1,7 @@
 """The command that tunes."""
 
 import json
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -55,7 +55,13 @@ def tune(
     if as_json:
         judged = [history.plain(j) for j in found.judged]
         goal = {"metric": found.objective.metric, "signal": found.objective.name, "unit": found.objective.unit}
-        summary = {"start": found.start, "found": found.found, "kept_start": found.kept_start, "goal": goal}
+        summary: dict[str, Any] = {
+            "start": found.start,
+            "found": found.found,
+            "kept_start": found.kept_start,
+            "goal": goal,
+        }
+        summary |= {"certified": found.certified}
         print(json.dumps(summary | {"judged": judged, "points": len(found.points), "method": found.method}, indent=2))
     elif not quiet:
         gains.tuned(found, observer, folder, console())

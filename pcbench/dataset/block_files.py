@@ -14,8 +14,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import parquet, store
-from pcbench.dataset.columns import SCHEMA
+from pcbench.dataset import earlier, parquet, store
 from pcbench.dataset.seeds import Seeds
 from pcbench.errors import UserError
 
@@ -132,7 +131,7 @@ def damage(target: store.Target, block: Block, cell: str) -> str | None:
     if isinstance(table, str):
         return table
     said, metadata = about(table), table.schema.metadata or {}
-    if metadata.get(b"pcbench.schema") != SCHEMA.encode():
+    if not earlier.is_read(metadata):
         return OTHER_SCHEMA
     if said.get("cell") != cell:
         return "it is of another cell"

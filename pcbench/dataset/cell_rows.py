@@ -14,6 +14,7 @@ from pcbench.dataset.seeds import Seeds, common
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.study.cells import Cell
+from pcbench.synthesis.certificate import is_certified
 
 
 class ObserverRuns(NamedTuple):
@@ -41,21 +42,25 @@ def rows_of(
     s, signals = cell.scenario, signals_of(cell.scenario)
     names, units = [name for name, _ in signals], dict(signals)
     head = columns.keys(study, cell) | {"plant": s.plant}
-    carries = {name: each.about["carries_input"] for name, each in found.items()}
+    known = {
+        name: {"carries_input": each.about["carries_input"], "certified": is_certified(each.about["certificate"])}
+        for name, each in found.items()
+    }
     bounds = {name: _seen(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
     described, compared = statistics.summarise(
         lambda: chunks(target, found, within), bounds, names, s.belief.prior_std + s.belief.unknown_std
     )
-    stats, pairs = [], []
+    stats: list[dict[str, Any]] = []
+    pairs: list[dict[str, Any]] = []
     for name, rows in described.items():
         for row in rows:
             signal, unit = signals[row["signal"]]
-            about = {"observer": name, "carries_input": carries[name], "unit": columns.unit_of(row["metric"], unit)}
-            stats.append(head | row | about | {"signal": signal})
+            about = {"observer": name, "unit": columns.unit_of(row["metric"], unit), "signal": signal}
+            stats.append(head | row | known[name] | about)
     for row in compared:
-        about = {"unit": columns.unit_of(row["metric"], units[row["signal"]]), "p_holm": np.nan}
-        about |= {f"carries_input_{side}": carries[row[f"observer_{side}"]] for side in "ab"}
-        pairs.append(head | about | row)
+        of_both = {f"{what}_{side}": said for side in "ab" for what, said in known[row[f"observer_{side}"]].items()}
+        unit = columns.unit_of(row["metric"], units[row["signal"]])
+        pairs.append(head | of_both | {"unit": unit, "p_holm": np.nan} | row)
     return stats, pairs
 
 

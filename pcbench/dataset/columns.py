@@ -10,8 +10,9 @@ from pcbench.dataset import loop_columns
 from pcbench.statistics import QUANTILES
 
 # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...;
-# 5: intervals of what cannot be negative are not; blocks know their observer's options, provenance.json its files' digests
-SCHEMA = "5"
+# 5: intervals of what cannot be negative are not; blocks know their observer's options, provenance.json its files' digests;
+# 6: certified (`earlier` reads 5)
+SCHEMA = "6"
 AXIS_UNITS = {
     "sampling_period": "s",
     "delay": "s",
@@ -52,6 +53,9 @@ MEANING = {
     "carries_input": "whether the observer's prediction to the present carries the unknown input it has found; null: it finds "
     "none, or predicts nothing",
     **{f"carries_input_{one}": f"carries_input of observer_{one}" for one in "ab"},
+    "certified": "whether something proves the observer's gains in this cell (an inequality, checked again, with a margin "
+    "above 0); null: it has no gains, or the table is of an earlier release",
+    **{f"certified_{one}": f"certified of observer_{one}" for one in "ab"},
     "unit": "unit of the signal; beside a metric, of that metric",
     "mae": "mean |e| over ticks 0 .. N-1",
     "rmse": "square root of the mean of e^2 over ticks 0 .. N-1",
@@ -96,7 +100,7 @@ INTERVALS = (
 TEXT = {"profile", "study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
 TEXT |= {"status"}
 WHOLE = {"cell", "seed", "n"}
-YES_OR_NO = {"carries_input", "carries_input_a", "carries_input_b"}
+YES_OR_NO = {name + end for name in ("carries_input", "certified") for end in ("", "_a", "_b")}
 SECONDS = {"settling_time", "recovery_time", "first_bad_time"}
 
 
@@ -190,24 +194,6 @@ def _type(name: str, values: Any, bools: tuple[str, ...]) -> pa.DataType:
     return pa.list_(pa.float64()) if any(isinstance(v, list) for v in values[:1]) else pa.float64()
 
 
-def trace_table(frame: pd.DataFrame, signals: tuple[tuple[str, str], ...]) -> pa.Table:
-    """Return a trace as a table whose columns say their unit; ticks 0 .. N, estimates after the jump of each tick."""
-    units, driven = {"t": "s"} | dict(signals), frame.attrs.get("input_units", {})
-    fields = []
-    for name in frame.columns:
-        plain = (driven.get(name) or "unit of the input") if name[0] == "u" else "unit of the output"
-        unit = units.get(name.rpartition(".")[2], plain)
-        meaning = "time" if name == "t" else "estimate" if "." in name else "truth" if name in units else ""
-        meaning = "set point" if name.startswith("target.") else meaning
-        meaning = meaning or ("input held over the tick" if name[0] == "u" else "newest arrived measurement, held")
-        about = {"unit": unit, "meaning": meaning}
-        carries = frame.attrs.get("carries_input", {}).get(name.partition(".")[0])
-        about |= {} if carries is None or "." not in name else {"carries_input": str(carries).lower()}
-        fields.append(pa.field(name, pa.float64(), metadata=about))
-    schema = pa.schema(fields, metadata={"pcbench.schema": SCHEMA})
-    return pa.Table.from_pandas(frame, schema=schema, preserve_index=False)
-
-
 def axes_of(row: dict[str, Any]) -> list[str]:
     """Return the axis columns among a row's keys, in order."""
     return [name for name in row if name in AXIS_UNITS or name.startswith("plant.")]
@@ -215,9 +201,10 @@ def axes_of(row: dict[str, Any]) -> list[str]:
 
 def stats_order(axes: list[str]) -> list[str]:
     """Return the columns of stats.parquet."""
-    head = ["study", "scenario", "plant", "observer", "cell", *axes, "signal", "unit", "carries_input", "metric"]
+    head = ["study", "scenario", "plant", "observer", "cell", *axes, "signal", "unit", "carries_input", "certified"]
     return [
         *head,
+        "metric",
         "n",
         "diverged",
         "mean",
@@ -240,6 +227,8 @@ def pairs_order(axes: list[str]) -> list[str]:
         "observer_b",
         "carries_input_a",
         "carries_input_b",
+        "certified_a",
+        "certified_b",
     ]
     head += ["signal", "unit", "metric"]
     return [*head, "n", "mean_diff", "se", "ci_low", "ci_high", "prob_a_better", "p_value", "p_holm"]

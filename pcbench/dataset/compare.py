@@ -19,7 +19,7 @@ import pandas as pd
 import pyarrow as pa
 from scipy.special import stdtr
 
-from pcbench.dataset import block_files, cell_rows, columns, ownership, store, summary
+from pcbench.dataset import block_files, cell_rows, columns, earlier, ownership, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, common, joined
@@ -117,7 +117,8 @@ def _side(target: store.Target, owned: Owned) -> Side:
                 f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
             )
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    return Side(target, owned, found, {c.key: identity(c, 0) for c in owned.cells}, blocks)
+    stats = earlier.completed(found, columns.stats_order)
+    return Side(target, owned, stats, {c.key: identity(c, 0) for c in owned.cells}, blocks)
 
 
 Draws = dict[tuple[str, str, str], list[Seeds]]  # by scenario, cell's digest and observer, joined
@@ -155,7 +156,7 @@ def _stats(side: Side, shared: CommonSeeds) -> pd.DataFrame:
     frame["narrowed"] = [name in shared for name in named]
     numbers = ["n", "diverged", *(c for c in frame.columns[frame.columns.get_loc("mean") :] if frame[c].dtype == float)]
     frame["bits"] = [row.tobytes() for row in frame[numbers].to_numpy(float)]
-    return frame[[*KEY, "where", "unit", "draws", "narrowed", "n", "mean", "se", "bits"]]
+    return frame[[*KEY, "where", "unit", "certified", "draws", "narrowed", "n", "mean", "se", "bits"]]
 
 
 def _over(side: Side, shared: CommonSeeds) -> pa.Table:
@@ -193,6 +194,7 @@ def judged(both: pd.DataFrame) -> pd.DataFrame:
     out = both[["scenario", "where_a", "observer", "signal", "metric", "unit_a"]].copy()
     out.columns = pd.Index(["scenario", "where", "observer", "signal", "metric", "unit"])
     names = ["n_a", "mean_a", "se_a", "n_b", "mean_b", "se_b"]
+    names += ["certified_a", "certified_b"]
     out = out.assign(**{name: both[name] for name in names}, difference=difference, relative=np.nan_to_num(relative))
     out = out.assign(p_value=p, p_holm=adjusted, same_draws=same_draws, changed=changed)
     out = out.assign(identical=(both.bits_a == both.bits_b).to_numpy(), narrowed=both.narrowed_a.to_numpy())

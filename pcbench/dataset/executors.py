@@ -161,7 +161,7 @@ def _local(distributed: Any, workers: int | None) -> Any:
         n_workers=count,
         threads_per_worker=2,  # one computes while the other writes
         processes=True,
-        dashboard_address=":0",  # any port that is free
+        dashboard_address="127.0.0.1:0",  # any port that is free, for this machine only
         memory_limit=None,
         env=single,
         silence_logs="CRITICAL",

@@ -9,11 +9,12 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.dataset as ds
 
-from pcbench.dataset import block_files, columns, fill, ownership, parquet, store, summary
+from pcbench.dataset import block_files, columns, earlier, fill, ownership, parquet, store, summary
 from pcbench.dataset.verify import FAIR
 from pcbench.errors import UserError, said
+from pcbench.statistics.wording import UNPROVEN
 from pcbench.study import Study, observers_of
-from pcbench.synthesis.certificate import UNCERTIFIED
+from pcbench.synthesis.certificate import is_certified
 
 
 def opened(out: str | Path) -> "Result":
@@ -32,7 +33,8 @@ def opened(out: str | Path) -> "Result":
             raise UserError(
                 f"{target.name}/{FAIR}: is damaged, expected it as it was written; run the study again to have it made anew."
             )
-        result.fair = table.to_pandas()
+        fair = table.to_pandas()
+        result.fair = fair if "certified" in fair else fair.assign(certified=None)
     return result
 
 
@@ -57,12 +59,12 @@ class Result:
     @cached_property
     def stats(self) -> pd.DataFrame:
         """One row per cell, observer, signal and metric."""
-        return self._closing("stats.parquet")
+        return self._closing("stats.parquet", columns.stats_order)
 
     @cached_property
     def pairs(self) -> pd.DataFrame:
         """One row per cell, pair of observers, signal and metric."""
-        return self._closing("pairs.parquet")
+        return self._closing("pairs.parquet", columns.pairs_order)
 
     @cached_property
     def runs(self) -> pd.DataFrame:
@@ -81,11 +83,14 @@ class Result:
         return found.sort_values(["rank", "seed"], kind="stable", ignore_index=True).drop(columns="rank")
 
     def unproven(self, scenario: str) -> str:
-        """Return a sentence that names the observers of a scenario whose gains are uncertified, and why; empty: none is."""
+        """Return a sentence that names the observers of a scenario whose gains nothing proves, and why; empty: none is."""
         certificates = self.provenance.get("certificates", {}).get(scenario, {})
-        uncertified = {o: c["inequality"] for o, c in certificates.items() if c["status"] == UNCERTIFIED}
-        said = [f"{o} ({why.removeprefix('none: ')})" for o, why in uncertified.items()]
-        return f"Nothing proves the gains of {', '.join(said)}." if said else ""
+        reasons: dict[str, list[str]] = {}
+        for observer, c in certificates.items():
+            if is_certified(c) is False:
+                reasons.setdefault(_why(c), []).append(observer)
+        said = [f"{', '.join(observers)} ({why})" for why, observers in reasons.items()]
+        return f"{UNPROVEN} the gains of {'; '.join(said)}." if said else ""
 
     def _read(self, columns: list[str] | None = None, filter: ds.Expression | None = None) -> pd.DataFrame:
         """Rows of the blocks, every page checked; raise UserError, naming the file, where one is damaged."""
@@ -106,13 +111,19 @@ class Result:
         base = f"{self._target.root}/runs"
         return ds.dataset(files, filesystem=self._target.fs, format=kind, partitioning="hive", partition_base_dir=base)
 
-    def _closing(self, name: str) -> pd.DataFrame:
+    def _closing(self, name: str, order: earlier.Order) -> pd.DataFrame:
         found = summary.table(self._target, name)
         if found is None:
             raise UserError(
                 f"{self._target.name}/{name}: is gone or damaged; run the study again to have it made anew."
             )
-        return columns.frame(found)
+        return columns.frame(earlier.completed(found, order))
 
     def __repr__(self) -> str:
         return f"<pcbench result of study '{self.study.name}': {len(self.stats)} rows of stats>"
+
+
+def _why(certificate: dict[str, Any]) -> str:
+    """Why a certificate proves nothing."""
+    said: str = certificate["inequality"].removeprefix("none: ")
+    return said if certificate["margin"] is None else f"{said} has margin {certificate['margin']:.3g}"

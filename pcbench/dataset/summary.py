@@ -13,12 +13,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pcbench import statistics
-from pcbench.dataset import block_files, cell_rows, columns, parquet, store
+from pcbench.dataset import block_files, cell_rows, columns, earlier, parquet, store
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, joined
 from pcbench.machine import provenance
 from pcbench.study.as_toml import digest
+from pcbench.synthesis.certificate import is_certified
 
 PROVENANCE = "provenance.json"
 ROWS = 20_000  # that are gathered before they are written
@@ -82,8 +83,14 @@ def closing_tables(
         mine = weakest.setdefault(cell.scenario.name, {})
         for name, each in found.items():
             c = each.about["certificate"]
-            mine[name] = min(mine.get(name, c), c, key=lambda c: np.inf if c["margin"] is None else c["margin"])
+            mine[name] = min(mine.get(name, c), c, key=_strength)
     return stats.content(), adjusted(pairs.content(), made_of), weakest
+
+
+def _strength(certificate: dict[str, Any]) -> float:
+    """What orders certificates: gains that nothing proves are weaker than all that something does."""
+    margin = certificate["margin"]
+    return -np.inf if is_certified(certificate) is False else np.inf if margin is None else margin
 
 
 def fingerprint(there: list[Block]) -> bytes:
@@ -108,7 +115,7 @@ def is_closed(target: store.Target, there: list[Block]) -> bool:
     for name in ("stats.parquet", "pairs.parquet"):
         found = table(target, name)
         said = {} if found is None else found.schema.metadata or {}
-        if said.get(FROM) != fingerprint(there) or said.get(b"pcbench.schema") != columns.SCHEMA.encode():
+        if said.get(FROM) != fingerprint(there) or not earlier.is_read(said):
             return False
     return True
 

@@ -9,13 +9,14 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench import planning
-from pcbench.dataset import block_files, executors, fill, ownership, parquet, store, summary, task
+from pcbench.dataset import block_files, earlier, executors, fill, ownership, parquet, store, summary, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.study.as_toml import digest
+from pcbench.synthesis.certificate import is_certified
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
 FAIR = "fair.parquet"  # of a study with several tunings
@@ -31,6 +32,7 @@ class Share(NamedTuple):
     blocks: int
     seeds: int  # that stand, over all cells
     wanted: int  # that the study names
+    certified: bool | None  # whether something proves its gains, as its first block says; None: it has none
 
 
 class Status(NamedTuple):
@@ -64,8 +66,10 @@ def status(out: str | Path) -> Status:
         for observer in mine[0].options:
             gaps = [todo.get((scenario, c.number), {}).get(observer, []) for c in mine]
             lacking = sum(seeds.many for ranges in gaps for seeds in ranges)
-            blocks_there = len(by.get((scenario, observer), []))
-            rows.append(Share(scenario, observer, len(mine), blocks_there, asked - lacking, asked))
+            each = by.get((scenario, observer), [])
+            proof = block_files.about_block(target, each[0]).get("certificate") if each else None
+            certified = is_certified(proof) if proof else None
+            rows.append(Share(scenario, observer, len(mine), len(each), asked - lacking, asked, certified))
     damaged = [b.name for b in there if store.footer(target, b.name) is None] + summary.damaged(target)
     return Status(
         study=study.name,
@@ -214,6 +218,6 @@ def _closing_differs(target: store.Target, owned: Owned, kept: list[Block]) -> l
     out = []
     for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
         there = summary.table(target, name)
-        if there is None or not there.equals(parquet.parsed(made)):
+        if there is None or not earlier.follows(there, parquet.parsed(made)):
             out.append(f"{name}: does not follow from the blocks; run the study again to have it made anew.")
     return out

@@ -17,7 +17,7 @@ from pcbench.study.cells import Cell
 from pcbench.study.labels import label_of
 from pcbench.study.read import Described, one_cell
 from pcbench.study.references import absolute
-from pcbench.synthesis.certificate import Design
+from pcbench.synthesis.certificate import Design, is_certified
 
 FEW = 6  # entries of an array that a row of a trade-off shows
 NOTHING = 1e-15  # of an array's size: 0
@@ -54,13 +54,19 @@ def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str
         found_again = {k: v for k, v in chosen.items() if k not in _way_of(cell.entry(observer))} | numbers
         chosen = _proven_again(study, cell, observer, found_again) or chosen
     c = found.certificate
-    proof = {"inequality": c.inequality, "margin": _finite(c.margin), "solver": c.solver, "status": c.status}
-    proof |= {"fallback": c.fallback, "decay_rate": _finite(c.rate)}
+    proof: dict[str, Any] = {
+        "inequality": c.inequality,
+        "margin": _finite(c.margin),
+        "solver": c.solver,
+        "status": c.status,
+    }
+    proof |= {"fallback": c.fallback, "decay_rate": _finite(c.rate), "certified": is_certified(c._asdict())}
     raw = absolute(study.model_dump(exclude_none=True, exclude_defaults=True))
     given = {k: v for k, v in raw.get("options", {}).items() if k != observer}
     raw["name"] = study.name if study.name.endswith(f"-{observer}") else f"{study.name}-{observer}"
     options_table = {"options": given | {observer: chosen}} if given or chosen else {}
-    return {k: v for k, v in raw.items() if k != "options"} | options_table | {"resolved": {"certificate": proof}}
+    said = {"resolved": {"certificate": {k: v for k, v in proof.items() if v is not None}}}
+    return {k: v for k, v in raw.items() if k != "options"} | options_table | said
 
 
 def to_toml(written: dict[str, Any]) -> str:
@@ -80,7 +86,8 @@ def trade_off(
     """Return a row for each value of one option of a design: what is promised there, or why it is refused.
 
     Columns: the option, `rate` [1/s] of the decay promised (NaN: none), `margin`, `solver`, `fallback`, `refused` (empty: it
-    stands), and the certificate's numbers, small arrays entry by entry. Raises UserError where every value is refused.
+    stands), `certified` (see `certificate.is_certified`), and the certificate's numbers, small arrays entry by entry. Raises
+    UserError where every value is refused.
     """
     study, cell = one_cell(scenario, [observer], overrides or [])
     observer = label_of(observer)
@@ -94,14 +101,14 @@ def trade_off(
             "margin": np.nan,
             "solver": "",
             "fallback": "",
+            "certified": None,
             "refused": "",
         }
         try:
             with process.float64():
                 c = design(_changed(study, observer, {name: value}), observer, method=method)[2].certificate
-            row |= {"rate": c.rate, "margin": c.margin, "solver": c.solver, "fallback": c.fallback} | _entries(
-                c.numbers
-            )
+            row |= {"rate": c.rate, "margin": c.margin, "solver": c.solver, "fallback": c.fallback}
+            row |= {"certified": is_certified(c._asdict())} | _entries(c.numbers)
         except UserError as error:
             reasons.append(error)
             row["refused"] = str(error)

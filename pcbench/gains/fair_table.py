@@ -22,8 +22,9 @@ def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How
 
     One row per cell and version: `training` and `held_out` are means of the objective (of a pooled one the root of the mean
     square) with their standard errors, `gap` is held_out less training, `efficiency` the bound over tail_pooled_rmse on the
-    study's seeds with its interval, NaN where there is no bound; `note` says where a start was kept, and why. With `out` the
-    table stands there as fair.parquet, and the training runs in out/training. `how` is that of the study's own runs.
+    study's seeds with its interval, NaN where there is no bound; `certified` is that of stats; `note` says where a start was
+    kept, and why. With `out` the table stands there as fair.parquet, and the training runs in out/training. `how` is that of
+    the study's own runs.
     """
     if made.aim is None:
         return result
@@ -52,7 +53,7 @@ def table(versions: list[Version], aim: Objective, training: pd.DataFrame, held_
                 | {"training": a["mean"], "training_se": a["se"], "held_out": b["mean"], "held_out_se": b["se"]}
                 | {"gap": b["mean"] - a["mean"], "gap_se": float(np.hypot(a["se"], b["se"])), "diverged": b["diverged"]}
                 | {"efficiency": share["mean"], "efficiency_low": share["ci_low"], "efficiency_high": share["ci_high"]}
-                | {"note": v.note}
+                | {"certified": b["certified"], "note": v.note}
             )
     return pd.DataFrame(rows)
 

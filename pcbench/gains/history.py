@@ -131,6 +131,7 @@ def finish(target: store.Target, about: str, tuned: Any) -> None:
     """Write what was found: a study that can be run, and under [resolved.tuning] how it came about."""
     said = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
     said |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judged]}
+    said |= {} if tuned.certified is None else {"certified": tuned.certified}
     store.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
 
 

@@ -25,7 +25,7 @@ from pcbench.study.as_toml import digest
 from pcbench.study.cells import Cell
 from pcbench.study.labels import label_of
 from pcbench.study.references import absolute
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.synthesis.certificate import Design, Setting, is_certified
 
 BUDGET = 60
 TRAINING = counted(3_000_000_000, 256)  # no study of the usual seeds meets them
@@ -48,6 +48,9 @@ class Tuning(NamedTuple):
     points: list[Evaluation]
     method: str
     objective: Objective
+    certified: bool | None = (
+        None  # whether something proves the gains chosen; None: there are none, or an earlier release
+    )
 
 
 def tune(
@@ -107,6 +110,7 @@ def tune(
         progress.note("judging on other seeds")
         judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
         kept = against(judged)
+        chosen = parameters.put(options, every, start if kept else np.array(trials.best.at))
         tuned = Tuning(
             study=_study(study, observer, {} if kept else found),
             start=parameters.written(every, start),
@@ -116,6 +120,7 @@ def tune(
             points=trials.points,
             method=how,
             objective=aim,
+            certified=is_certified(entry.design(known, chosen).certificate._asdict()),
         )
         history.finish(target, whole, tuned)
         return tuned

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
 from pcbench.protocols import Arrival, Leaf, Now, Observer
-from pcbench.synthesis.certificate import Certificate, Design, Setting
+from pcbench.synthesis.certificate import NO_GAIN, Certificate, Design, Setting
 
 
 class Gains(NamedTuple):
@@ -67,4 +67,4 @@ def design(setting: Setting, options: Options) -> Design:
     """Discretise the model exactly; there is no gain to prove."""
     Phi, Gamma = linear.one_tick(setting.model, setting.dt)
     gains = Gains(Phi, Gamma, setting.model.A, setting.model.B)
-    return Design(gains, Certificate("none: no gain", float("inf"), "none", "not needed", {"Phi": Phi}))
+    return Design(gains, Certificate(NO_GAIN, float("inf"), "none", "not needed", {"Phi": Phi}))

@@ -50,7 +50,8 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
         if observer != order[0] and diverges_more(ranked.loc[order[0]], ranked.loc[observer]):
             against = "diverges more often"
         lost = row.loc["divergence"]
-        cells = [observer, wording.interval(row.loc[metric]), "not surely different" if against == "=" else against]
+        name = wording.marked(observer, [row.loc[metric].certified])
+        cells = [name, wording.interval(row.loc[metric]), "not surely different" if against == "=" else against]
         cells += [wording.interval(row.loc[m]) if m in row.index else "-" for m in beside]
         cells += ["none" if lost["mean"] == 0 else wording.fraction(lost)]
         rows.append({"cells": cells, "colour": look[observer].colour, "best": observer == order[0]})
@@ -77,7 +78,8 @@ def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.D
     for observer, mine in part.groupby("observer", sort=False):
         share = 100 * mine.diverged.sum() / max((mine.n + mine.diverged).sum(), 1)
         median = f"{np.nanmedian(mine['mean']):.4g}" if mine["mean"].notna().any() else "-"
-        cells = [str(observer), str(wins.get(observer, 0)), median, "none" if not share else f"{share:.3g} %"]
+        name = wording.marked(str(observer), mine.certified)
+        cells = [name, str(wins.get(observer, 0)), median, "none" if not share else f"{share:.3g} %"]
         rank = {"wins": int(wins.get(observer, 0)), "median": float(mine["mean"].median())}
         rows.append({"cells": cells, "colour": look[str(observer)].colour, "best": False} | rank)
     rows.sort(key=lambda row: (-row["wins"], row["median"]))

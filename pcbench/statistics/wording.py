@@ -4,6 +4,7 @@
 mean that cannot be negative does when runs are few, its ends stand instead: `0.0047 (0.0011 .. 0.020)`.
 """
 
+from collections.abc import Iterable
 from math import floor, isfinite, isnan, log10
 from typing import Any
 
@@ -11,7 +12,14 @@ import pandas as pd
 
 ROUNDING = 1e-11  # a value below it is rounding of 0, and stands as that
 EXACT = 1e-6  # an interval narrower than this part of its value is not written: six digits stand
+MARK = " *"  # behind the name of an observer whose gains nothing proves
+UNPROVEN = "* Nothing proves"  # with which the sentence below a table begins
 LEAN = 1.25  # an interval leans where one side is longer than the other by more
+
+
+def marked(observer: str, certified: Iterable[Any]) -> str:
+    """Return an observer's name, with a mark where nothing proves its gains in one of some cells; None and NaN are unknown."""
+    return observer + MARK if any(each in (False,) for each in certified) else observer
 
 
 def interval(row: Any) -> str:

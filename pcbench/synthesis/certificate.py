@@ -1,6 +1,6 @@
 """The record of a proof of a gain: the inequality, its margin, the solver. Each theorem's `certify` does the check in float64.
 
-`certified` refuses a margin that is too small; `uncertified` is of gains that nothing proves.
+`certified` refuses a margin that is too small; `uncertified` is of gains that nothing proves; `is_certified` says which it is.
 """
 
 from collections.abc import Mapping
@@ -14,6 +14,7 @@ from pcbench.errors import DesignError, UserError
 
 SHORT = 1e-5  # part of a rate asked for that a proof may fall short of it: an optimum lies on the boundary
 UNCERTIFIED = "uncertified"  # a status
+NO_GAIN = "none: no gain"  # an inequality: there is nothing to prove
 NO_NOISE = 1e-12  # variance taken where a scenario has no measurement noise
 
 
@@ -99,6 +100,17 @@ def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certi
 def uncertified(why: str) -> Certificate:
     """Return the certificate of gains that nothing proves: tables and `design` say `why`."""
     return Certificate(inequality=f"none: {why}", margin=float("inf"), solver="none", status=UNCERTIFIED)
+
+
+def is_certified(fields: Mapping[str, Any]) -> bool | None:
+    """Say whether a certificate, as its fields by name, proves its gains; None: there are no gains.
+
+    A margin of infinity (in files: none) has proven nothing.
+    """
+    if fields["inequality"] == NO_GAIN:
+        return None
+    margin = fields["margin"]
+    return bool(fields["status"] != UNCERTIFIED and margin is not None and 0 < margin < float("inf"))
 
 
 def least_eigenvalue(M: np.ndarray) -> float:

@@ -1,17 +1,19 @@
 """What a person reads in the terminal: numbers with half their interval, signs, per cents, and counts of verdicts."""
 
 import io
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import pandas as pd
 import pytest
 from rich.console import Console
 
-from pcbench.cli.screen import claims, comparison, results
+from pcbench.cli.screen import claims, comparison, gains, results
 from pcbench.dataset.compare import Comparison
 from pcbench.reproduce.claim import FINDING, VERDICTS, Claim
 from pcbench.statistics import wording
 from pcbench.study import STUDIES, Study
+from pcbench.synthesis.certificate import Certificate, Design, uncertified
 
 NAN = float("nan")
 
@@ -108,6 +110,7 @@ def test_a_comparison_shows_both_sides_with_two_standard_errors():
         "p_value": 0.001,
     }
     one |= {"p_holm": 0.002, "same_draws": False, "changed": True, "identical": False}
+    one |= {"certified_a": None, "certified_b": True}
     rows = pd.DataFrame([one, one | {"observer": "still", "changed": False}])
     text = printed(comparison.comparison, Comparison(rows, (0, 3), ["versions.jax: 1 there, 2 here"]), "old", "new")
     assert "1 ± 0.4 m" in text
@@ -121,6 +124,35 @@ def test_a_comparison_shows_both_sides_with_two_standard_errors():
     assert "still" not in text
 
 
+def test_what_is_found_of_gains_that_nothing_proves_says_so():
+    proven = Certificate("radius < 1", 0.5, "poles", "solved")
+    for certificate in (uncertified("by hand"), proven):
+        known = {"certified": certificate is proven}
+        option = {"share": 0.1, "rate": NAN, "margin": 1.0, "solver": "none", "fallback": "", "refused": ""} | known
+        version = {"scenario": "s", "metric": "mae", "signal": "x", "unit": "m", "cell": 0, "observer": "mine"}
+        version |= {"tuning": "paper", "label": "mine", "note": "", "diverged": 0, **known}
+        version |= dict.fromkeys(
+            ("held_out", "held_out_se", "efficiency", "training", "training_se", "gap", "gap_se"), NAN
+        )
+        found = SimpleNamespace(
+            judged=[],
+            points=[],
+            method="search",
+            found={},
+            kept_start="",
+            objective=SimpleNamespace(metric="mae", base="mae", name="x"),
+            **known,
+        )
+        texts = [
+            printed(gains.gains, Design(None, certificate)),
+            printed(gains.trade_off, "mine in s", pd.DataFrame([option])),
+            printed(gains.tuned, found, "mine", None),
+            printed(gains.fair, pd.DataFrame([version])),
+        ]
+        assert [("Nothing proves" in text) for text in texts] == 4 * [certificate is not proven]
+        assert [("mine *" in text) for text in texts[2:]] == 2 * [certificate is not proven]
+
+
 def stats(**means):
     """Rows of a closing table for two cells of one scenario."""
     metrics = ("mae", "pooled_rmse", "tail_pooled_rmse", "settling_time", "divergence")
@@ -132,6 +164,7 @@ def stats(**means):
                 rows.append(
                     {"study": "t", "scenario": "cart/white", "plant": "cart", "observer": observer, "cell": cell}
                     | {"delay": 0.2 + cell, "signal": "position", "unit": "m", "carries_input": None, "metric": metric}
+                    | {"certified": None}
                     | row(value, value - 0.01, value + 0.01, n=10 - lost, diverged=lost, p50=mean)
                 )
     return pd.DataFrame(rows)

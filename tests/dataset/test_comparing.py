@@ -107,6 +107,7 @@ def frame(**columns):
     """Matched rows as `judged` takes them."""
     one = {"scenario": "s", "where_a": "", "observer": "o", "signal": "x", "metric": "mae", "unit_a": "m"}
     one |= {"draws_a": "0", "draws_b": "0", "narrowed_a": False, "n_a": 9, "n_b": 9, "bits_a": b"", "bits_b": b""}
+    one |= {"certified_a": None, "certified_b": None}
     return pd.DataFrame([one | {k: v[i] for k, v in columns.items()} for i in range(len(columns["mean_a"]))])
 
 

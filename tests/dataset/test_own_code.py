@@ -12,14 +12,21 @@ from small_study import tables
 import pcbench
 from pcbench.dataset import merge, store, verify
 from pcbench.dataset.compare import compare
+from pcbench.report import page
+from pcbench.study import read
 
 SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
 STUDY = {"name": "mine", "scenarios": ["cart/slow"], "observers": ["mine.py:nudge", "kfbo"], "seeds": 16}
 
 
+def marking(text, folder):
+    return f"{text}\nopen({str(folder / 'mark')!r}, 'a').close()\n"
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    shutil.copy(SOURCE, tmp_path / "mine.py")
+    """A folder with an observer whose code leaves a mark wherever it is run, the copy of a dataset too."""
+    (tmp_path / "mine.py").write_text(marking(SOURCE.read_text(), tmp_path))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -30,30 +37,37 @@ def out(here):
     return here / "out"
 
 
-def forget():
-    """Be as another process: no module of the user's own is loaded."""
+def forget(here):
+    """Be as another process: no module of the user's own is loaded, and none has been run."""
+    (here / "mark").unlink()
     for name in [name for name in sys.modules if name.startswith("mine_")]:
         del sys.modules[name]
 
 
-def test_it_keeps_the_code_and_is_read_without_it(here, out):
+def test_it_keeps_the_code_and_runs_none_of_it_to_be_read(here, out):
     (copy,) = (out / "code").rglob("*.py")
-    assert copy.read_bytes() == SOURCE.read_bytes()
+    assert copy.read_bytes() == (here / "mine.py").read_bytes()
     (here / "mine.py").unlink()
-    copy.rename(here / "aside.py")
-    forget()
+    forget(here)
+    assert page.write(out, here / "page.html")
     assert set(pcbench.opened(out).stats.observer) == {"nudge", "kfbo"}
     assert verify.status(out).closed
     assert compare(out, out).largest == 0
     merge.merge([out, out], here / "merged")
     assert tables(here / "merged")["stats.parquet"]
-    assert not [name for name in sys.modules if name.startswith("mine_")], "nothing of it was run"
+    assert not verify.verify(out, 0, 0).wrong
+    assert not (here / "mark").exists(), "nothing of it was run"
+    read.load(str(out / "study.toml"))
+    assert (here / "mark").exists(), "as a study file it is"
+    copy.unlink()
+    assert set(pcbench.opened(out).stats.observer) == {"nudge", "kfbo"}
 
 
 def test_it_comes_out_again_by_the_copy(here, out):
     (here / "mine.py").unlink()
-    forget()
+    forget(here)
     found = verify.verify(out, None, 0)
+    assert (here / "mark").exists()
     assert not found.wrong
     assert not found.differing
     assert len(found.recomputed) == 2
@@ -62,7 +76,7 @@ def test_it_comes_out_again_by_the_copy(here, out):
 def test_a_changed_copy_is_named(here, out):
     (copy,) = (out / "code").rglob("*.py")
     copy.write_text(copy.read_text() + "\n# more\n")
-    forget()
+    forget(here)
     with pytest.raises(pcbench.UserError, match=r"code/\w+/mine.py: is gone or changed"):
         verify.verify(out, None, 0)
 
@@ -80,7 +94,7 @@ def test_another_version_is_refused_with_what_changed(here, out):
 
 def test_it_grows_from_its_own_study_file(here, out):
     (here / "mine.py").unlink()
-    forget()
+    forget(here)
     assert len(pcbench.run(str(out / "study.toml"), seeds=24, out=out).runs.seed.unique()) == 24
 
 
@@ -107,16 +121,17 @@ def test_plants_and_laws_are_kept_likewise(here):
     loop = SOURCE.with_name("own_loop.py").read_text().replace("Options", "Gentle")
     entry = 'law = pcbench.ControllerEntry(options=Gentle, prepare=prepare, summary="PI", controller='
     loop = loop.replace("law = ", entry, 1).replace("params.m,\n)", "params.m,\n))")
-    (here / "mine.py").write_text(SOURCE.read_text() + loop)
+    (here / "mine.py").write_text(marking(SOURCE.read_text() + loop, here))
     pcbench.run(LOOP, out="out")
     before = tables(here / "out")
     kept = (here / "mine.py").rename(here / "aside.py")
-    forget()
+    forget(here)
+    assert page.write(here / "out", here / "page.html")
     opened = pcbench.opened("out")
     assert set(opened.stats.observer) == {"nudge", "dkf"}
     assert verify.status(here / "out").closed
     assert compare(here / "out", here / "out").largest == 0
-    assert not [name for name in sys.modules if name.startswith("mine_")], "nothing of it was run"
+    assert not (here / "mark").exists(), "nothing of it was run"
     found = verify.verify(here / "out", None, 0)
     assert (found.wrong, found.differing, len(found.recomputed)) == ([], [], 2)
     kept.rename(here / "mine.py")

@@ -35,6 +35,9 @@ PROMISES = {
 }  # no-delay diverges there, dkf's gain varies in time
 
 
+ALWAYS = ("rate", "margin", "solver", "fallback", "certified", "refused")  # columns of a trade-off
+
+
 def written(observer, scenario, **how):
     with process.float64():
         study, cell, found = design.design(scenario, observer, **how)
@@ -51,6 +54,8 @@ def test_every_design_says_what_it_promises_and_can_be_read_back(observer, tmp_p
     path = tmp_path / "design.toml"
     path.write_text(design.to_toml(table))
     proof = tomllib.loads(path.read_text())["resolved"]["certificate"]
+    proven = proof.pop("certified", None)
+    assert proven == {"open-loop": None, "ekf": False, "high-gain": False}.get(observer, True), "in the files as well"
     assert set(proof) == {"inequality", "margin", "solver", "status", "fallback", "decay_rate"}
     again = pcbench.design(path, observer)
     same(found, again)
@@ -93,7 +98,7 @@ def test_a_design_that_is_read_back_promises_nearly_the_decay_that_was_asked_and
 
 def test_a_trade_off_shows_gains_and_noise_and_not_what_proves_them():
     table = pcbench.trade_off("cart/gaussian", "pccebo", "q", [0.01, 1.0], method="riccati")
-    numbers = [name for name in table.columns if name not in ("q", "rate", "margin", "solver", "fallback", "refused")]
+    numbers = [name for name in table.columns if name not in ("q", *ALWAYS)]
     assert [name for name in numbers if not name.startswith("eigenvalues")] == [
         "L[0]",
         "L[1]",

@@ -28,7 +28,9 @@ ROWS = {  # what each prints, and how often
         "reader, duckdb: ": 3,
         "reader, polars: ": 3,
     },
+    "own_code": {"here, ": 2, "workers, ": 2},
 }
+DEAR = {"own_code"}  # two more processes: of it the part that needs none is run by default
 FAST = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"  # compiling is most of it
 
 
@@ -36,13 +38,21 @@ def test_every_script_is_run_here():
     assert {p.stem for p in FOLDER.glob("*.py")} - HELPERS == set(ROWS)
 
 
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize("name", [n if n not in DEAR else pytest.param(n, marks=pytest.mark.slow) for n in ROWS])
 def test_a_benchmark_runs_whole_in_its_small_form(name):
+    says(name, ROWS[name])
+
+
+def test_an_observer_of_a_users_file_leaves_the_bits_of_the_one_built_in():
+    says("own_code", {"here, ": 2}, "--only", "here")
+
+
+def says(name, rows, *more):
     environment = {**os.environ, "XLA_FLAGS": FAST}
-    command = [sys.executable, str(FOLDER / f"{name}.py"), "--small"]
+    command = [sys.executable, str(FOLDER / f"{name}.py"), "--small", *more]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=FOLDER.parent)
     assert done.returncode == 0, done.stderr
-    for words, many in ROWS[name].items():
+    for words, many in rows.items():
         assert sum(words in line for line in done.stdout.splitlines()) >= many, (words, done.stdout)
 
 
@@ -71,3 +81,20 @@ def test_random_schedules_refuses_runs_that_are_not_random(script):
         names["check"]([a, a])
     with pytest.raises(SystemExit, match="not finite"):
         names["check"]([a, b._replace(errors=np.array([1.0, np.inf]))])
+
+
+def test_own_code_refuses_other_bits_and_another_speed(script, capsys):
+    names = script("own_code")
+    turn, seconds = names["Turn"], iter(range(1, 100))
+
+    def way(left, factor):
+        return lambda: turn(left, (float(next(seconds)), factor))
+
+    took = names["alternating"]("same", way([np.ones(3)], 1.0), way([np.ones(3)], 1.01), 4)
+    np.testing.assert_array_equal(took[0], [[3, 4], [6, 5], [7, 8], [10, 9]])  # A B, B A, ...
+    names["said"]("like", took, False)
+    assert "within a pair 1.010 (1.010 .. 1.010)" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match=r"got a ratio of 1.040 .. 1.040, expected 1 within 0.03"):
+        names["said"]("slower", np.stack([took[1], took[1] * [1.0, 1.04 / 1.01]]), False)
+    with pytest.raises(SystemExit, match="got other bits"):
+        names["alternating"]("other", way([np.ones(3)], 1.0), way([np.ones(3) * (1 + 1e-15)], 1.0), 1)

@@ -92,13 +92,15 @@ def test_an_unknown_input_is_said_likewise_and_its_unit_is_the_signals():
     assert stats[stats.metric == "recovery_time"]["mean"].notna().any(), "it is known where the input jumps"
 
 
-def test_a_trace_says_the_unit_of_the_input(tmp_path):
+def test_a_trace_says_the_unit_of_the_input_and_whether_gains_are_certified(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(tomli_w.dumps(study(input=[SINE | {"unit": "V"}, "sine"])))
     call("trace", str(path), "--observer", "dkf", "--out", str(tmp_path / "t.parquet"))
     schema = pq.read_schema(tmp_path / "t.parquet")
     said = [schema.field(name).metadata[b"unit"].decode() for name in ("u1", "u2")]
     assert said == ["V", "unit of the input"]
+    proven = [field.metadata.get(b"certified") for field in schema if field.name.startswith("dkf.")]
+    assert set(proven) == {b"true"}
 
 
 @pytest.mark.parametrize(

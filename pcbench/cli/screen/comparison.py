@@ -8,6 +8,7 @@ from rich.console import Console
 
 from pcbench.cli.screen.tables import titled
 from pcbench.dataset.compare import Comparison
+from pcbench.statistics.wording import UNPROVEN, marked
 
 LONGEST = 40  # rows; the rest is counted
 
@@ -49,9 +50,12 @@ def _rows(rows: pd.DataFrame, title: str, console: Console) -> None:
     for r in records:
         sides = [_mean(r[f"mean_{side}"], r[f"se_{side}"], r["unit"]) for side in "ab"]
         p = "no spread" if np.isnan(r["p_holm"]) else f"{r['p_holm']:.1e}"
-        words = (r["scenario"], r["where"], r["observer"], r["signal"], r["metric"])
+        observer = marked(r["observer"], [r["certified_a"], r["certified_b"]])
+        words = (r["scenario"], r["where"], observer, r["signal"], r["metric"])
         table.add_row(*words, *sides, f"{r['difference']:+.3g}", p)
     console.print(table)
+    if rows[["certified_a", "certified_b"]].isin([False]).to_numpy().any():
+        console.print(f"{UNPROVEN} its gains.", highlight=False)
 
 
 def _mean(mean: float, se: float, unit: str) -> str:

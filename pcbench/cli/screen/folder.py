@@ -4,6 +4,7 @@ from rich.console import Console
 
 from pcbench.cli.screen.tables import titled
 from pcbench.dataset.verify import Status, Verdict
+from pcbench.statistics.wording import UNPROVEN, marked
 
 
 def status(found: Status, folder: str, console: Console) -> None:
@@ -13,8 +14,11 @@ def status(found: Status, folder: str, console: Console) -> None:
         table.add_column(head, justify="left" if head in ("scenario", "observer") else "right")
     for s in found.shares:
         share = f"{100 * min(s.seeds / s.wanted, 1):.3g} %" if s.wanted else "-"
-        table.add_row(s.scenario, s.observer, str(s.cells), str(s.blocks), f"{s.seeds:,}", f"{s.wanted:,}", share)
+        name = marked(s.observer, [s.certified])
+        table.add_row(s.scenario, name, str(s.cells), str(s.blocks), f"{s.seeds:,}", f"{s.wanted:,}", share)
     console.print(table)
+    if any(s.certified is False for s in found.shares):
+        console.print(f"{UNPROVEN} its gains.", highlight=False)
     for what, names in (("damaged", found.damaged), ("doubled", found.doubled)):
         for name in names:
             console.print(f"{what}: {name}", highlight=False, markup=False, soft_wrap=True)

@@ -1,5 +1,6 @@
 """Gains with what proves them, what a faster decay costs, what a tuning found, and what the checks of a user's own say."""
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,8 @@ from rich.markup import escape
 
 from pcbench.checking.finding import Finding
 from pcbench.cli.screen.tables import Column, printed, titled
-from pcbench.statistics.wording import estimate
-from pcbench.synthesis.certificate import Design
+from pcbench.statistics.wording import UNPROVEN, estimate, marked
+from pcbench.synthesis.certificate import Design, is_certified
 
 
 def gains(design: Design, console: Console) -> None:
@@ -20,6 +21,8 @@ def gains(design: Design, console: Console) -> None:
     console.print(
         f"certificate: {c.inequality}\nmargin {c.margin:.6g}, solver {c.solver}, status {c.status}", markup=False
     )
+    if is_certified(c._asdict()) is False:
+        console.print(f"{UNPROVEN.removeprefix('* ')} these gains.", style="bold")
     if c.fallback:
         console.print(f"a fallback: {c.fallback}", markup=False)
     promise = f"at {c.rate:.6g} per second or faster" if np.isfinite(c.rate) else "at no rate that is promised"
@@ -33,7 +36,7 @@ def trade_off(title: str, table: pd.DataFrame, console: Console) -> None:
     """Print a trade-off: the option, what is promised, and the other numbers that it changes."""
     fixed = [table.columns[0], "rate", "margin", "solver"]
     moving = [c for c in table.columns if c not in (*fixed, "fallback", "refused") and table[c].nunique() > 1]
-    shown = titled(title)
+    shown = titled(marked(title, table.certified))
     for head in (*fixed, *moving):
         shown.add_column(head + (" [1/s]" if head == "rate" else ""), justify="right")
     stands = table[table.refused == ""]
@@ -43,6 +46,7 @@ def trade_off(title: str, table: pd.DataFrame, console: Console) -> None:
     if len(stands) > 1 and not moving and stands.rate.nunique() <= 1:
         text = f"{fixed[0]} changes nothing here: the gains are not found from it; name a --method that does."
         console.print(text, highlight=False)
+    _say_what_is_unproven(table.certified, console)
     for row in table[table.refused != ""].to_dict("records"):
         console.print(f"{fixed[0]} = {row[fixed[0]]}: {row['refused']}", highlight=False, markup=False)
     for row in stands[stands.fallback != ""].to_dict("records"):
@@ -67,8 +71,9 @@ def tuned(found: Any, observer: str, folder: str | None, console: Console) -> No
         Column("tuned - start", [_mean(j.difference, j.difference_se, "+") for j in judged]),
         Column("diverged", [f"{j.diverged[0]} -> {j.diverged[1]}" for j in judged], spare=1),
     ]
-    title = f"{observer}: {what} of {aim.name}, {len(found.points)} points by {found.method}"
-    printed(title, columns, console)
+    name = marked(observer, [found.certified])
+    printed(f"{name}: {what} of {aim.name}, {len(found.points)} points by {found.method}", columns, console)
+    _say_what_is_unproven([found.certified], console)
     for name, value in found.found.items():
         console.print(f"{name} = {_short(value)}   (start: {_short(found.start[name])})", highlight=False, markup=False)
     if found.kept_start:
@@ -83,7 +88,8 @@ def fair(table: pd.DataFrame, console: Console) -> None:
     title = "{scenario}: {metric} of {signal} [{unit}], on training runs and on others".format(**rows[0])
     columns = [Column("cell", [str(r["cell"]) for r in rows])] if table.cell.nunique() > 1 else []
     columns += [
-        Column(head, [r[key] for r in rows], left=True) for head, key in (("observer",) * 2, ("gains", "tuning"))
+        Column("observer", [marked(r["observer"], [r["certified"]]) for r in rows], left=True),
+        Column("gains", [r["tuning"] for r in rows], left=True),
     ]
     columns += [
         Column("held out", [_mean(r["held_out"], r["held_out_se"]) for r in rows]),
@@ -94,8 +100,15 @@ def fair(table: pd.DataFrame, console: Console) -> None:
     if table.diverged.any():
         columns.append(Column("diverged", [str(r["diverged"]) for r in rows]))
     printed(title, columns, console)
+    _say_what_is_unproven(table.certified, console)
     for label, note in dict.fromkeys((row["label"], row["note"]) for row in rows if row["note"]):
         console.print(f"{label}: the start is kept: {note}.", highlight=False)
+
+
+def _say_what_is_unproven(certified: Iterable[Any], console: Console) -> None:
+    """Say what the mark behind a name means, where one stands."""
+    if marked("", certified):
+        console.print(f"{UNPROVEN} its gains.", highlight=False)
 
 
 def _mean(value: float, se: float, sign: str = "") -> str:

@@ -12,7 +12,7 @@ from pcbench.dataset.result import Result
 from pcbench.plants import settles_alone
 from pcbench.scenarios import Scenario
 from pcbench.statistics.winning import winner
-from pcbench.statistics.wording import difference, fraction, interval
+from pcbench.statistics.wording import difference, fraction, interval, marked
 from pcbench.study import scenarios_of
 
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
@@ -130,7 +130,8 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
             best = observer == order[0]
             for axis in axes:
                 values[axis].append(_axis(cell[axis].iloc[0]) if best else "")
-            values["observer"].append(f"[bold]{observer}[/bold]" if best else observer)
+            name = marked(observer, [wide.loc[(observer, metric), "certified"]])
+            values["observer"].append(f"[bold]{name}[/bold]" if best else name)
             values[metric].append(interval(wide.loc[observer, metric]))
             values[LESS].append("" if best else difference(met, observer, order[0]))
             for name in beside:
@@ -185,7 +186,7 @@ def _counted(shown: View, console: Console) -> list[str]:
     order = sorted(each, key=lambda item: (-won.get(item[0], 0), np.nan_to_num(item[1]["mean"].median(), nan=np.inf)))
     unit = unit_of(metric, part.unit.iloc[0])
     columns = [
-        Column("observer", [str(name) for name, _ in order], left=True),
+        Column("observer", [marked(str(name), mine.certified) for name, mine in order], left=True),
         Column("cells won", [str(won.get(name, 0)) for name, _ in order]),
         Column(f"median {metric} [{unit}]", [f"{mine['mean'].median():.4g}" for _, mine in order]),
     ]
