@@ -32,6 +32,8 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
     `scenario` is what it is tried on: a published one, a study file or MODULE:NAME with one. `options` are an observer's or a
     controller's, numbers of a plant, or changes of a study by key. Raises UserError where something is not there.
     """
+    if scenario is not None:
+        _require_name(scenario)
     with process.float64():
         kind, given = kind_of(target), dict(options or {})
         label = target.rpartition(":")[2]
@@ -47,24 +49,23 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
         if kind == "plant":
             s = _of_plant(target, label, scenario, given)
             return Checked(kind, label, s.name if scenario else "", plant.findings(label, s))
-        s = _scenario(scenario or DEFAULT)
+        s = read.scenario_of(scenario or DEFAULT)
         if kind == "observer":
             return Checked(kind, label, s.name, observer.findings(load(target, given), s))
         mine = own_entries.load("controller", target, WHERE)
         return Checked(kind, label, s.name, controller.findings(label, mine, s, given))
 
 
-def _scenario(name: str) -> Scenario:
-    """The one scenario that a name, a study file or MODULE:NAME says."""
+def _require_name(name: str) -> None:
+    """Raise UserError where a word can name no scenario, before any code is run."""
     if not (own.is_reference(name) or name.endswith(".toml") or name in STUDIES or name in SCENARIOS):
         raise unknown(f"{WHERE} --scenario", "scenario", name, SCENARIOS)
-    return read.scenario_of(name)
 
 
 def _of_plant(target: str, label: str, name: str | None, numbers: dict[str, Any]) -> Scenario:
     """A scenario of a plant of a user's own, with some of its numbers changed."""
     mine = own_entries.load("plant", target, WHERE)
-    s = plant_trial.alone(label, mine.entry, {"own": {"plant": mine}}) if name is None else _scenario(name)
+    s = plant_trial.alone(label, mine.entry, {"own": {"plant": mine}}) if name is None else read.scenario_of(name)
     there = s.own.get("plant")
     if there is None or (there.code.name, there.code.digest) != (mine.code.name, mine.code.digest):
         raise UserError(

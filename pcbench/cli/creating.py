@@ -1,5 +1,6 @@
 """The command that writes files to start from: an observer, a plant, a controller or a scenario of one's own."""
 
+import os
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -37,7 +38,7 @@ def new(
         raise UserError(f"new {kind}: got '{short(name)}', expected a name of letters, digits and _; write another.")
     paths = [Path(name + suffix) for suffix in FILES[kind]]
     for path in paths:
-        if path.exists():
+        if os.path.exists(path):  # unlike the path's own, it answers for a name that is too long
             raise UserError(f"new {kind}: {path} is there already, expected a new file; give another name.")
     for path in paths:
         try:

@@ -71,7 +71,7 @@ BAD_MODULES = {
     "a library that is not here": ("import own_observer_x\n", "ModuleNotFoundError", "bad.py line 1"),
     "it stops": ("raise SystemExit(0)\n", "SystemExit", "bad.py line 1"),
     "no design": ("from own import nudge\n", "without a function design", "write it beside"),
-    "not an observer": ("nudge = 3\n", "got a int", "expected a pcbench.Observer"),
+    "not an observer": ("nudge = 3\n", "got a int called nudge", "expected an observer (a pcbench.Observer"),
     "options without defaults": (
         "from own import *\nclass Options(BaseModel):\n    share: float\n", "option share: Field required", "--set"
     ),
@@ -88,11 +88,11 @@ def test_a_module_that_cannot_be_used_is_one_sentence(folder, name):
 
 
 BAD_WORDS = {
-    "no colon": (["mine.py"], "expected MODULE:OBSERVER"),
+    "no colon": (["mine.py"], "expected MODULE:NAME such as mine.py:nudge, or a study file"),
     "no file": (["mime.py:nudge"], "did you mean 'mine.py'?"),
     "no module": (["pcbench.observers.dfk:OBSERVER"], "did you mean 'pcbench.observers.dkf'?"),
     "no scenario": (["mine:nudge", "--scenario", "cart/whit"], "did you mean 'cart/white'?"),
-    "no value": (["mine:nudge", "--set", "share"], "expected OPTION=VALUE"),
+    "no value": (["mine:nudge", "--set", "share"], "expected KEY=VALUE"),
 }
 
 

@@ -47,13 +47,6 @@ class Params(NamedTuple):
     every: Any  # the same in ticks
 
 
-class Kept(NamedTuple):
-    """What it keeps from tick to tick."""
-
-    u: Array  # [m] the last command
-    integral: Array  # of the error of the first state
-
-
 def prepare(options: Options, told: pcbench.Told) -> Params:
     """Find the numbers. `told` has the linear model, dt [s], the names of the states, `late` (ticks to the plant)."""
     every, (Phi, Gamma) = told.every(options.period), told.tick  # one tick: x -> Phi x + Gamma u
@@ -80,22 +73,22 @@ def before(params: Params, tick: Array, estimate: Array) -> Array:
     return jnp.zeros(len(params.K))
 
 
-def start(params: Params, estimate: Array) -> Kept:
-    """Return what is kept before tick 0."""
-    return Kept(jnp.zeros(len(params.K)), jnp.zeros(()))
+def start(params: Params, estimate: Array) -> Any:
+    """Return what is kept before tick 0: the last command, and the integral of the first state's error."""
+    return jnp.zeros(len(params.K)), jnp.zeros(())
 
 
-def command(params: Params, now: pcbench.Now, estimate: Array, coming: Any, kept: Kept) -> tuple[Array, Kept]:
+def command(params: Params, now: pcbench.Now, estimate: Array, coming: Any, kept: Any) -> tuple[Array, Any]:
     """Return the command, and what is kept. coming(i) is the input that acts i ticks on, as far as it is decided."""
     x = estimate[: params.K.shape[1]]  # an observer may estimate unknown inputs too: they stand behind the states
     off = x.at[0].add(-params.aim)
-    integral = kept.integral - params.T * off[0]
+    integral = kept[1] - params.T * off[0]
     free = -params.K @ off - params.Ki * integral
     u = jnp.clip(free, -params.limit, params.limit)
-    new = Kept(u, jnp.where(jnp.all(u == free), integral, kept.integral))  # at its limit it does not wind up
+    new = u, jnp.where(jnp.all(u == free), integral, kept[1])  # at its limit it does not wind up
     decides = now.tick % params.every == 0  # between decisions the command is held
     after = jax.tree.map(lambda a, b: jnp.where(decides, a, b), new, kept)
-    return after.u, after
+    return after[0], after
 
 
 NAME = pcbench.Controller(target, before, command, start)
