@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli import checking, creating, datasets, lists, observers, papers, reports, runs, tuning
+from pcbench.cli import checking, creating, datasets, lists, observers, papers, reports, runs, sufficing, tuning
 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
@@ -13,6 +13,7 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "new": (creating.new, "a file to start from: an observer or a scenario of your own"),
     "run": (runs.run, "run a study, and leave its tables in a folder"),
     "report": (reports.report, "one HTML page of the results, or figures"),
+    "suffices": (sufficing.suffices, "the largest period, delay, noise that keeps an error small"),
     "trace": (runs.trace, "one run tick by tick, as a file"),
     "status": (datasets.status, "how far a study is, and whether it is whole"),
     "verify": (datasets.verify, "check every file, compute some runs again"),

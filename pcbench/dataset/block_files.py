@@ -115,7 +115,7 @@ def digest(table: pa.Table, said: dict[str, Any]) -> str:
     """Return the digest of what a block says of itself and of its numbers, to the bit; words have their pages' checksums."""
     out = hashlib.sha256(json.dumps({k: v for k, v in said.items() if k != "digest"}, sort_keys=True).encode())
     for field, column in zip(table.schema, table.columns, strict=True):
-        kind = str(field.type).replace("list<element:", "list<item:")  # Parquet's name for what is in a list, and arrow's
+        kind = str(field.type).replace("list<element:", "list<item:")  # Parquet's word for it, and arrow's
         out.update(f"{field.name}:{kind}:{column.null_count}".encode())
         if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
             out.update(np.ascontiguousarray(column.to_numpy()).tobytes())

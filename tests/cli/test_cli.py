@@ -215,6 +215,7 @@ def test_commands_stand_in_the_order_of_work_and_no_line_is_cut():
         "new",
         "run",
         "report",
+        "suffices",
         "trace",
         "status",
         "verify",
