@@ -227,6 +227,8 @@ def test_every_option_that_the_readme_names_exists():
         "reproduce",
         "report",
         "suffices",
+        "tables",
+        "cite",
         "check",
         "show",
     ):
