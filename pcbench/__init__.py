@@ -35,6 +35,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.study.interop import lti as lti
     from pcbench.study.interop import to_control as to_control
     from pcbench.study.interop import to_scipy as to_scipy
+    from pcbench.sufficing.asking import suffices as suffices
     from pcbench.synthesis.certificate import Certificate as Certificate
     from pcbench.synthesis.certificate import Design as Design
     from pcbench.synthesis.certificate import Setting as Setting
@@ -49,6 +50,7 @@ _LAZY = {
     "design": "api",
     "trade_off": "gains.design",
     "tune": "gains.tune",
+    "suffices": "sufficing.asking",
     "opened": "dataset.result",
     "Result": "dataset.result",
     "lti": "study.interop",

@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli import checking, creating, datasets, lists, observers, papers, reports, runs, tuning
+from pcbench.cli import checking, creating, datasets, lists, observers, papers, reports, runs, sufficing, tables, tuning
 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
@@ -13,6 +13,8 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "new": (creating.new, "a file to start from: an observer, plant, controller, scenario"),
     "run": (runs.run, "run a study, and leave its tables in a folder"),
     "report": (reports.report, "one HTML page of the results, or figures"),
+    "tables": (tables.tables, "tables for a paper, as LaTeX, Markdown or CSV"),
+    "suffices": (sufficing.suffices, "the largest period, delay, noise that keeps an error small"),
     "trace": (runs.trace, "one run tick by tick, as a file"),
     "status": (datasets.status, "how far a study is, and whether it is whole"),
     "verify": (datasets.verify, "check every file, compute some runs again"),
@@ -21,6 +23,7 @@ ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fi
     "design": (observers.design, "find gains and prove them"),
     "tune": (tuning.tune, "tune gains on some seeds, judge on others"),
     "check": (checking.check, "check what is your own: observer, plant, controller, study"),
+    "cite": (tables.cite, "BibTeX of what a study used"),
     "reproduce": (papers.reproduce, "what five papers print, against what comes out"),
 }
 NAMES = {"help_option_names": ["-h", "--help"]}

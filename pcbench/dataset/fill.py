@@ -58,10 +58,13 @@ def added(a: Cost, b: Cost) -> Cost:
     return Cost(a.runs + b.runs, a.writing_seconds + b.writing_seconds, {**a.compiled, **b.compiled})
 
 
-def everything(owned: Owned, there: list[Block]) -> SeedsOf:
-    """Return the seeds that a study names and, of a cell, those that any observer has beyond them: all are to have the same."""
+def everything(owned: Owned, there: list[Block], more: Mapping[str, int] = MappingProxyType({})) -> SeedsOf:
+    """Return the seeds that a study names and, of a cell, those that any observer has beyond them: all are to have the same.
+
+    `more` says how many a cell, by its digest, is to have at least.
+    """
     named = counted(owned.study.first_seed, owned.study.seeds)
-    stops: dict[tuple[str, int], int] = {}
+    stops = {c.key: named.first + max(more[c.digest], named.many) for c in owned.cells if c.digest in more}
     for b in there:
         stops[b.scenario, b.cell] = max(stops.get((b.scenario, b.cell), named.stop), b.seeds.stop)
     return lambda cell: Seeds(named.first, stops.get(cell.key, named.stop))
@@ -70,7 +73,9 @@ def everything(owned: Owned, there: list[Block]) -> SeedsOf:
 def whole(target: store.Target, owned: Owned, say: Callable[[str], None]) -> list[Block]:
     """Return the blocks that stand and are whole; damaged and doubled ones are named and removed."""
     digests = ownership.digests(owned)
-    known = {cell.scenario.name: cell.options.keys() for cell in owned.cells}
+    known: dict[str, set[str]] = {}
+    for cell in owned.cells:
+        known.setdefault(cell.scenario.name, set()).update(cell.options)
     there = block_files.present(target)
     for b in there:
         if (b.scenario, b.cell) not in digests or b.observer not in known[b.scenario]:

@@ -1,11 +1,12 @@
 """Running a study whose every option is known: its blocks, its closing tables, and what it took."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from pathlib import Path
 from time import perf_counter
+from types import MappingProxyType
 from typing import NamedTuple
 
 from pcbench.dataset import block_files, executors, fill, ownership, precision, store, summary
@@ -31,6 +32,7 @@ class How(NamedTuple):
     memory: str | int | None = None
     progress: Progress = SILENT
     say: Say = lambda sentence: None
+    more: Mapping[str, int] = MappingProxyType({})  # seeds that cells are to have at least, by digest
 
     def checked(self) -> "How":
         """Return it; raise UserError for a value that is none, before any work."""
@@ -57,7 +59,8 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
         there = [] if owned.fresh else fill.whole(target, owned, say)
-        cost = fill.fill(target, owned, there, run_tasks, fill.everything(owned, there), sizes, how.progress)
+        wanted = fill.everything(owned, there, how.more)
+        cost = fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress)
         for wanted in precision.rounds(goal, target, owned, say):
             there = block_files.settled(block_files.present(target))
             cost = fill.added(cost, fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress))

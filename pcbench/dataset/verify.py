@@ -16,6 +16,7 @@ from pcbench.dataset.seeds import Seeds
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.study.as_toml import digest
+from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import is_certified
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
@@ -132,10 +133,16 @@ def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:
     for b in chosen:
         by.setdefault((b.scenario, b.cell), {}).setdefault(b.seeds, []).append(b.observer)
     room = padding.needed(planning.drafts(owned.cells, ()))
-    for draft in planning.drafts(owned.cells, by):
+    for draft in planning.drafts([_asked(cell, by.get(cell.key, {})) for cell in owned.cells], by):
         for seeds, observers in by[draft.cell.key].items() if draft.labels else ():
             if labels := tuple(label for label in draft.labels if label in observers):
                 yield task.Task(padding.fitted(draft, room), ((seeds, labels),))
+
+
+def _asked(cell: Cell, by: dict[Seeds, list[str]]) -> Cell:
+    """A cell with the observers that are computed again: another may have no gains there (`sufficing`)."""
+    asked = {label for labels in by.values() for label in labels}
+    return cell._replace(options={o: given for o, given in cell.options.items() if o in asked})
 
 
 def _compared(target: store.Target, work: task.Work, one: task.Task, hold: task.Hold) -> tuple[int, list[str]]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import tomli_w
 
-from pcbench.study import Study, choices_of, scenarios_of
+from pcbench.study import Study, choices_of, observers_of, scenarios_of
 from pcbench.study.cells import Cell, numbering
 from pcbench.study.own_plants import facts
 from pcbench.study.references import Named, named_in, renamed
@@ -16,11 +16,13 @@ def resolved(study: Study, every: list[Cell]) -> dict[str, Any]:
     """Return everything that decides the numbers, for `study.toml` and its hash."""
     known = scenarios_of(study)
     options: dict[str, Any] = {"scenario": choices_of(study).model_dump(exclude_none=True)}
-    for cell in every:
-        if (name := cell.scenario.name) not in options:
-            options[name] = {o: given.model_dump(exclude_none=True) for o, given in cell.options.items()}
+    given = {s: dict[str, Any]() for s in study.scenarios}
+    for cell in every:  # one may be without an observer that cannot work there
+        mine = given[cell.scenario.name]
+        mine |= {o: each.model_dump(exclude_none=True) for o, each in cell.options.items() if o not in mine}
+    options |= {s: mine for s, mine in given.items() if s not in options}
     scenarios = {s: _without_null(json.loads(json.dumps(known[s].flat(), default=dict))) for s in study.scenarios}
-    ran_by = {s: list(options[s]) for s in study.scenarios}
+    ran_by = {s: [o for o in observers_of(study, s) if o in options[s]] for s in study.scenarios}
     said = {"options": options, "scenarios": scenarios, "observers": ran_by, "cells": numbering(every)}
     owned = {each: study._own[each.key] for each in named_in(study.model_dump(exclude_none=True))}
     if owned:

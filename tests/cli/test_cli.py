@@ -215,6 +215,8 @@ def test_commands_stand_in_the_order_of_work_and_no_line_is_cut():
         "new",
         "run",
         "report",
+        "tables",
+        "suffices",
         "trace",
         "status",
         "verify",
@@ -223,6 +225,7 @@ def test_commands_stand_in_the_order_of_work_and_no_line_is_cut():
         "design",
         "tune",
         "check",
+        "cite",
         "reproduce",
     ]
     assert said.count("...") == 1, "of the usage"

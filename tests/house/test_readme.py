@@ -85,6 +85,28 @@ def test_there_is_a_longest_period_of_the_motors_camera_that_suffices(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_longest_period_of_the_motors_camera_is_found(tmp_path):
+    path = tmp_path / "motor.toml"
+    path.write_text(next(b for b in blocks("toml") if '"motor"' in b))
+    how = {"signal": "angle", "metric": "tail_pooled_rmse", "overrides": ["axes.plant.input_bias=0.0"]}
+    found = pcbench.suffices(path, over="sampling_period[0]", below=0.014, between=(0.04, 0.32), **how)
+    found = found.set_index("observer")
+    assert 0.08 <= found.largest["dkf"] < found.exceeds["dkf"] <= 0.16
+    assert found.answer["open-loop"] == "no value"
+
+
+@pytest.mark.slow
+def test_the_answer_shown_is_the_one_that_comes_out(tmp_path):
+    found = pcbench.suffices("cart/white", over="sampling_period", below=0.15, observers=["dkf", "pccebo"])
+    (shown,) = [b for b in blocks("text") if b.startswith("cart/white: tail_rmse of position below")]
+    for row, line in zip(found.to_dict("records"), shown.split("─\n")[1].splitlines(), strict=True):
+        ends = [wording.estimate(row["exceeds_mean"], row["exceeds_ci_low"], row["exceeds_ci_high"])]
+        ends += [f" {row['exceeds']:g} "] + ([f" {row['largest']:g} "] if row["answer"] == "up to" else [" none "])
+        assert all(end in line for end in ends)
+        assert line.split()[0] == row["observer"]
+
+
+@pytest.mark.slow
 def test_tuning_finds_the_motors_noise_by_channel_from_ten_times_wrong(tmp_path):
     """The two ratios of R to the current's Q, within 10 %: on 128 runs they scatter by a third of that."""
     (text,) = [b for b in blocks("toml") if '"motor"' in b]
@@ -204,6 +226,9 @@ def test_every_option_that_the_readme_names_exists():
         "tune",
         "reproduce",
         "report",
+        "suffices",
+        "tables",
+        "cite",
         "check",
         "show",
     ):

@@ -1,0 +1,81 @@
+"""The command that answers what suffices."""
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pcbench.cli.shared import RANKS, AsJson, Quiet, Set, console, names, out, say, setup
+from pcbench.cli.stopping import stoppable
+
+
+def suffices(
+    study: Annotated[str, typer.Argument(help="a study of one scenario, a scenario or a TOML file")],
+    below: Annotated[float, typer.Option(help="the limit, in the unit of the metric")],
+    over: Annotated[
+        str, typer.Option(metavar="AXIS", help="sampling_period, delay[0], plant.lam ...: pcbench list axes")
+    ],
+    metric: Annotated[str, typer.Option(help="what is to stay below: pcbench list metrics")] = RANKS,
+    signal: Annotated[str | None, typer.Option(help="of which signal [default: the first of a closing table]")] = None,
+    between: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            "--range", metavar="LOW HIGH", help="where to search [default: as the study or the scenario suggests]"
+        ),
+    ] = None,
+    within: Annotated[
+        float | None, typer.Option(help="how precisely, in the axis' unit [default: 5 % of the value]")
+    ] = None,
+    seeds: Annotated[int | None, typer.Option(help="noise seeds for each value")] = None,
+    max_seeds: Annotated[
+        int | None, typer.Option(help="of a value whose interval holds the limit [default: 16 times the study's]")
+    ] = None,
+    observers: Annotated[str | None, typer.Option(help="comma-separated names")] = None,
+    changes: Set = None,
+    folder: Annotated[
+        str | None, out("folder or URI for all that is run; asked again, it goes on [default: results/STUDY-AXIS]")
+    ] = None,
+    fresh: Annotated[bool, typer.Option("--fresh", help="remove what stands there, and start over")] = False,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Find the largest period, delay, loss ... at which an error surely stays below a limit, for each observer.
+
+    Example: pcbench suffices cart/white --below 0.1 --over sampling_period
+    """
+    setup()
+    from pcbench.cli.screen import sufficing
+    from pcbench.cli.screen.json import readable
+    from pcbench.cli.screen.progress import bar
+    from pcbench.study import read
+    from pcbench.sufficing import asking
+
+    name = read.described(read.raw_of(study, changes or []), study).name
+    into = str(Path("results") / re.sub(r"[^\w.+-]+", "-", f"{name}-{over}").strip("-")) if folder is None else folder
+    with bar(quiet or as_json, "designing gains") as progress:
+        table = asking.suffices(
+            study,
+            over=over,
+            below=below,
+            metric=metric,
+            signal=signal,
+            between=between,
+            within=within,
+            seeds=seeds,
+            max_seeds=max_seeds,
+            observers=None if observers is None else names(observers),
+            out=into,
+            overrides=changes,
+            fresh=fresh,
+            progress=stoppable(progress),
+            say=say,
+        )
+    if as_json:
+        print(readable(table.attrs | {"answers": table.to_dict("records")}))
+    elif quiet:
+        print(into)
+    else:
+        screen = console()
+        sufficing.answers(table, screen)
+        screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)

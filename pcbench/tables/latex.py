@@ -1,0 +1,121 @@
+"""Tables in LaTeX, with booktabs and siunitx, or with neither."""
+
+import re
+
+from pcbench.tables.layout import LEAST, SURELY, Entry, Head, Table
+
+NEEDS = r"% needs \usepackage{booktabs, siunitx}"
+SPECIAL = {
+    "_": r"\_",
+    "%": r"\%",
+    "&": r"\&",
+    "#": r"\#",
+    "$": r"\$",
+    "^": r"\textasciicircum{}",
+    "~": r"\textasciitilde{}",
+}
+LETTERS = {"±": r"$\pm$", "²": r"\textsuperscript{2}"}
+SYMBOLS = {"degC": (r"\degreeCelsius", r"^\circ\mathrm{C}"), "%": (r"\percent", r"\%")}  # with siunitx, and without
+ESTIMATE = re.compile(r"\(?(?P<value>[-+\d.e]+?)(?: ± (?P<half>[\d.]+|\?)\)?)?(?:e(?P<power>[-+]\d+))?")
+LEANING = re.compile(r"(?P<value>\S+) \((?P<low>\S+) \.\. (?P<high>\S+)\)")
+NUMBER = re.compile(r"([-+]?[\d.]+)(?:e([-+]?\d+))?")
+
+
+def latex(tables: list[Table], plain: bool = False) -> str:
+    """Return tables as LaTeX; `plain` with no package but LaTeX's own."""
+    return "\n".join([*([] if plain else [NEEDS, ""]), *(_table(t, plain) for t in tables)])
+
+
+def _table(t: Table, plain: bool) -> str:
+    top, middle, bottom = (r"\hline",) * 3 if plain else (r"\toprule", r"\midrule", r"\bottomrule")
+    heads = " & ".join(_head(h, plain) for h in [*t.stub, *t.heads])
+    lines = [
+        r"\begin{table}",
+        r"\centering",
+        rf"\caption{{{_text('. '.join([t.about, ' '.join(t.notes)]))}}}",
+        rf"\label{{tab:{_label(t)}}}",
+        *([] if plain else [r"\sisetup{separate-uncertainty = true, detect-all}"]),
+        rf"\begin{{tabular}}{{{'l' * len(t.stub)}{'r' * len(t.heads)}}}",
+        top,
+        *_over(t, plain),
+        rf"{heads} \\",
+        middle,
+        *(rf"{' & '.join([*map(_text, words), *(_entry(e, plain) for e in each)])} \\" for words, each in t.rows),
+        bottom,
+        r"\end{tabular}",
+        r"\end{table}",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _over(t: Table, plain: bool) -> list[str]:
+    """The line above the heads that says whose values they are."""
+    if not t.over:
+        return []
+    first, many = len(t.stub) + 1, len(t.heads)
+    rule = rf"{first}-{first + many - 1}"
+    line = rf"{'& ' * len(t.stub)}\multicolumn{{{many}}}{{c}}{{{_head(t.over, plain)}}} \\"
+    return [line, rf"\cline{{{rule}}}" if plain else rf"\cmidrule(lr){{{rule}}}"]
+
+
+def _label(t: Table) -> str:
+    return re.sub(r"[^\w-]+", "-", "-".join(filter(None, (t.scenario, t.signal))))
+
+
+def _head(h: Head, plain: bool) -> str:
+    if not h.unit or h.unit == "1":
+        return _text(h.text)
+    with_siunitx, without = SYMBOLS.get(h.unit) or (_power(h.unit), rf"\mathrm{{{_power(h.unit)}}}")
+    return f"{_text(h.text)} [{f'${without}$' if plain else _unit(with_siunitx)}]"
+
+
+def _unit(text: str) -> str:
+    return rf"\unit{{{text}}}"
+
+
+def _power(unit: str) -> str:
+    """A unit with its exponents in braces: more than one digit is one exponent."""
+    return re.sub(r"\^(-?\d+)", r"^{\1}", unit.replace("*", r" "))
+
+
+def _text(words: str) -> str:
+    return "".join((SPECIAL | LETTERS).get(c, c) for c in words)
+
+
+def _entry(entry: Entry | None, plain: bool) -> str:
+    if entry is None:
+        return "--"
+    text = _estimate(entry.text, plain)
+    if entry.best == SURELY:
+        text = rf"{{\boldmath\bfseries {text}}}"
+    elif entry.best == LEAST:
+        text = rf"\textit{{{text}}}"
+    return text + (r"\textsuperscript{\dag}" if entry.lost else "")
+
+
+def _estimate(text: str, plain: bool) -> str:
+    """An estimate as `wording` writes it, in LaTeX."""
+    if leaning := LEANING.fullmatch(text):
+        value, low, high = (_number(leaning[k], plain) for k in ("value", "low", "high"))
+        return f"{value} ({low} to {high})"
+    found = ESTIMATE.fullmatch(text)
+    if not found:
+        return "--"
+    half, power = found["half"], found["power"]
+    if half in (None, "?"):
+        return _number(text.removesuffix(" ± ?"), plain)
+    if plain:
+        both = rf"{found['value']} \pm {half}"
+        return f"$({both}) \\times 10^{{{int(power)}}}$" if power else f"${both}$"
+    return rf"\num{{{found['value']} \pm {half}{f' e{int(power)}' if power else ''}}}"
+
+
+def _number(text: str, plain: bool) -> str:
+    if not (found := NUMBER.fullmatch(text)):
+        return "--"
+    if not plain:
+        return rf"\num{{{text}}}"
+    if not found[2]:
+        return f"${text}$"
+    return rf"${found[1]} \times 10^{{{int(found[2])}}}$"

@@ -1,0 +1,52 @@
+"""Tables as Markdown, and as CSV: there a row an estimate, its numbers in full."""
+
+import csv
+import io
+
+from pcbench.dataset.columns import axes_of
+from pcbench.tables.layout import LEAST, SURELY, Entry, Head, Table
+
+MARKS = {SURELY: "**", LEAST: "*"}
+NUMBERS = ("n", "diverged", "mean", "ci_low", "ci_high")
+
+
+def markdown(tables: list[Table]) -> str:
+    """Return tables as Markdown."""
+    return "\n".join(_table(t) for t in tables)
+
+
+def _table(t: Table) -> str:
+    heads = [_head(h) for h in [*t.stub, *t.heads]]
+    lines = [
+        f"{t.about}{f', by {_head(t.over)}' if t.over else ''}. {' '.join(t.notes)}",
+        "",
+        f"| {' | '.join(heads)} |",
+        f"|{'|'.join([':---'] * len(t.stub) + ['---:'] * len(t.heads))}|",
+        *(f"| {' | '.join([*words, *map(_entry, each)])} |" for words, each in t.rows),
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _head(h: Head) -> str:
+    return f"{h.text} [{h.unit}]" if h.unit not in ("", "1") else h.text
+
+
+def _entry(entry: Entry | None) -> str:
+    if entry is None:
+        return "-"
+    mark = MARKS.get(entry.best, "")
+    return f"{mark}{entry.text}{mark}{' †' if entry.lost else ''}"
+
+
+def values(tables: list[Table]) -> str:
+    """Return tables as CSV."""
+    every = [e for t in tables for e in t.entries]
+    axes = list(dict.fromkeys(a for e in every for a in axes_of(e.row)))
+    names = ["scenario", "signal", "metric", "unit", *axes, "observer", *NUMBERS]
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([*names, "best"])
+    for e in every:
+        writer.writerow([*("" if e.row.get(n) != e.row.get(n) else e.row.get(n) for n in names), e.best])
+    return out.getvalue()

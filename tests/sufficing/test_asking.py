@@ -1,0 +1,226 @@
+"""What suffices, asked of runs: the answer stands in the tables of a study that goes on; a mistake is one sentence."""
+
+import numpy as np
+import pytest
+from commands import call
+
+import pcbench
+from pcbench.dataset import verify
+from pcbench.errors import DesignError, UserError
+from pcbench.planning import arrays
+from pcbench.scenarios import SCENARIOS
+from pcbench.study.cells import Cell
+from pcbench.study.raw import raw_of
+from pcbench.study.read import described
+from pcbench.sufficing import growing
+from pcbench.sufficing.axis import axis_of, scale_of
+from pcbench.sufficing.question import notes, question
+
+ASKED = {"over": "noise_std", "below": 0.2, "metric": "tail_rmse", "seeds": 16, "observers": ["dkf", "open-loop"]}
+BETWEEN = {"between": (0.05, 3.2), "within": 0.2, "max_seeds": 64}
+TWO_CLOCKS = """
+[lti]
+A = [[0.0, 1.0], [-1.0, -0.4]]
+B = [[0.0], [1.0]]
+C = [[1.0, 0.0], [0.0, 1.0]]
+sampling_period = [0.04, 0.02]
+delay = [0.06, 0.02]
+noise_std = [0.05, 0.1]
+process_std = [0.0, 0.02]
+tick = 0.02
+horizon = 2.0
+observers = ["dkf"]
+"""
+
+
+def refusals():
+    return growing.Refusals({}, {}, {})
+
+
+@pytest.fixture(scope="module")
+def asked(tmp_path_factory):
+    out = tmp_path_factory.mktemp("suffices") / "out"
+    return pcbench.suffices("cart/slow", out=out, **ASKED, **BETWEEN), out
+
+
+def test_the_answer_is_what_the_tables_say(asked):
+    """By NumPy, from the runs themselves: the mean over seeds, and Student's interval of its logarithm."""
+    table, out = asked
+    row = table.set_index("observer").loc["dkf"]
+    assert row.answer == "up to"
+    runs = pcbench.opened(out).runs
+    values = runs.tail_rmse[(runs.observer == "dkf") & (runs.signal == "position") & (runs.noise_std == row.largest)]
+    n, mean, t = len(values), values.mean(), {16: 2.131449545559323, 64: 1.998340542520746}
+    if n in t:
+        part = t[n] * values.std(ddof=1) / np.sqrt(n) / mean
+        assert row.ci_high == pytest.approx(mean * np.exp(part), rel=1e-10)
+    assert row["mean"] == pytest.approx(mean, rel=1e-12)
+    assert row.ci_high < 0.2 < row.exceeds_ci_low
+    assert row.largest < row.exceeds
+    stats = pcbench.opened(out).stats.query("metric == 'tail_rmse' and signal == 'position' and observer == 'dkf'")
+    sure = stats[(stats.ci_high < 0.2) & (stats.diverged == 0)].noise_std
+    assert row.largest == sure.max()
+    assert row["values"] == len(stats)
+    assert table.attrs["unit"] == "m"
+
+
+def test_what_is_left_is_a_study_like_any_other(asked):
+    _, out = asked
+    found = verify.verify(out, 1, 0)
+    assert (found.wrong, found.differing) == ([], [])
+    assert all(share.seeds == share.wanted for share in verify.status(out).shares)
+
+
+def test_asked_again_it_runs_nothing_and_of_another_limit_only_what_is_new(asked):
+    table, out = asked
+    before = {p: p.stat().st_mtime_ns for p in out.rglob("cell-*.parquet")}
+    again = pcbench.suffices("cart/slow", out=out, **ASKED, **BETWEEN)
+    assert again.equals(table)
+    assert {p: p.stat().st_mtime_ns for p in out.rglob("cell-*.parquet")} == before
+    other = pcbench.suffices("cart/slow", out=out, **ASKED | {"below": 0.5}, **BETWEEN)
+    assert other.largest[0] > table.largest[0]
+    assert before.items() <= {p: p.stat().st_mtime_ns for p in out.rglob("cell-*.parquet")}.items()
+
+
+def test_stopped_it_goes_on_to_the_same_answer(asked, tmp_path):
+    table, _ = asked
+
+    def stop(many):
+        raise KeyboardInterrupt
+
+    progress = pcbench.machine.progress.Progress(step=stop)
+    with pytest.raises(KeyboardInterrupt):
+        pcbench.suffices("cart/slow", out=tmp_path / "out", progress=progress, **ASKED, **BETWEEN)
+    assert list((tmp_path / "out").rglob("cell-*.parquet")), "what is finished stands"
+    done = pcbench.suffices("cart/slow", out=tmp_path / "out", **ASKED, **BETWEEN)
+    assert done.equals(table)
+
+
+def test_an_observer_without_gains_at_some_values_is_left_out_there(tmp_path, monkeypatch):
+    real = arrays._design
+
+    def picky(observer, cell: Cell, known, given):
+        if observer == "dkf" and cell.scenario.sampling.noise_std[0] > 1:
+            raise DesignError("cart/slow: dkf has no gains there.")
+        return real(observer, cell, known, given)
+
+    monkeypatch.setattr(arrays, "_design", picky)
+    how = {"between": (0.5, 2.0), "within": 1.0, "max_seeds": 4, "seeds": 4, "over": "noise_std", "below": 1e3}
+    table = pcbench.suffices("cart/slow", observers=["dkf", "open-loop"], out=tmp_path / "out", **how)
+    row = table.set_index("observer").loc["dkf"]
+    assert row.largest == 1.0
+    assert "no gains there" in row.said
+    assert table.set_index("observer").answer["open-loop"] == "every value"
+    assert verify.verify(tmp_path / "out", None, 0).differing == []
+    monkeypatch.setattr(growing, "_without_gains", lambda cell, o: "nothing works.")
+    with pytest.raises(UserError, match="nothing works"):
+        pcbench.suffices("cart/slow", observers=["dkf"], **how | {"between": (1.5, 2.0)})
+
+
+def asked_of(study, over):
+    raw = raw_of(study, [])
+    return question(described(raw, "x"), "x", over, "rmse", None, 0.1)
+
+
+def test_an_observer_that_cannot_be_run_over_the_axis_is_left_out_and_says_so():
+    q, why = (
+        asked_of({"name": "x", "scenarios": ["cart/slow"], "observers": ["kfbo", "dkf"]}, "delay_jitter"),
+        refusals(),
+    )
+    grid = growing._grid(q, [0.0, 0.2], why)
+    assert [list(cell.options) for cell in grid.cells] == [["dkf"], ["dkf"]]
+    assert grid.study.observers == ["dkf"]
+    assert "expected one constant delay" in why.observers["kfbo"]
+
+
+def test_a_value_at_which_the_scenario_does_not_fit_together_is_left_out():
+    q, why = asked_of("cart/slow", "jitter"), refusals()
+    assert [cell.scenario.sampling.jitter for cell in growing._grid(q, [0.1, 0.6], why).cells] == [0.1]
+    assert "half the shortest interval" in why.values[0.6]
+    with pytest.raises(UserError, match="half the shortest interval"):
+        growing._grid(q, [0.6], why)
+
+
+def test_one_of_several_channels_is_varied_and_the_others_stay(tmp_path):
+    path = tmp_path / "two.toml"
+    path.write_text(TWO_CLOCKS)
+    q = asked_of(path, "delay[0]")
+    cells = growing._grid(q, [0.02, 0.06], refusals()).cells
+    assert [cell.scenario.sampling.delay for cell in cells] == [(0.02, 0.02), (0.06, 0.02)]
+    assert list(growing._by_value(q, cells)) == [0.02, 0.06]
+    with pytest.raises(UserError, match=r"whose 2 numbers differ in lti .*write delay\[0\]"):
+        asked_of(path, "delay")
+
+
+@pytest.mark.parametrize(
+    ("over", "ends"),
+    [
+        ("sampling_period", (0.001, 1.75)),
+        ("delay", (0.0, 1.75)),
+        ("loss", (0.0, 0.9)),
+        ("noise_std", (0.06, 6.0)),
+        ("plant.lam", (122.0, 244.0)),
+        ("drift", (0.0, 2.0)),
+        ("jitter", (0.0, 0.099)),
+    ],
+)
+def test_a_scenario_suggests_where_to_search(over, ends):
+    s = SCENARIOS["cart/white"]
+    axis = axis_of(over, s, None, s.name)
+    assert scale_of(axis, s, None, None)[:2] == ends
+    assert scale_of(axis_of(over, s, [ends[0], ends[1]], s.name), s, None, None)[:2] == ends, (
+        "or the study's own values"
+    )
+
+
+BAD = {
+    "axis": ({"over": "sampling"}, "'sampling' is no axis of cart/slow; did you mean 'sampling_period'"),
+    "words": ({"over": "profile"}, "whose values are words"),
+    "no channel": ({"over": "loss[0]"}, "where loss is one number"),
+    "channel": ({"over": "delay[1]"}, "expected delay[0] to delay[0]"),
+    "metric": ({"metric": "rmsd"}, "'rmsd' is no metric to be kept below a limit; did you mean 'rmse'"),
+    "less is not better": ({"metric": "efficiency"}, "less is not better"),
+    "not of this scenario": ({"metric": "tracking_rmse"}, "tracking_rmse of position, which cart/slow does not have"),
+    "signal": ({"signal": "posision"}, "did you mean 'position'"),
+    "limit": ({"below": 0.0}, "--below: got 0, expected a number above 0"),
+    "no limit": ({"below": float("nan")}, "--below: got nan"),
+    "range": ({"between": (0.4, 0.2)}, "expected the lower end first; write --range 0.2 0.4"),
+    "half a tick": ({"over": "delay", "between": (0.0, 0.2005)}, "--range: got 0.2005 s, expected a whole number"),
+    "no range": (
+        {"over": "plant.input_bias", "between": None},
+        "--range: cart/slow suggests none for plant.input_bias",
+    ),
+    "precision": ({"over": "delay", "within": 1e-4, "between": None}, "at least a tick, 0.001 s"),
+    "budget": ({"max_seeds": 0}, "--max-seeds: got 0"),
+    "two scenarios": ({"study": "cart"}, "got 6 scenarios, expected one"),
+    "another axis": ({"overrides": ["axes.delay=[0.1,0.2]"]}, "axes.delay: got 2 values, expected one while noise_std"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_question_without_an_answer_is_one_sentence(name, tmp_path):
+    changes, said = BAD[name]
+    asked = {"study": "cart/slow", **ASKED, "seeds": 2, "between": (0.5, 1.0), "out": tmp_path / "out"} | changes
+    with pytest.raises(UserError) as caught:
+        pcbench.suffices(asked.pop("study"), **asked)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_where_a_plant_decays_by_itself_it_is_said(tmp_path):
+    path = tmp_path / "two.toml"
+    path.write_text(TWO_CLOCKS.replace("process_std = [0.0, 0.02]", ""))
+    assert "the model alone wins in the end" in notes(asked_of(path, "delay[0]"))[-1]
+    path.write_text(TWO_CLOCKS)
+    assert len(notes(asked_of(path, "delay[0]"))) == 1
+
+
+def test_the_command_shows_a_row_for_each_observer_and_where_it_stands(asked, tmp_path):
+    table, out = asked
+    words = ["--over", "noise_std", "--below", 0.2, "--seeds", 16, "--observers", "dkf,open-loop"]
+    words += ["--range", 0.05, 3.2, "--within", 0.2, "--max-seeds", 64, "--out", out]
+    done = call("suffices", "cart/slow", *words)
+    assert done.returncode == 0, done.stderr
+    assert f"{table.largest[0]:g}" in done.stdout
+    assert "cart/slow: tail_rmse of position below 0.2 m, over noise_std from 0.05 to 3.2" in done.stdout
+    assert f"pcbench report {out}" in done.stdout

@@ -1,0 +1,178 @@
+"""Tables for a paper say what the tables on disk say, to the right number of digits, and LaTeX takes them."""
+
+import csv
+import io
+import re
+import shutil
+import subprocess
+from itertools import pairwise
+
+import pandas as pd
+import pytest
+from commands import call
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.statistics import wording
+from pcbench.tables import latex, layout, text
+from pcbench.tables.layout import LEAST, SURELY, Entry, Head, Table
+
+
+@pytest.fixture(scope="module")
+def result(whole):
+    return pcbench.opened(whole)
+
+
+def row(mean, low, high, n=16, diverged=0, **more):
+    return {"mean": mean, "ci_low": low, "ci_high": high, "n": n, "diverged": diverged} | more
+
+
+def alone(*entries):
+    return Table(
+        "a/b", "", "a/b: x_y", [Head("observer")], [Head("p", "rad/s^2"), Head("q", "1")], [(["o_1"], [*entries])]
+    )
+
+
+def test_along_an_axis_a_row_is_an_observer_and_a_column_a_value(result):
+    (found,) = layout.tables(result, "tail_rmse")
+    assert [h.text for h in found.heads] == ["0.1", "0.5"]
+    assert (found.over.text, found.signal) == ("noise std", "position")
+    assert [words for words, _ in found.rows] == [["pccebo"], ["kfbo"]]
+    stats = result.stats.query("metric == 'tail_rmse' and signal == 'position'").set_index(["observer", "noise_std"])
+    for (observer,), each in found.rows:
+        for head, entry in zip(found.heads, each, strict=True):
+            assert entry.text == wording.interval(stats.loc[(observer, float(head.text))])
+
+
+def test_the_best_is_marked_surely_where_every_other_is_surely_worse(result):
+    (found,) = layout.tables(result, "tail_rmse")
+    stats = result.stats.query("metric == 'tail_rmse' and signal == 'position'")
+    for i, noise in enumerate((0.1, 0.5)):
+        least = stats[stats.noise_std == noise].sort_values("mean").observer.iloc[0]
+        marks = {words[0]: each[i].best for words, each in found.rows}
+        assert marks.pop(least) in (SURELY, LEAST)
+        assert set(marks.values()) == {""}
+        p = result.pairs.query("metric == 'tail_rmse' and signal == 'position'")
+        sure = p[p.noise_std == noise].p_holm.iloc[0] <= 0.05
+        assert (SURELY in {each[i].best for _, each in found.rows}) == sure
+
+
+def test_a_metric_that_is_not_compared_has_no_best(result):
+    (found,) = layout.tables(result, "efficiency")
+    assert {e.best for e in found.entries} == {""}
+
+
+def test_without_axes_a_column_is_a_signal_with_its_unit(result):
+    stats, pairs = result.stats, result.pairs
+
+    class One:
+        study = result.study
+
+    One.stats, One.pairs = stats[stats.cell == 0], pairs[pairs.cell == 0]
+    (found,) = layout.tables(One, "tail_rmse", [])
+    assert found.heads == [Head("position", "m"), Head("velocity", "m/s")]
+    assert "| observer | position [m] | velocity [m/s] |" in text.markdown([found])
+
+
+def test_along_more_axes_a_row_is_a_cell(result):
+    stats = result.stats.assign(delay=result.stats.cell.astype(float))
+
+    class Two:
+        study, pairs = result.study, result.pairs
+
+    Two.stats = stats
+    (found,) = layout.tables(Two, "tail_rmse")
+    assert [h.text for h in found.stub] == ["delay", "noise std"]
+    assert [h.text for h in found.heads] == ["pccebo", "kfbo"]
+    assert [words for words, _ in found.rows] == [["0", "0.1"], ["1", "0.5"]]
+
+
+LATEX = {
+    (0.12345, 0.1201, 0.1268): (r"\num{0.1235 \pm 0.0033}", r"$0.1235 \pm 0.0033$"),
+    (0.0047, 0.0011, 0.02): (r"\num{0.0047} (\num{0.0011} to \num{0.02})", r"$0.0047$ ($0.0011$ to $0.02$)"),
+    (123456789.0, 123400000.0, 123513578.0): (
+        r"\num{1.23457 \pm 0.00057 e8}",
+        r"$(1.23457 \pm 0.00057) \times 10^{8}$",
+    ),
+    (2e-7, 2e-7, 2e-7): (r"\num{2e-07}", r"$2 \times 10^{-7}$"),
+    (0.0, 0.0, 0.0): (r"\num{0}", "$0$"),
+    (1.5, float("nan"), float("nan")): (r"\num{1.5}", "$1.5$"),
+    (float("nan"),) * 3: ("--", "--"),
+}
+
+
+@pytest.mark.parametrize("numbers", LATEX)
+def test_an_estimate_in_latex_is_the_one_of_the_terminal(numbers):
+    with_siunitx, plain = LATEX[numbers]
+    entry = Entry(row(*numbers), "")
+    assert latex._entry(entry, False) == with_siunitx
+    assert latex._entry(entry, True) == plain
+
+
+def test_marks_units_and_special_letters_in_latex_and_markdown():
+    best, lost = Entry(row(1.0, 0.9, 1.1), SURELY), Entry(row(2.0, 1.9, 2.1, diverged=3), LEAST)
+    made = latex.latex([alone(best, lost)])
+    assert r"o\_1 & {\boldmath\bfseries \num{1.00 \pm 0.10}}" in made
+    assert r"\textit{\num{2.00 \pm 0.10}}\textsuperscript{\dag}" in made
+    assert r"p [\unit{rad/s^{2}}] & q \\" in made
+    assert r"x\_y" in made
+    assert "Dagger: some runs diverged" in made
+    assert "16 to 19 runs" in made
+    assert "| o_1 | **1.00 ± 0.10** | *2.00 ± 0.10* † |" in text.markdown([alone(best, lost)])
+    assert "siunitx" not in latex.latex([alone(best)], plain=True)
+    assert "unit" not in latex.latex([alone(best)], plain=True)
+
+
+def test_csv_holds_the_numbers_in_full(result):
+    found = pd.read_csv(io.StringIO(text.values(layout.tables(result, "tail_rmse", []))), keep_default_na=False)
+    want = result.stats.query("metric == 'tail_rmse'")
+    assert len(found) == len(want)
+    key = ["signal", "noise_std", "observer"]
+    for name in ("mean", "ci_low", "ci_high", "n"):
+        a, b = (frame.sort_values(key)[name].to_numpy(float) for frame in (found, want))
+        assert (abs(a - b) <= 1e-11).all(), "zero but for rounding stands as that"
+    assert next(csv.reader(io.StringIO(text.values([]))))[-1] == "best"
+
+
+def test_a_metric_that_is_none_is_one_sentence(result):
+    with pytest.raises(UserError, match="did you mean 'rmse'"):
+        layout.tables(result, "rmsd")
+
+
+def test_the_command_writes_the_form_that_its_file_says(whole, tmp_path):
+    for name, begins in (("t.tex", "% needs"), ("t.md", "cart/slow: tail_rmse"), ("t.csv", "scenario,signal,metric")):
+        done = call("tables", whole, "--out", tmp_path / name)
+        assert done.returncode == 0, done.stderr
+        assert (tmp_path / name).read_text().startswith(begins)
+    assert call("tables", whole, "--plain").stdout.startswith("\\begin{table}")
+    for words, said in (
+        (["--csv", "--latex"], "expected one form"),
+        (["--out", tmp_path / "t.doc"], "no form by its name"),
+    ):
+        done = call("tables", whole, *words)
+        assert done.returncode == 2
+        assert said in done.stderr
+
+
+def installed():
+    """Whether LaTeX with both packages is there."""
+    if not shutil.which("pdflatex") or not shutil.which("kpsewhich"):
+        return False
+    found = subprocess.run(["kpsewhich", "siunitx.sty", "booktabs.sty"], capture_output=True, text=True, check=False)
+    return len(found.stdout.split()) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not installed(), reason="there is no LaTeX with booktabs and siunitx")
+@pytest.mark.parametrize("plain", [False, True])
+def test_latex_takes_it(result, tmp_path, plain):
+    odd = [Entry(row(*numbers, diverged=1), mark) for numbers, mark in zip(LATEX, [SURELY, LEAST] * 4, strict=False)]
+    every = [*layout.tables(result, "tail_rmse", []), *(alone(a, b) for a, b in pairwise(odd))]
+    packages = "" if plain else re.sub("% needs ", "", latex.NEEDS)
+    body = latex.latex(every, plain)
+    (tmp_path / "t.tex").write_text(
+        f"\\documentclass{{article}}{packages}\n\\begin{{document}}\n{body}\\end{{document}}\n"
+    )
+    words = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "t.tex"]
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:]
