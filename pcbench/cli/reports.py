@@ -11,11 +11,18 @@ from pcbench.cli.stopping import stoppable
 def report(
     folder: Folder,
     file: Annotated[str | None, out("HTML file to write [default: report.html in the folder]")] = None,
-    figures: Annotated[
-        str | None, typer.Option(help="folder for the pictures as SVG and PNG, in place of the page")
-    ] = None,
+    figures: Annotated[str | None, typer.Option(help="folder for the pictures as files, in place of the page")] = None,
+    kinds: Annotated[str, typer.Option(help="of --figures, with commas: svg, pdf, png")] = "svg,pdf,png",
+    width: Annotated[float, typer.Option(help="of --figures: inches of a column")] = 3.75,
+    size: Annotated[float, typer.Option(help="of --figures: points of text")] = 9.0,
+    font: Annotated[str, typer.Option(help="of --figures: its family")] = "DejaVu Sans",
     metric: Metric = RANKS,
     signal: Signals = None,
+    cell: Annotated[
+        int | None,
+        typer.Option(help="at which pictures stand: number in stats.parquet [default: the one that tells most]"),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="of the run shown in time [default: the study's first]")] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make one HTML page of a study's results that opens anywhere, or its pictures as files.
@@ -26,20 +33,25 @@ def report(
     from pcbench import statistics
     from pcbench.cli.screen.progress import bar
     from pcbench.machine import process
+    from pcbench.plots import Paper
+    from pcbench.report.pictures import Shown
 
     statistics.compared(metric, "--metric")
     where = f"{folder.rstrip('/')}/report.html" if file is None else file
+    shown = Shown(metric=metric, signals=chosen(signal), cell=cell, seed=seed)
     with process.float64(), bar(quiet) as drawn:
         progress = stoppable(drawn)
         if figures is not None:
             from pcbench.dataset.result import opened
             from pcbench.report import figures as pictures
 
-            names = pictures.write(opened(folder), figures, progress, metric, chosen(signal))
-            where, said = figures, f"{len(names)} figures as SVG and PNG in {figures}"
+            known = pictures.kinds_of(kinds)
+            paper = Paper(width, size, font).checked()
+            made = pictures.write(opened(folder), figures, progress, shown._replace(paper=paper), known)
+            where, said = figures, f"{len(made)} figures as {', '.join(k.upper() for k in known)} in {figures}"
         else:
             from pcbench.report import page
 
-            size = page.write(folder, where, progress, metric, chosen(signal))
-            said = f"{where}: one page of {size / 1e6:.1f} MB, which opens in any browser"
+            written = page.write(folder, where, progress, shown)
+            said = f"{where}: one page of {written / 1e6:.1f} MB, which opens in any browser"
     print(where if quiet else said)

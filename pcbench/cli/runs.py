@@ -73,9 +73,11 @@ def run(
         )
     if result.study.use:
         from pcbench.plots import one_run
+        from pcbench.report.pictures import Shown, cell_of
 
+        shown = Shown(metric=metric, signals=where)
         for scenario in result.study.scenarios:  # while the code of the user's own observers is at hand
-            one_run.of(result.study, scenario, into)
+            one_run.of(result.study, scenario, into, cell_of(result, scenario, shown))
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": asked.name, "out": into, "provenance": result.provenance, "stats": stats}

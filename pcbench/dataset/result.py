@@ -74,6 +74,29 @@ class Result:
         ordered = whole[first + [c for c in whole.columns if c not in first]]
         return ordered.sort_values([*first, "seed"], kind="stable", ignore_index=True)
 
+    @cached_property
+    def scenarios(self) -> list[str]:
+        """The scenarios that there are numbers of, in the study's order."""
+        return [str(name) for name in self.stats.scenario.unique()]
+
+    @cached_property
+    def _parts(self) -> tuple[dict[Any, pd.DataFrame], dict[Any, pd.DataFrame]]:
+        key = ["scenario", "signal"]
+        stats, pairs = self.stats.groupby(key, sort=False), self.pairs.groupby(key, sort=False)
+        return dict(iter(stats)), dict(iter(pairs))
+
+    def signals(self, scenario: str) -> list[str]:
+        """Return the signals of a scenario that there are numbers of, in their order."""
+        return [signal for name, signal in self._parts[0] if name == scenario]
+
+    def stats_of(self, scenario: str, signal: str) -> pd.DataFrame:
+        """Return the rows of `stats` of one signal."""
+        return self._parts[0][scenario, signal]
+
+    def pairs_of(self, scenario: str, signal: str) -> pd.DataFrame:
+        """Return the rows of `pairs` of one signal; none of one observer alone."""
+        return self._parts[1].get((scenario, signal), self.pairs.iloc[:0])
+
     def runs_of(self, scenario: str, metrics: list[str], cell: int) -> pd.DataFrame:
         """Return some metrics of the runs of one cell: observer (in the study's order), seed, signal, diverged, metrics."""
         here = (ds.field("scenario") == scenario) & (ds.field("cell") == cell)

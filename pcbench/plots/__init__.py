@@ -1,16 +1,22 @@
-"""Figures of a result, for notebooks and papers: each function returns a matplotlib Figure and shows nothing by itself.
+"""Figures of a result, for notebooks, papers and the page of `report`: functions that return a matplotlib Figure.
 
     result = pcbench.run("noise-map.toml")           # or pcbench.opened("results/noise-map")
     plots.distributions(result, metric="tail_rmse")
+    plots.curves(result, paper=plots.Paper(width=3.3, size=8, font="Times New Roman")).savefig("curve.pdf")
 
 `scenario` and `signal` may be left out: then the first scenario and its first headline signal are meant. Axes of a study that a
-figure does not show stand at their first value, or where `at` says. Intervals are 95 %. Errors are e = x - xhat.
-What each shows is found in `frames`; the page of `report` draws the same with Vega.
+figure does not show stand at their first value, or where `at` says. Intervals are 95 %. Errors are e = x - xhat. `paper` says
+how wide a column is [inches], and the size and font of text; `plots.save` writes SVG and PDF whose text is text. What each
+shows is found in `frames`.
 """
 
+from pcbench.plots.files import save
 from pcbench.plots.gains import fair, trade_off
-from pcbench.plots.lines import curves, distributions, time
+from pcbench.plots.lines import convergence, curves, distributions
 from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.palette import styles
+from pcbench.plots.sheet import Paper
+from pcbench.plots.time import time
 
-__all__ = ["curves", "distributions", "divergence", "fair", "heatmaps", "styles", "time", "trade_off", "winners"]
+__all__ = ["Paper", "convergence", "curves", "distributions", "divergence", "fair", "heatmaps", "save", "styles", "time",
+           "trade_off", "winners"]  # fmt: skip

@@ -8,22 +8,27 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from pcbench import statistics
 from pcbench.dataset.columns import AXIS_UNITS, axes_of
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
+from pcbench.plants import states_of
+from pcbench.plots import outputs, scales
 from pcbench.statistics import winning
+from pcbench.statistics.stack import SIGNED
 from pcbench.statistics.wording import ROUNDING
 from pcbench.study import scenarios_of
 
 METRIC = "tail_rmse"  # by which observers are ranked, unless said otherwise
+WORDY = 24  # letters of an axis' values, from which on it goes upwards
+FIRST = 4  # runs, of which the first interval is
 POINTS = 100  # of a distribution
-WIDE = 30.0  # values whose largest is so many times the least are drawn on a logarithmic axis
-ROOM = 0.35  # of the plant's range, above and below it
+ALIKE = 1e-9  # runs whose quantiles differ by a smaller part are one run
 
 
 def scenario_of(result: Result, scenario: str | None) -> str:
     """Return the scenario that is meant (None: the first); raise UserError for another word."""
-    names = list(dict.fromkeys(result.stats.scenario))
+    names = result.scenarios
     if scenario is not None and scenario not in names:
         raise unknown(f"study {result.study.name}", "scenario", scenario, names)
     return scenario or names[0]
@@ -31,7 +36,7 @@ def scenario_of(result: Result, scenario: str | None) -> str:
 
 def signals_by_default(result: Result, scenario: str) -> list[str]:
     """Return the signals that a scenario's pictures show by default."""
-    there = list(dict.fromkeys(result.stats.signal[result.stats.scenario == scenario]))
+    there = result.signals(scenario)
     chosen = [s for s in scenarios_of(result.study)[scenario].scoring.headline if s in there]
     return chosen or there[:1]
 
@@ -43,16 +48,21 @@ def chosen(result: Result, scenario: str, signals: list[str] | None) -> list[str
     """
     if signals is None:
         return signals_by_default(result, scenario)
-    every, there = set(result.stats.signal), list(dict.fromkeys(result.stats.signal[result.stats.scenario == scenario]))
+    every, there = {s for name in result.scenarios for s in result.signals(name)}, result.signals(scenario)
     for name in signals:
         if name not in every:
             raise unknown("--signal", "signal of the study", name, every)
     return [s for s in there if s in signals] if signals else there
 
 
+def ranked(result: Result, scenario: str, signals: list[str] | None, metric: str) -> list[str]:
+    """Return those of the `chosen` signals of a scenario that a metric ranks observers by."""
+    return [s for s in chosen(result, scenario, signals) if (result.stats_of(scenario, s).metric == metric).any()]
+
+
 def signal_of(result: Result, scenario: str, signal: str | None) -> str:
     """Return the signal that is meant (None: the first that is shown); raise UserError for another word."""
-    names = list(dict.fromkeys(result.stats.signal[result.stats.scenario == scenario]))
+    names = result.signals(scenario)
     if signal is not None and signal not in names:
         raise unknown(f"scenario {scenario}", "signal", signal, names)
     return signal or signals_by_default(result, scenario)[0]
@@ -61,10 +71,11 @@ def signal_of(result: Result, scenario: str, signal: str | None) -> str:
 def rows(result: Result, scenario: str | None, signal: str | None, metric: str) -> pd.DataFrame:
     """Return the rows of stats of one metric, with each varying axis as plain numbers or words."""
     scenario = scenario_of(result, scenario)
-    signal, stats = signal_of(result, scenario, signal), result.stats
-    if metric not in set(stats.metric):
-        raise unknown(f"study {result.study.name}", "metric", metric, sorted(set(stats.metric)))
-    part = stats[(stats.scenario == scenario) & (stats.signal == signal) & (stats.metric == metric)].copy()
+    stats = result.stats_of(scenario, signal_of(result, scenario, signal))
+    part = stats[stats.metric == metric].copy()
+    if not len(part):
+        known = set(result.stats.metric) if metric not in set(result.stats.metric) else set(stats.metric)
+        raise unknown(f"study {result.study.name}", "metric", metric, sorted(known))
     for name in axes_of(dict.fromkeys(part.columns)):
         part[name] = [plain(value) for value in part[name]]
     for name in ("mean", "ci_low", "ci_high", "p50"):
@@ -84,11 +95,27 @@ def varying(part: pd.DataFrame) -> list[str]:
     return [name for name in axes_of(dict.fromkeys(part.columns)) if part[name].nunique(dropna=False) > 1]
 
 
-def label(axis: str) -> str:
-    """Return an axis' title with its unit."""
-    unit = "s" if axis == "profile" else AXIS_UNITS.get(axis, "")
+def label(axis: str, units: dict[str, str] | None = None) -> str:
+    """Return an axis' title with its unit, by `units` of this scenario where it has one of its own."""
+    unit = (units or {}).get(axis) or AXIS_UNITS.get(axis, "")
     text = axis.removeprefix("plant.").replace("_", " ")
-    return f"{text} [{unit}]" if unit not in ("", "1") and axis != "profile" else text
+    return f"{text} [{unit}]" if unit not in ("", "1") else text
+
+
+def units(result: Result, part: pd.DataFrame) -> dict[str, str]:
+    """Return the units of a scenario's axes that depend on its plant: of noise, of process noise."""
+    scenario = scenarios_of(result.study)[part.scenario.iloc[0]]
+    states = [unit for _, unit in states_of(scenario)]
+    seen = outputs.units(scenario)
+    each = {"noise_std": seen, "process_std": states}
+    return {axis: ", ".join(dict.fromkeys(found)) for axis, found in each.items() if found and all(found)}
+
+
+def said(axis: str, value: Any) -> str:
+    """Return an axis' name with a value and its unit: "delay 0.2 s"."""
+    unit = AXIS_UNITS.get(axis, "")
+    text = f"{axis.removeprefix('plant.').replace('_', ' ')} {scales.word(value)}"
+    return f"{text} {unit}" if unit == "s" and not isinstance(value, str) else text
 
 
 def fixed(part: pd.DataFrame, free: list[str], at: dict[str, Any] | None = None) -> pd.DataFrame:
@@ -131,36 +158,78 @@ def distribution(
     return pd.concat(out, ignore_index=True) if out else pd.DataFrame({"observer": [], "value": [], "share": []})
 
 
-def winners(
+def convergence(
+    result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC, cell: int = 0
+) -> pd.DataFrame:
+    """Return observer, seeds, half: half the 95 % interval of the mean over the first so many runs, as a part of the mean.
+
+    The last row of an observer is of all its runs that did not diverge. A mean of 0, and runs that do not vary, have none.
+    """
+    scenario = scenario_of(result, scenario)
+    signal, runs = signal_of(result, scenario, signal), result.runs_of(scenario, [metric], cell)
+    runs, out = runs[(runs.signal == signal) & ~runs.diverged], []
+    estimate = statistics.mean if metric in SIGNED else statistics.size
+    for observer, values in runs.groupby("observer", sort=False)[metric]:
+        found = values.to_numpy(float)
+        found = found[np.isfinite(found)]
+        doubled = [FIRST * 2**i for i in range(40) if FIRST * 2**i < len(found)]
+        for many in [*doubled, *([len(found)] if len(found) >= FIRST else [])]:
+            e = estimate(found[:many])
+            if abs(e["mean"]) > ROUNDING and e["se"] > ALIKE * abs(e["mean"]):
+                out.append((observer, many, (e["ci_high"] - e["ci_low"]) / 2 / abs(e["mean"])))
+    return pd.DataFrame(out, columns=["observer", "seeds", "half"])
+
+
+def standings(
     result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC
 ) -> pd.DataFrame:
-    """Return for each cell its axes, the `winner` (see `statistics.winning`), its `mean`, and `text`."""
+    """Return for each cell its axes, the `winner` (empty where it is not sure), `best`, `alike`, `p`, `factor`, `mean`, `text`.
+
+    `best` has the least mean, `alike` names those it is not surely better than; see `statistics.winning.standing`.
+    """
     part = rows(result, scenario, signal, metric)
     scenario, signal = part.scenario.iloc[0], part.signal.iloc[0]
-    pairs = result.pairs
-    pairs = pairs[(pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == metric)]
-    out = []
+    pairs = result.pairs_of(scenario, signal)
+    pairs = pairs[pairs.metric == metric]
+    met, out = dict(iter(pairs.groupby("cell"))), []
     for cell, mine in part.groupby("cell", sort=False):
-        found = winning.winner(mine, pairs[pairs.cell == cell])
-        best = mine.sort_values(["diverged", "mean"], kind="stable").iloc[0]
+        found = winning.standing(mine, met.get(cell, pairs.iloc[:0]))
+        best = mine[mine.observer == found.order[0]].iloc[0]
+        lost = not np.isfinite(best["mean"])
         known = {name: best[name] for name in varying(part)}
-        text = found or ("tie" if np.isfinite(best["mean"]) else "all diverge")
-        out.append(known | {"cell": cell, "winner": found, "mean": best["mean"], "text": text})
+        text = found.winner or ("all diverge" if lost else "tie")
+        out.append(
+            known
+            | {"cell": cell, "winner": found.winner, "best": "" if lost else found.order[0], "alike": found.alike}
+            | {"p": found.p_value, "factor": found.factor, "mean": best["mean"], "text": text}
+        )
     return pd.DataFrame(out)
 
 
-def wide(values: pd.Series) -> bool:
-    """Say whether values are drawn on a logarithmic axis: all positive, over more than a decade and a half."""
-    found = values[np.isfinite(values)]
-    return bool(len(found) and found.min() > 0 and found.max() > WIDE * found.min())
+def telling(result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC) -> int:
+    """Return the number of the cell that tells most: where a sure winner is farthest ahead of the second; else the first."""
+    found = standings(result, scenario, signal, metric)
+    ahead = np.where(found.winner != "", np.nan_to_num(found.factor, nan=1.0, posinf=1.0), 1.0)
+    return int(found.cell.iloc[int(np.argmax(ahead))])
 
 
-def room(run: pd.DataFrame) -> tuple[float, float]:
-    """Return the ends of the axis of one run in time: plant and target, with room; what runs away leaves the picture."""
-    mine = run.value[run.kind.isin(["truth", "target"]) & np.isfinite(run.value)]
-    low, high = float(mine.min()), float(mine.max())
-    beyond = ROOM * (high - low) if high > low else 1.0
-    return low - beyond, high + beyond
+def map_axes(part: pd.DataFrame) -> tuple[str, str]:
+    """Return the two axes of a map, across and up: the first two that vary; of these the one with the longer words goes up."""
+    across, up = varying(part)[:2]
+    long = [sum(len(scales.word(v)) for v in dict.fromkeys(part[name])) for name in (across, up)]
+    return (up, across) if long[0] > max(long[1], WORDY) else (across, up)
+
+
+def values_at(part: pd.DataFrame, cell: int) -> dict[str, Any]:
+    """Return the values of the axes that vary, in one cell."""
+    here = part[part.cell == cell].iloc[0]
+    return {name: here[name] for name in varying(part)}
+
+
+def distributed(part: pd.DataFrame) -> bool:
+    """Say whether the runs of a frame of stats differ from one another at all: whether there is something distributed."""
+    spread = (part.p95 - part.p05).abs() > ALIKE * part.p95.abs()
+    return bool((spread & (part.n > 1)).any())
 
 
 def with_ends(table: pd.DataFrame) -> pd.DataFrame:

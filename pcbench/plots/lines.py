@@ -1,16 +1,21 @@
-"""Lines: how errors are distributed over runs, how a metric moves with one axis of a study, and one run in time."""
+"""Lines: how errors are distributed over runs, how a metric moves with one axis of a study, and what more seeds are worth."""
 
+from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+import pandas as pd
 from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
-from pcbench.plants import signals_of
-from pcbench.plots import frames, one_run
-from pcbench.plots.palette import MEASURED, PLANT, Style, styles
-from pcbench.plots.sheet import dress, legend, sheet, title_of, unit_of
-from pcbench.study import scenarios_of
+from pcbench.plots import frames, scales
+from pcbench.plots.palette import SOFT, Style, styles
+from pcbench.plots.sheet import PAPER, Key, Panel, Paper, drawn_on, sheet
+from pcbench.plots.words import about, title_of, unit_of
+
+APART = 0.012  # of an axis' length, between points of observers at one value
+FEW = 5  # points that are joined by a faint line only: between them nothing was computed
 
 
 def distributions(
@@ -20,22 +25,29 @@ def distributions(
     signal: str | None = None,
     metric: str = frames.METRIC,
     cell: int = 0,
+    paper: Paper = PAPER,
 ) -> Figure:
     """Return the empirical distribution of a metric over runs, a line for each observer; left is better.
 
-    `cell` is the number of the combination of axis values. Diverged runs are left out. Raises UserError for an unknown word.
+    `cell` is the number of the combination of axis values. An observer whose runs diverge ends below 1. Raises UserError for
+    an unknown word.
     """
     part = frames.distribution(result, scenario, signal, metric, cell)
     named = frames.rows(result, scenario, signal, metric)
-    figure, ((ax,),) = sheet()
-    look = styles(named.observer)
-    for observer, mine in part.groupby("observer", sort=False):
-        ax.step(mine.value, mine.share, where="post", label=observer, **_line(look[str(observer)]))
-    if frames.wide(part.value):
-        ax.set_xscale("log")
-    dress(ax, title_of(metric, named.signal.iloc[0], unit_of(named)), "share of runs", named.scenario.iloc[0])
-    ax.set_ylim(0, 1.02)
-    legend(figure, ax)
+    names = list(dict.fromkeys(named.observer))
+    x = scales.of(part.value, scales.is_wide(part.value))
+    y = scales.Scale(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0), ("0", "25 %", "50 %", "75 %", "100 %"))
+    title = title_of(metric, named.signal.iloc[0], unit_of(named))
+    keys = keys_of(names)
+    panel = Panel(x, y, title, "share of runs")
+    figure, (ax,) = sheet(paper, about(result, named, frames.values_at(named, cell)), [panel], keys)
+    with drawn_on(paper):
+        for key in keys:
+            mine = part[part.observer == key.label]
+            if len(mine):
+                start = pd.Series([mine.value.iloc[0]])
+                values, share = pd.concat([start, mine.value]), pd.concat([pd.Series([0.0]), mine.share])
+                ax.step(values, share, where="post", label=key.label, **line(key))
     return figure
 
 
@@ -47,11 +59,12 @@ def curves(
     signal: str | None = None,
     metric: str = frames.METRIC,
     at: dict[str, Any] | None = None,
+    paper: Paper = PAPER,
 ) -> Figure:
     """Return the mean of a metric over one axis of the study (None: the first that varies), with 95 % intervals.
 
-    The other axes stand at their first value, or where `at` says. Raises UserError where no axis varies, or for a word that is
-    none.
+    The other axes stand at their first value, or where `at` says. Points of one value stand a little apart. Raises UserError
+    where no axis varies, or for a word that is none.
     """
     whole = frames.rows(result, scenario, signal, metric)
     axis = axis or next(iter(frames.varying(whole)), None)
@@ -61,62 +74,81 @@ def curves(
             f"({', '.join(frames.varying(whole)) or 'none does'}); give the study an axis with more than one value."
         )
     part = frames.fixed(whole, [axis], at)
-    figure, ((ax,),) = sheet()
-    look = styles(whole.observer)
-    words = not all(isinstance(v, int | float) for v in part[axis])
-    for observer, mine in part.groupby("observer", sort=False):
-        style = look[str(observer)]
-        x = mine[axis].astype(str) if words else mine[axis]
-        ax.plot(x, mine["mean"], label=observer, marker=style.marker, markersize=4, **_line(style))
-        ax.fill_between(x, mine.ci_low, mine.ci_high, color=style.colour, alpha=0.18, linewidth=0)
-    if frames.wide(part["mean"]):
-        ax.set_yscale("log")
-    dress(ax, frames.label(axis), title_of(metric, whole.signal.iloc[0], unit_of(whole)), whole.scenario.iloc[0])
-    legend(figure, ax)
+    every = list(dict.fromkeys(part[axis]))
+    names = list(dict.fromkeys(whole.observer))
+    ends = part[["mean", "ci_low", "ci_high"]].to_numpy()
+    x, y = scales.at(every), scales.of(ends, scales.is_wide(ends))
+    keys = keys_of(names, "points")
+    panel = Panel(
+        x, y, frames.label(axis, frames.units(result, whole)), title_of(metric, whole.signal.iloc[0], unit_of(whole))
+    )
+    others = {a: v for a, v in frames.values_at(part, int(part.cell.iloc[0])).items() if a != axis}
+    others |= {a: part[a].iloc[0] for a in frames.varying(whole) if a != axis}
+    figure, (ax,) = sheet(paper, about(result, whole, others), [panel], keys)
+    with drawn_on(paper):
+        for i, key in enumerate(keys):
+            mine = part[part.observer == key.label]
+            moved = APART * (i - (len(keys) - 1) / 2)
+            found = np.array(_beside(scales.places(x, list(mine[axis]), every), x, moved))
+            where, mine = np.sort(found), mine.iloc[np.argsort(found)]
+            faint = 0.45 if len(every) < FEW else 1.0
+            ax.plot(where, mine["mean"], color=key.style.colour, linestyle=key.style.line, linewidth=1.1, alpha=faint)
+            ax.vlines(where, mine.ci_low, mine.ci_high, color=key.style.colour, linewidth=1.3)
+            ax.plot(where, mine["mean"], label=key.label, color=key.style.colour, marker=key.style.marker, markersize=4,
+                    linestyle="none")  # fmt: skip
     return figure
 
 
-def time(result: Result, *, scenario: str | None = None, signal: str | None = None) -> Figure:
-    """Return one run in time: the plant, every estimate, and what has arrived and is held.
+def convergence(
+    result: Result,
+    *,
+    scenario: str | None = None,
+    signal: str | None = None,
+    metric: str = frames.METRIC,
+    cell: int = 0,
+    paper: Paper = PAPER,
+) -> Figure:
+    """Return how wide the 95 % interval of a mean is after ever more seeds, as a part of the mean, beside 1 / sqrt(seeds).
 
-    It is the study's first seed in the scenario's first cell. In a closed loop each observer has a plant of its own, and the
-    target is drawn. Raises UserError for a word that is none.
+    Raises UserError for an unknown word.
     """
-    scenario = frames.scenario_of(result, scenario)
-    signal = frames.signal_of(result, scenario, signal)
-    whole = one_run.of(result.study, scenario, result.out)
-    if whole is None:
-        raise UserError(
-            f"plots.time: got no kept run of {scenario} and observers whose code is not here, expected one of the two; "
-            "run the study again from its own file."
-        )
-    part = whole[whole.signal == signal]
-    figure, ((ax,),) = sheet()
-    look = styles(frames.rows(result, scenario, signal, "mae").observer)
-    for (series, kind), mine in part.groupby(["series", "kind"], sort=False):
-        name = str(series).removeprefix("plant under ")
-        known = look.get(name, Style("#000000", (), "o"))
-        if kind == "estimate":
-            ax.plot(mine.t, mine.value, label=series, **_line(known))
-        elif kind == "measured":
-            ax.step(mine.t, mine.value, where="post", label="measured, held", color=MEASURED, linewidth=1.0, zorder=1)
-        elif kind == "target":
-            ax.plot(mine.t, mine.value, label="target", color="#BBBBBB", linewidth=2.5, zorder=1)
-        else:
+    named = frames.rows(result, scenario, signal, metric)
+    part = frames.convergence(result, scenario, signal, metric, cell)
+    names = [n for n in dict.fromkeys(named.observer) if n in set(part.observer)]
+    keys = [*keys_of(names), Key("1/√seeds", Style(SOFT, (1.0, 1.0), ""), width=0.9)]
+    x = scales.at(sorted(set(part.seeds)) or [1, 2])
+    y = scales.of(100 * part.half, log=True)
+    title = f"± of {title_of(metric, named.signal.iloc[0], '')} [% of it]"
+    figure, (ax,) = sheet(
+        paper, about(result, named, frames.values_at(named, cell)), [Panel(x, y, "seeds", title)], keys
+    )
+    with drawn_on(paper):
+        for key in keys[:-1]:
+            mine = part[part.observer == key.label]
+            ax.plot(mine.seeds, 100 * mine.half, label=key.label, marker=key.style.marker, markersize=3.5, **line(key))
+        if len(part):
+            seeds = np.array([part.seeds.min(), part.seeds.max()])
+            last = 100 * part[part.seeds == seeds[1]].half.median()
             ax.plot(
-                mine.t,
-                mine.value,
-                label=series,
-                color=PLANT if series == "plant" else known.colour,
-                linewidth=4,
-                alpha=0.45,
+                seeds, last * np.sqrt(seeds[1] / seeds), color=SOFT, linestyle=(0, (1.0, 1.0)), linewidth=0.9, zorder=1
             )
-    unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
-    dress(ax, "t [s]", f"{signal.replace('_', ' ')} [{unit}]", f"{scenario}, seed {result.study.first_seed}")
-    ax.set_ylim(*frames.room(part))
-    legend(figure, ax)
     return figure
 
 
-def _line(style: Style) -> dict[str, Any]:
-    return {"color": style.colour, "linewidth": 1.4, "linestyle": (0, style.dash) if style.dash else "solid"}
+def keys_of(names: Iterable[str], kind: str = "line") -> list[Key]:
+    """Return a key for each observer: the first is drawn broadest and lowest, so that none hides another."""
+    look = styles(names)
+    many = len(look)
+    return [Key(n, s, kind, 1.3 + min(0.45, 1.6 / many) * (many - 1 - i)) for i, (n, s) in enumerate(look.items())]
+
+
+def line(key: Key) -> dict[str, Any]:
+    """Return how matplotlib draws an observer's line."""
+    return {"color": key.style.colour, "linewidth": key.width, "linestyle": key.style.line}
+
+
+def _beside(where: list[float], x: scales.Scale, by: float) -> list[float]:
+    """Places on an axis moved by a part of its length."""
+    if x.log:
+        return [v * (x.high / x.low) ** by for v in where]
+    return [v + (x.high - x.low) * by for v in where]

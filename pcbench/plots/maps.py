@@ -1,22 +1,27 @@
-"""Maps over two axes of a study: a metric of each observer, who wins, and how many runs diverge."""
+"""Maps over two axes of a study: a metric of each observer, who wins and how surely, and how many runs diverge."""
 
+from collections.abc import Callable
+from functools import partial
+from math import isfinite
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm, Normalize
+from matplotlib.colors import LinearSegmentedColormap, LogNorm, Normalize, to_hex
 from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
-from pcbench.plots import frames
-from pcbench.plots.palette import styles
-from pcbench.plots.sheet import HEIGHT, WIDTH, sheet, title_of, unit_of
+from pcbench.plots import frames, scales
+from pcbench.plots.palette import Style, pale, styles
+from pcbench.plots.sheet import PAPER, Key, Paper
+from pcbench.plots.small_maps import Cell, Map, Over, drawn
+from pcbench.plots.words import about, named, times, title_of, unit_of
 
-COLUMNS = 3  # of small maps
-DARK = 0.55  # of a map's range: beyond, figures stand in white
+ERRORS = LinearSegmentedColormap.from_list("errors", ["#F3F6FA", "#A9C1DA", "#5A88B8", "#1B4674"])  # dark: more
+LOST = LinearSegmentedColormap.from_list("lost", ["#FFFFFF", "#F0C9A8", "#C77B3B", "#7A3E0C"])
+NOTHING = "#FFFFFF"  # of a cell in which every run diverged
+MOST = 12  # panels of a map of winners
 
 
 def heatmaps(
@@ -28,6 +33,7 @@ def heatmaps(
     signal: str | None = None,
     metric: str = frames.METRIC,
     at: dict[str, Any] | None = None,
+    paper: Paper = PAPER,
 ) -> Figure:
     """Return a map of a metric's mean over two axes (None: the first two that vary) for each observer, on one scale.
 
@@ -37,7 +43,9 @@ def heatmaps(
     x, y = two_axes(whole, x, y)
     part = frames.fixed(whole, [x, y], at)
     title = title_of(metric, whole.signal.iloc[0], unit_of(whole))
-    return _small_maps(part, x, y, "mean", f"{whole.scenario.iloc[0]}: {title}", "viridis_r", _norm(part["mean"]))
+    held = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
+    part = part.assign(value=part["mean"])
+    return _small_maps(result, part, (x, y), title, held, ERRORS, _norm(part["mean"]), paper)
 
 
 def divergence(
@@ -47,13 +55,15 @@ def divergence(
     *,
     scenario: str | None = None,
     at: dict[str, Any] | None = None,
+    paper: Paper = PAPER,
 ) -> Figure:
     """Return a map over two axes of the share of runs that diverged, for each observer, in per cent."""
     whole = frames.rows(result, scenario, None, "divergence")
     x, y = two_axes(whole, x, y)
     part = frames.fixed(whole, [x, y], at)
-    part = part.assign(share=100 * part["mean"])
-    return _small_maps(part, x, y, "share", f"{whole.scenario.iloc[0]}: diverged runs [%]", "Reds", Normalize(0, 100))
+    held = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
+    part = part.assign(value=100 * part["mean"], unit="%")
+    return _small_maps(result, part, (x, y), "diverged runs [%]", held, LOST, Normalize(0, 100), paper)
 
 
 def winners(
@@ -65,39 +75,31 @@ def winners(
     signal: str | None = None,
     metric: str = frames.METRIC,
     at: dict[str, Any] | None = None,
+    paper: Paper = PAPER,
 ) -> Figure:
-    """Return a map over two axes of who wins, in its colour; blank where the best is not surely so (5 %, Holm)."""
+    """Return a map over two axes of who wins, in its colour, and by which factor it is ahead of the second.
+
+    Where the best is not surely better than every other (5 %, Holm) its colour is pale, and the cell says with whom it ties.
+    Other axes that vary have a map for each of their values, where these are few and `at` says nothing of them.
+    """
     whole = frames.rows(result, scenario, signal, metric)
     x, y = two_axes(whole, x, y)
-    part = (
-        frames.fixed(frames.winners(result, scenario, signal, metric), [x, y], at)
-        if len(frames.varying(whole))
-        else whole
-    )
+    others = [n for n in frames.varying(whole) if n not in (x, y, *(at or {}))]
+    found = frames.fixed(frames.standings(result, scenario, signal, metric), [x, y, *others], at)
+    if len(found.groupby(others, sort=False) if others else []) > MOST:
+        found = frames.fixed(found, [x, y])
+    groups = list(found.groupby(others, sort=False)) if others else [((), found)]
     look = styles(whole.observer)
-    xs, ys = _values(part, x), _values(part, y)
-    figure, ((ax,),) = sheet()
-    for row in part.to_dict("records"):
-        i, j = xs.index(row[x]), ys.index(row[y])
-        colour = look[row["winner"]].colour if row["winner"] else "white"
-        ax.add_patch(_square(i, j, colour))
-        ax.text(
-            i,
-            j,
-            row["winner"] or "tie",
-            ha="center",
-            va="center",
-            fontsize=8,
-            color="white" if row["winner"] else "#777777",
+    made = [
+        Map(
+            ", ".join(frames.said(n, v) for n, v in zip(others, key, strict=True)),
+            _cells(mine, x, y, partial(_won, look)),
         )
-    _frame(ax, xs, ys, x, y)
-    ax.set_title(
-        f"{whole.scenario.iloc[0]}: least {title_of(metric, whole.signal.iloc[0], '')}", loc="left", fontsize=10
-    )
-    names = [name for name in look if name in set(part.winner)]
-    handles = [Patch(color=look[name].colour, label=name) for name in names]
-    figure.legend(handles=handles, loc="outside right upper", frameon=False, fontsize=8)
-    return figure
+        for key, mine in groups
+    ]
+    keys = [Key(name, look[name], "patch") for name in look if name in set(found.best)]
+    title = f"least {named(metric, whole.signal.iloc[0])}, {about(result, whole, at or {})}"
+    return drawn(made, _over(result, whole, x), _over(result, whole, y), title, keys, paper, False)
 
 
 def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str]:
@@ -109,57 +111,58 @@ def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str
             f"map of {part.scenario.iloc[0]}: got axes that vary: {', '.join(found) or 'none'}, expected two; give the study "
             "two axes with several values each, or name two of these."
         )
-    return chosen[0], chosen[1]
+    return (chosen[0], chosen[1]) if x or y else frames.map_axes(part)
 
 
-def _small_maps(part: pd.DataFrame, x: str, y: str, value: str, title: str, colours: str, norm: Any) -> Figure:
-    names = list(dict.fromkeys(part.observer))
-    rows = -(-len(names) // COLUMNS)
-    wide = min(len(names), COLUMNS)
-    figure, axes = sheet(rows, wide, WIDTH * max(wide, 1.2) / 2 + 1, HEIGHT * rows * 0.75 + 0.4)
-    xs, ys, picture = _values(part, x), _values(part, y), None
-    for ax, name in zip(axes.flat, names, strict=False):
-        mine = part[part.observer == name]
-        grid = np.full((len(ys), len(xs)), np.nan)
-        for row in mine.to_dict("records"):
-            grid[ys.index(row[y]), xs.index(row[x])] = row[value]
-        picture = ax.imshow(grid, origin="lower", aspect="auto", cmap=colours, norm=norm)
-        for (j, i), number in np.ndenumerate(grid):
-            if np.isfinite(number) and grid.size <= 36:
-                dark = norm(number) > DARK
-                ax.text(i, j, f"{number:.3g}", ha="center", va="center", fontsize=7, color="white" if dark else "black")
-        _frame(ax, xs, ys, x, y)
-        ax.set_title(name, loc="left", fontsize=9)
-    for ax in list(axes.flat)[len(names) :]:
-        ax.set_visible(False)
-    figure.suptitle(title, fontsize=10)
-    if picture is not None:
-        figure.colorbar(picture, ax=axes, shrink=0.8)
-    return figure
+def _won(look: dict[str, Style], row: dict[str, Any]) -> Cell:
+    if not row["best"]:
+        return Cell(NOTHING, ("all diverge", "-"), "all runs diverge")
+    colour, factor = look[row["best"]].colour, row["factor"]
+    ahead = times(factor) if isfinite(factor) and factor > 1 else ""
+    if row["winner"]:
+        p = f", p {row['p']:.1g}" if isfinite(row["p"]) else ""
+        return Cell(colour, (f"{row['best']}\n{ahead}", row["best"]), f"{row['best']} surely{p}, the second {ahead}")
+    tied = " = ".join((row["best"], *row["alike"][:1])) + (" …" if len(row["alike"]) > 1 else "")
+    return Cell(pale(colour), (f"tie\n{tied}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")
 
 
-def _frame(ax: Axes, xs: list[Any], ys: list[Any], x: str, y: str) -> None:
-    ax.set_xlim(-0.5, len(xs) - 0.5)
-    ax.set_ylim(-0.5, len(ys) - 0.5)
-    ax.set_xticks(range(len(xs)), [_said(v) for v in xs], fontsize=8)
-    ax.set_yticks(range(len(ys)), [_said(v) for v in ys], fontsize=8)
-    ax.set_xlabel(frames.label(x))
-    ax.set_ylabel(frames.label(y))
+def _small_maps(
+    result: Result,
+    part: pd.DataFrame,
+    axes: tuple[str, str],
+    title: str,
+    held: dict[str, Any],
+    colours: Any,
+    norm: Any,
+    paper: Paper,
+) -> Figure:
+    """Draw a map of the column `value` for each observer, in colours."""
+    x, y = axes
+
+    def painted(row: dict[str, Any]) -> Cell:
+        value, unit = row["value"], str(row.get("unit", ""))
+        if not isfinite(value):
+            return Cell(NOTHING, ("all diverged", "-"), f"{row['observer']}: all runs diverged")
+        tip = f"{row['observer']}: {scales.number(float(f'{value:.4g}'))} {unit}"
+        return Cell(to_hex(colours(float(norm(value)))), (scales.short(value),), tip, value)
+
+    maps = [Map(str(o), _cells(mine, x, y, painted)) for o, mine in part.groupby("observer", sort=False)]
+    log = isinstance(norm, LogNorm)
+    low, high = float(norm.vmin), float(norm.vmax)
+    levels = [v for v in scales.of([low, high], log).ticks if low <= v <= high]
+    keys = [Key(scales.number(v), Style(to_hex(colours(float(norm(v)))), (), ""), "patch") for v in levels]
+    said = f"{title}, {about(result, part, held)}"
+    return drawn(maps, _over(result, part, x), _over(result, part, y), said, keys, paper, log)
 
 
-def _square(i: int, j: int, colour: str) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((i - 0.5, j - 0.5), 1, 1, facecolor=colour, edgecolor="#CCCCCC")
+def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[dict[str, Any]], Cell]) -> dict[tuple[Any, Any], Cell]:
+    return {(row[x], row[y]): cell({str(k): v for k, v in row.items()}) for row in rows.to_dict("records")}
 
 
-def _values(part: pd.DataFrame, axis: str) -> list[Any]:
+def _over(result: Result, part: pd.DataFrame, axis: str) -> Over:
     found = list(dict.fromkeys(part[axis]))
-    return sorted(found) if all(isinstance(v, int | float) for v in found) else found
-
-
-def _said(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    ordered = sorted(found) if all(isinstance(v, int | float) for v in found) else found
+    return Over(frames.label(axis, frames.units(result, part)), ordered)
 
 
 def _norm(values: pd.Series) -> Any:
@@ -167,4 +170,8 @@ def _norm(values: pd.Series) -> Any:
     if not len(found):
         return Normalize(0, 1)
     low, high = float(found.min()), float(found.max())
-    return LogNorm(low, high) if low > 0 and high > 10 * low else Normalize(low, high)
+    return (
+        LogNorm(low, high)
+        if low > 0 and high > 10 * low
+        else Normalize(min(low, 0.0) if low < 0.3 * high else low, high)
+    )

@@ -1,49 +1,66 @@
-"""One run of each scenario tick by tick, thinned for the eye: what a report shows in time.
+"""Runs of one cell in time, thinned for the eye: one of them, and how far the errors of several reach.
 
-It is the study's first seed in the scenario's first cell, simulated anew by `api.trace` and kept in the folder `examples`
-beside the tables, where it is found again.
+The run shown is the study's first seed, or any other; beside it run the seeds after it, so that the picture can say what of an
+error is luck. They are simulated anew by the functions that made the tables, and kept in the folder `examples` beside these,
+where they are found again: one file for each scenario, of the cell and seed that were looked at last.
 """
 
 import hashlib
 import json
+import warnings
 from pathlib import Path
+from typing import Any
 
+import jax
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+from numpy.typing import NDArray
 
-from pcbench import api
 from pcbench.dataset import parquet, store
-from pcbench.machine import provenance
-from pcbench.planning import setting
+from pcbench.errors import UserError
+from pcbench.machine import process, provenance
+from pcbench.planning import alone, drafts, padding
+from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
+from pcbench.plots import outputs
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells
 from pcbench.study.own_observers import is_absent
 
 KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
-POINTS = 300  # ticks that are kept
-UNIT = 1e-12  # a row of C shows a state as it is when it differs from a unit vector by less
+FORM = 2  # of the file
+POINTS = 240  # ticks that are kept, or up to twice as many
+RUNS = 32  # beside one another, where runs differ: nine in ten of their errors lie in the band
 
 
-def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame | None:
+def of(
+    study: Study, scenario: str, out: str | Path | None, cell: int = 0, seed: int | None = None
+) -> pd.DataFrame | None:
     """Return signal, series, kind, t [s], value of one run; made where it does not stand in the folder `out`.
 
-    `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, measured (as it has arrived and is
-    held; of signals that an output shows as they are) or target (of a closed loop). None where it does not stand there and the
-    code of an observer of a user's own is not here.
+    `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, error (truth less estimate), low and
+    high (between which nine in ten errors of RUNS runs lie at that time) and rms (over them), measured (as it has arrived and
+    is held; of signals that an output shows as they are) or target (of a closed loop). Runs that are all alike, and those with
+    schedules of their own, have no low, high and rms. None where it does not stand there and the code of an observer of a
+    user's own is not here. Raises UserError for a cell that the scenario has not.
     """
+    every = {each.number: each for each in cells(study, scenario)}
+    if cell not in every:
+        raise UserError(
+            f"--cell: got {cell}, expected one of 0 .. {len(every) - 1}, the cells of {scenario}; take one."
+        )
+    seed = study.first_seed if seed is None else seed
     target = None if out is None else store.target(str(out))
     name = f"examples/{scenario.replace('/', '%2F')}.parquet"
-    first = cells(study, scenario)[0]
-    key = _key(study, first)
+    key = _key(study, every[cell], seed)
     found = None if target is None else store.get(target, name)
     kept = None if found is None else parquet.whole(found)
     if kept is not None and kept.schema.metadata.get(KEY) == key:
         return kept.to_pandas()
-    if any(map(is_absent, [*first.own.values(), *first.scenario.own.values()])):
+    if any(map(is_absent, [*every[cell].own.values(), *every[cell].scenario.own.values()])):
         return None
-    made = _made(study, first)
+    made = _made(study, every[cell], seed)
     if target is not None:
         table = pa.Table.from_pandas(made, preserve_index=False)
         about = {**(table.schema.metadata or {}), KEY: key}
@@ -51,47 +68,68 @@ def of(study: Study, scenario: str, out: str | Path | None) -> pd.DataFrame | No
     return made
 
 
-def _key(study: Study, cell: Cell) -> bytes:
+def _key(study: Study, cell: Cell, seed: int) -> bytes:
     """What an example was made of: the cell, the observers with their options, the run, and the release."""
     options = {o: given.model_dump() for o, given in cell.options.items()}
-    said = [cell.digest, options, study.first_seed, provenance.versions(), POINTS]
+    said = [cell.digest, options, cell.told, seed, provenance.versions(), POINTS, RUNS, FORM]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest().encode()
 
 
-def _made(study: Study, cell: Cell) -> pd.DataFrame:
-    scenario = cell.scenario.name
-    axes = {name: [values[0]] for name, values in study.axes.items()}
-    here = study.model_copy(update={"scenarios": [scenario], "axes": axes})
-    names, closed = list(cell.options), bool(cell.scenario.loop.controller)
-    groups = [[name] for name in names] if closed else [names]
-    parts = [part for group in groups for part in _series(here, cell, group, closed)]
+def _made(study: Study, cell: Cell, seed: int) -> pd.DataFrame:
+    with process.float64():
+        plans = padding.fit(list(drafts([cell])))
+        parts = [part for i, plan in enumerate(plans) for part in _series(plan, study.root_seed, seed, first=i == 0)]
     return pd.concat(parts, ignore_index=True)
 
 
-def _series(study: Study, cell: Cell, observers: list[str], closed: bool) -> list[pd.DataFrame]:
-    trace = api.trace(study, observers, seed=study.first_seed)
-    thin = trace.iloc[:: -(-len(trace) // POINTS)]
-    shown = _shown(cell)
+def _series(plan: Plan, root_seed: int, seed: int, first: bool) -> list[pd.DataFrame]:
+    """The series of one plan: all observers of an open loop, one of a closed loop."""
+    from pcbench.simulation import trace
+
+    cell, many = plan.cell, RUNS if _differ(plan) else 1
+    plan = alone(plan, root_seed, seed)
+    every = -(-(cell.times.ticks + 1) // (2 * POINTS)) if cell.times.ticks >= POINTS else 1
+    rows = cell.times.ticks // every + 1
+    seeds = np.arange(seed, seed + many)
+    made = trace.compiled_some()(plan.layout, every, rows, plan.problem, np.asarray(root_seed), seeds)
+    made = jax.tree.map(np.asarray, made)
+    t, closed = every * np.arange(rows) * cell.scenario.dt, bool(cell.scenario.loop.controller)
+    labels, shown = list(plan.labels), outputs.shows(cell.scenario)
     out = []
-    for signal, _ in signals_of(cell.scenario):
-        columns = {(f"plant under {observers[0]}" if closed else "plant", "truth"): signal}
-        columns |= {(o, "estimate"): f"{o}.{signal}" for o in observers}
-        columns |= {("target", "target"): f"target.{signal}"} if observers[0] == next(iter(cell.options)) else {}
-        columns |= {("measured", "measured"): f"y{shown[signal] + 1}"} if signal in shown and not closed else {}
-        for (series, kind), column in columns.items():
-            if column in thin:
-                values = {"signal": signal, "series": series, "kind": kind, "t": thin.t, "value": thin[column]}
-                out.append(pd.DataFrame(values))
+    for i, (signal, _) in enumerate(signals_of(cell.scenario)):
+        series: dict[tuple[str, str], Any] = {
+            (f"plant under {labels[0]}" if closed else "plant", "truth"): made.x[:, i, 0]
+        }
+        for label, (called, _) in zip(labels, plan.layout.observers, strict=True):
+            found = made.estimates[called]
+            if i < found.shape[1]:
+                error = made.x[:, i] - found[:, i]
+                series |= {(label, "estimate"): found[:, i, 0], (label, "error"): error[:, 0]}
+                series |= {(label, kind): values for kind, values in _reach(error).items()}
+        if first and i < made.target.shape[1]:
+            series |= {("target", "target"): made.target[:, i]}
+        if signal in shown and not closed:
+            series |= {("measured", "measured"): made.held[:, shown[signal], 0]}
+        out += [
+            pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
+            for (name, kind), values in series.items()
+        ]
     return out
 
 
-def _shown(cell: Cell) -> dict[str, int]:
-    """Which output shows a state as it is, by state."""
-    C = setting(cell).model.C
-    states = [name for name, _ in signals_of(cell.scenario)]
-    return {
-        states[j]: i
-        for i in range(len(C))
-        for j in range(C.shape[1])
-        if np.abs(C[i] - np.eye(C.shape[1])[j]).max() < UNIT
-    }
+def _differ(plan: Plan) -> bool:
+    """Say whether runs differ and stand on one schedule."""
+    p, layout = plan.problem, plan.layout
+    noisy = np.any(p.noise_std) and not layout.continuous
+    drawn = layout.random_start or layout.scattered or layout.drifting or layout.pending or np.any(p.process_std)
+    return bool(noisy or drawn) and not plan.cell.times.random
+
+
+def _reach(errors: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """How far errors [K, L] reach: 5 and 95 % of them, and their root mean square; nothing of one run."""
+    if errors.shape[1] < 2:
+        return {}
+    with warnings.catch_warnings(), np.errstate(over="ignore", invalid="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)
+        low, high = np.nanquantile(errors, [0.05, 0.95], axis=1)
+        return {"low": low, "high": high, "rms": np.sqrt(np.nanmean(errors**2, axis=1))}

@@ -1,49 +1,72 @@
-"""One colour for each observer, the same in every picture, and safe for colour-blind readers.
+"""One look for each observer, the same in every picture: a colour, a dash pattern and a marker.
 
-Taken from Wong's and Tol's palettes, so that no two observers of one scenario differ by red against green alone. Observers run
-with other options (dkf-bias, pccebo-tuned) have the colour of their base in another shade, and a dash pattern and a marker of
-their own: no picture needs colour to be read.
-Source: Wong, Nature Methods 8 (2011), 441; Tol, Colour schemes, SRON technical note 09-002.
+Colours were searched for, not chosen: those of observers that run together lie apart for readers of normal sight and for those
+who lack one kind of cone (Machado, Oliveira, Fernandes, IEEE Trans. Vis. Comput. Graph. 15 (2009), 1291), differ in lightness,
+hence also on grey paper, and are dark enough to be seen as lines on white. Dashes and markers say the same once more: no
+picture needs colour to be read. An observer run with other options (dkf-bias, pccebo-tuned) has the hue of its base in
+another shade, its dashes with a dot more, and a marker of its own. The truth is ink, what is measured a pale line.
 """
 
-import colorsys
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pcbench.observers import base_of
 
-COLOURS = {
-    "pccebo": "#0072B2",
-    "kfbo": "#E69F00",
-    "dkf": "#1A1A1A",
-    "open-loop": "#8C8C8C",
-    "pco": "#117733",
-    "pi-pco": "#56B4E9",
-    "chain": "#332288",
-    "equal-delay": "#B8A33D",
-    "no-delay": "#CC6677",
-    "smo": "#AA4499",
-    "pio": "#44AA99",
-    "high-gain": "#882255",
-    "ekf": "#D55E00",
+INK, SOFT, GRID = "#1B1B1B", "#6B6B6B", "#E4E4E4"
+PLANT, MEASURED = INK, "#B9C4CF"  # that no observer has
+DASHES: dict[str, tuple[float, ...]] = {
+    "dkf": (),
+    "open-loop": (1.0, 1.4),
+    "pccebo": (6.0, 1.6),
+    "kfbo": (2.8, 1.4),
+    "pco": (4.0, 1.4, 4.0, 1.4, 1.0, 1.4),
+    "pi-pco": (6.0, 1.4, 1.0, 1.4),
+    "chain": (6.0, 1.6),
+    "equal-delay": (2.8, 1.4),
+    "no-delay": (6.0, 1.4, 1.0, 1.4),
+    "smo": (6.0, 1.6),
+    "pio": (2.8, 1.4),
+    "high-gain": (6.0, 1.6),
+    "ekf": (2.8, 1.4),
 }
-PLANT, MEASURED = "#E3BE8B", "#9BB7D4"  # that no observer has
-OWN = ("#009E73", "#CC79A7", "#6699CC", "#997700", "#661100")  # of a user's own observers, by name
-DASHES: tuple[tuple[int, ...], ...] = ((), (6, 2), (2, 2), (8, 2, 2, 2), (4, 2, 1, 2, 1, 2))
-MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", ">", "*", "h", "p", "d")
-SHADES = (0.0, 0.22, -0.14, 0.36, -0.24)  # of lightness, for the first, second ... label of a base
+COLOURS = {
+    "dkf": "#224E89",
+    "open-loop": "#898989",
+    "pccebo": "#AE5C18",
+    "kfbo": "#10A5D2",
+    "pco": "#2A4000",
+    "pi-pco": "#AD263F",
+    "chain": "#6633FF",
+    "equal-delay": "#722241",
+    "no-delay": "#C3902C",
+    "smo": "#9922CC",
+    "pio": "#54AB53",
+    "high-gain": "#B14DD0",
+    "ekf": "#884400",
+}
+MARKERS = {"dkf": "o", "open-loop": "x", "pccebo": "s", "kfbo": "^", "pco": "D", "pi-pco": "v", "chain": "s",
+           "equal-delay": "^", "no-delay": "v", "smo": "s", "pio": "^", "high-gain": "s", "ekf": "^"}  # fmt: skip
+SIBLINGS = ("P", "X", "<", ">", "h", "p", "*")  # markers of a base's variants
+OWN = ("#00796B", "#8E5A9E", "#7A6A00", "#4C6EA8", "#7B3F00")  # of a user's own observers, by name
+OWN_DASHES = ((8.0, 1.6), (2.0, 1.2), (5.0, 1.2, 2.0, 1.2))
+SHADES = (0.0, 0.34, -0.42, 0.5, -0.6, 0.18, -0.22)  # of white or black, for the first, second ... label of a base
 
 
 class Style(NamedTuple):
     """How an observer is drawn."""
 
     colour: str  # #rrggbb
-    dash: tuple[int, ...]  # pixels on and off; empty: solid
+    dash: tuple[float, ...]  # on and off in widths of the line; empty: solid
     marker: str  # of matplotlib
+
+    @property
+    def line(self) -> Any:
+        """Return the dashes as matplotlib takes them."""
+        return (0, self.dash) if self.dash else "solid"
 
 
 def styles(labels: Iterable[str]) -> dict[str, Style]:
-    """Return a style for each label; the same label has the same colour whatever it stands beside, unless it has siblings."""
+    """Return a style for each label; the same label has the same look whatever it stands beside, unless it has siblings."""
     out: dict[str, Style] = {}
     siblings: dict[str, int] = {}
     names = list(dict.fromkeys(labels))
@@ -53,26 +76,41 @@ def styles(labels: Iterable[str]) -> dict[str, Style]:
         rank = 0 if label == base else siblings.setdefault(base, 1 if plain else 0)
         if label != base:
             siblings[base] += 1
-        out[label] = Style(
-            _shade(_colour(base), SHADES[rank % len(SHADES)]), DASHES[rank % len(DASHES)], _marker(label)
-        )
+        out[label] = _style(base, rank)
     return out
 
 
-def _colour(base: str) -> str:
-    return COLOURS.get(base) or OWN[sum(map(ord, base)) % len(OWN)]
+def shade(colour: str, by: float) -> str:
+    """Return a colour mixed with so much white, or where `by` is negative black."""
+    return mixed(colour, by, 255) if by >= 0 else mixed(colour, -by, 0)
 
 
-def _marker(label: str) -> str:
-    known = [*COLOURS]
-    base = base_of(label) or label
-    first = known.index(base) if base in known else len(label)
-    return MARKERS[(first + len(label) - len(base)) % len(MARKERS)]
+def mixed(colour: str, share: float, other: int) -> str:
+    """Return a colour mixed with a share of a grey from 0 (black) to 255 (white)."""
+    parts = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+    return "#" + "".join(f"{round(c + share * (other - c)):02X}" for c in parts)
 
 
-def _shade(colour: str, by: float) -> str:
-    """A colour made lighter (by > 0) or darker."""
-    red, green, blue = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
-    hue, light, full = colorsys.rgb_to_hls(red, green, blue)
-    light = min(max(light + by if light + by > 0.08 else light - by, 0.08), 0.82)
-    return "#" + "".join(f"{round(255 * c):02X}" for c in colorsys.hls_to_rgb(hue, light, full))
+def pale(colour: str, share: float = 0.75) -> str:
+    """Return a colour mixed with so much white that dark words are read on it."""
+    return mixed(colour, share, 255)
+
+
+def on(colour: str) -> str:
+    """Return the ink that is read on a colour: dark or white."""
+    parts = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    light = sum(w * (p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4)
+                for w, p in zip((0.2126, 0.7152, 0.0722), parts, strict=True))  # fmt: skip
+    return INK if light > 0.22 else "#FFFFFF"
+
+
+def _style(base: str, rank: int) -> Style:
+    own = sum(map(ord, base))
+    colour = COLOURS.get(base) or OWN[own % len(OWN)]
+    dash = DASHES.get(base, OWN_DASHES[own % len(OWN_DASHES)])
+    marker = MARKERS.get(base, "Dv"[own % 2])
+    if not rank:
+        return Style(colour, dash, marker)
+    dotted = ((*dash, 1.0, 1.4) if dash else (9.0, 1.4, 1.0, 1.4)) + (1.0, 1.4) * (rank - 1)
+    first = 3 * list(COLOURS).index(base) if base in COLOURS else own
+    return Style(shade(colour, SHADES[rank % len(SHADES)]), dotted, SIBLINGS[(first + rank) % len(SIBLINGS)])

@@ -1,48 +1,258 @@
-"""What every figure of matplotlib has in common: its size, its frame, its legend, and how a metric is named with its unit."""
+"""What every picture has in common: paper, font and size, where panels and keys stand, and how it becomes a file.
 
-from typing import Any
+A picture is laid out in inches before anything is drawn: ticks are known (`scales`), words are measured, margins follow. So
+nothing is cut off or overlaps, at any width and font, and no picture has to be drawn twice. Axes have their titles above,
+upright text needs no turned head.
+"""
 
-import pandas as pd
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import lru_cache
+from typing import NamedTuple
+
+import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont
+from matplotlib.ft2font import FT2Font
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
 
-WIDTH, HEIGHT = 6.4, 3.8  # inches
-UNITLESS = ("efficiency", "divergence", "unsettled")
-WORDS = {"mae": "mean |error|", "rmse": "rms error", "mse": "mean square error", "peak": "largest |error|"}
-
-
-def sheet(rows: int = 1, columns: int = 1, width: float = WIDTH, height: float = HEIGHT) -> tuple[Figure, Any]:
-    """Return a figure with its axes [rows, columns], that no window shows."""
-    figure = Figure(figsize=(width, height), layout="constrained")
-    return figure, figure.subplots(rows, columns, squeeze=False)
+from pcbench.errors import UserError
+from pcbench.plots.palette import GRID, INK, SOFT, Style
+from pcbench.plots.scales import Scale
 
 
-def dress(ax: Axes, x: str, y: str, title: str = "") -> None:
-    """Give axes their titles, and a light grid."""
-    ax.set_xlabel(x)
-    ax.set_ylabel(y)
-    ax.set_title(title, loc="left", fontsize=10)
-    ax.grid(True, color="#DDDDDD", linewidth=0.6)
-    ax.set_axisbelow(True)
+class Paper(NamedTuple):
+    """What a picture is made for: a column of a page."""
+
+    width: float = 3.75  # inches, of one column; maps of many observers take two
+    size: float = 9.0  # points, of text
+    font: str = "DejaVu Sans"  # family; where it is not installed, its metrics are guessed by DejaVu Sans
+
+    @property
+    def em(self) -> float:
+        """Return the height of a letter in inches."""
+        return self.size / 72
+
+    def checked(self) -> "Paper":
+        """Return the paper; raise UserError for a width or a size on which nothing can be read."""
+        if not 2.0 <= self.width <= 20.0:
+            raise UserError(f"--width: got {self.width:g}, expected inches of a column, 2 to 20; give one.")
+        if not 4.0 <= self.size <= 24.0:
+            raise UserError(f"--size: got {self.size:g}, expected points of text, 4 to 24; give one.")
+        return self
+
+
+PAPER = Paper()
+
+
+class Key(NamedTuple):
+    """One entry of a legend."""
+
+    label: str
+    style: Style
+    kind: str = "line"  # or patch
+    width: float = 1.6  # points, of a line
+
+
+class Panel(NamedTuple):
+    """One pair of axes."""
+
+    x: Scale
+    y: Scale
+    x_title: str = ""  # empty: another panel below has it, with the ticks' words
+    y_title: str = ""
+    height: float = 1.55  # inches
+    grid: bool = True
+
+
+@lru_cache(4096)
+def width_of(text: str, size: float, font: str = PAPER.font) -> float:
+    """Return how wide a text is in inches; of several lines, the widest."""
+    face = _face(font)
+    face.set_size(size, 72)
+    widest = 0.0
+    for line in text.split("\n"):
+        face.set_text(line, 0.0)
+        widest = max(widest, face.get_width_height()[0] / 64)
+    return widest / 72
+
+
+@lru_cache(16)
+def _face(font: str) -> FT2Font:
+    return FT2Font(findfont(FontProperties(family=[font, "DejaVu Sans"])))
+
+
+@contextmanager
+def drawn_on(paper: Paper) -> Iterator[None]:
+    """Let what is drawn within have the paper's font and size."""
+    with mpl.rc_context({"font.family": [paper.font, "DejaVu Sans"], "font.size": paper.size}):
+        yield
+
+
+def sheet(
+    paper: Paper,
+    title: str,
+    panels: Sequence[Panel],
+    keys: Sequence[Key] = (),
+    columns: int = 1,
+    width: float | None = None,
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with its axes, row by row, each with limits, ticks and titles; nothing is drawn in them yet."""
+    em, wide = paper.em, width or paper.width
+    small = paper.size - 1
+    rows = [list(panels[i : i + columns]) for i in range(0, len(panels), columns)]
+    left = [max(width_of(w, small, paper.font) for r in rows if i < len(r) for w in ("0", *r[i].y.words)) + 0.6 * em
+            for i in range(columns)]  # fmt: skip
+    ends = [_overhang(r[-1], small, paper) for r in rows]
+    each = (wide - sum(left) - max(ends) - 0.1 * em - 1.2 * em * (columns - 1)) / columns
+    flow = _flowing(keys, wide, paper)
+    head = (1.7 * em if title else 0.2 * em) + (1.5 * em * len(flow) + 0.3 * em if flow else 0)
+    rows = [[p._replace(x=_roomy(p.x, each, small, paper.font)) for p in row] for row in rows]
+    under = [max(_below(p, each, paper) for p in row) for row in rows]
+    above = [max(_above(p, each + left[0], paper) for p in row) for row in rows]
+    tall = head + sum(above) + sum(max(p.height for p in row) for row in rows) + sum(under) + 0.1 * em
+    with drawn_on(paper):
+        figure = Figure(figsize=(wide, tall))
+        if title:
+            figure.text(
+                0.02 * em / wide, 1 - 0.15 * em / tall, _fit(title, wide, paper), ha="left", va="top", color=SOFT
+            )
+        _legend(figure, flow, tall - (1.7 * em if title else 0.2 * em), paper)
+        top, out = tall - head, []
+        for row, up, down in zip(rows, above, under, strict=True):
+            height = max(p.height for p in row)
+            x = 0.0
+            for i, panel in enumerate(row):
+                x += left[i]
+                box = (x / wide, (top - up - height) / tall, each / wide, height / tall)
+                out.append(_dressed(figure, box, panel, x - (left[i] if i == 0 else 0.9 * left[i]), paper))
+                x += each + 1.2 * em
+            top -= up + height + down
+    return figure, out
+
+
+def _roomy(x: Scale, wide: float, size: float, font: str) -> Scale:
+    """An axis whose words do not touch: lists are folded at their commas, then every so many words stand."""
+    for words in (x.words, tuple(w.replace(", ", ",\n") for w in x.words)):
+        if _apart(x, words, wide, size, font, 1):
+            return x._replace(words=words)
+    step = next((s for s in range(2, len(words)) if _apart(x, words, wide, size, font, s)), len(words))
+    return x._replace(words=tuple("" if i % step else w for i, w in enumerate(words)))
+
+
+def _apart(x: Scale, words: Sequence[str], wide: float, size: float, font: str, step: int) -> bool:
+    """Whether every so many words stand apart under their ticks."""
+    where = [wide * p for p in x.parts()][::step]
+    sizes = [width_of(w, size, font) for w in words][::step]
+    gap = 0.35 * size / 72
+    return all(b - a > (u + v) / 2 + gap for a, b, u, v in zip(where, where[1:], sizes, sizes[1:], strict=False))
+
+
+def _overhang(panel: Panel, size: float, paper: Paper) -> float:
+    """How far the last word of a panel's lower axis may stand out to the right."""
+    if not panel.x_title or not panel.x.words:
+        return 0.0
+    return width_of(panel.x.words[-1], size, paper.font) / 2
+
+
+def _below(panel: Panel, wide: float, paper: Paper) -> float:
+    """What stands under a panel: the ticks' words and the axis' title."""
+    if not panel.x_title:
+        return 0.9 * paper.em
+    lines = max((w.count("\n") for w in panel.x.words), default=0)
+    return (1.5 + 1.2 * lines + 1.3 * len(folded(panel.x_title, wide, paper.size, paper.font)) + 0.5) * paper.em
+
+
+def _above(panel: Panel, wide: float, paper: Paper) -> float:
+    return (
+        (1.35 * len(folded(panel.y_title, wide, paper.size, paper.font)) + 0.2) * paper.em
+        if panel.y_title
+        else 0.4 * paper.em
+    )
+
+
+def folded(text: str, wide: float, size: float, font: str) -> list[str]:
+    """Return a text in lines that are at most so many inches wide; a word is never cut, nor a unit in brackets."""
+    out: list[str] = []
+    text = re.sub(r"\[.*?\]", lambda unit: unit.group().replace(" ", "\u00a0"), text)
+    for line in text.split("\n"):
+        words = line.split(" ")
+        out.append(words[0])
+        for word in words[1:]:
+            longer = f"{out[-1]} {word}"
+            if width_of(longer, size, font) <= wide:
+                out[-1] = longer
+            else:
+                out.append(word)
+    return out
+
+
+def _fit(text: str, wide: float, paper: Paper) -> str:
+    """A title that fits: what is too long loses its last parts."""
+    parts = text.split(", ")
+    while len(parts) > 1 and width_of(", ".join(parts), paper.size, paper.font) > wide:
+        parts = parts[:-1]
+    return ", ".join(parts)
+
+
+def _flowing(keys: Sequence[Key], wide: float, paper: Paper) -> list[list[tuple[float, Key]]]:
+    """The rows of a legend: where each key begins."""
+    rows: list[list[tuple[float, Key]]] = []
+    x = wide
+    for key in keys:
+        needs = 3.0 * paper.em + width_of(key.label, paper.size, paper.font) + paper.em
+        if x + needs - paper.em > wide:
+            rows.append([])
+            x = 0.0
+        rows[-1].append((x, key))
+        x += needs
+    return rows
+
+
+def _legend(figure: Figure, rows: list[list[tuple[float, Key]]], top: float, paper: Paper) -> None:
+    em, inches = paper.em, figure.dpi_scale_trans
+    for i, row in enumerate(rows):
+        y = top - (1.5 * i + 0.75) * em
+        for x, (label, style, kind, width) in row:
+            if kind == "patch":
+                box = Rectangle((x, y - 0.4 * em), 2.4 * em, 0.8 * em, transform=inches)
+                box.set(facecolor=style.colour, edgecolor=SOFT, linewidth=0.4)
+                figure.add_artist(box)
+            else:
+                mark = style.marker if kind == "points" else ""
+                line = Line2D([x, x + 1.2 * em, x + 2.4 * em], [y] * 3, transform=inches, marker=mark, markersize=4.5)
+                line.set(color=style.colour, linewidth=width, linestyle=style.line, markevery=[1])
+                figure.add_artist(line)
+            figure.text(x + 2.8 * em, y, label, transform=inches, ha="left", va="center_baseline", color=INK)
+
+
+def _dressed(figure: Figure, box: tuple[float, float, float, float], panel: Panel, x: float, paper: Paper) -> Axes:
+    """Axes with limits, ticks, titles and a light grid; the upper title begins at x inches."""
+    ax = figure.add_axes(box)
+    ax.set_xscale("log" if panel.x.log else "linear")
+    ax.set_yscale("log" if panel.y.log else "linear")
+    ax.minorticks_off()
+    ax.set_xticks(panel.x.ticks, panel.x.words if panel.x_title else [""] * len(panel.x.ticks))
+    ax.set_yticks(panel.y.ticks, panel.y.words)
+    ax.set_xlim(panel.x.low, panel.x.high)
+    ax.set_ylim(panel.y.low, panel.y.high)
+    ax.tick_params(length=2.5, width=0.6, pad=2, color=SOFT, labelcolor=INK, labelsize=paper.size - 1)
     for side in ("top", "right"):
         ax.spines[side].set_visible(False)
-
-
-def legend(figure: Figure, ax: Axes) -> None:
-    """Put one legend beside the axes, where it covers nothing."""
-    handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=8)
-
-
-def title_of(metric: str, signal: str, unit: str) -> str:
-    """Return a metric of a signal as an axis' title, with its unit."""
-    late, plain = metric.startswith("tail_"), metric.removeprefix("tail_").removeprefix("pooled_")
-    words = f"{WORDS.get(plain, plain.replace('_', ' '))} of {signal.replace('_', ' ')}" + (
-        " in the tail" if late else ""
-    )
-    return words + (f" [{unit}]" if unit and metric not in UNITLESS else "")
-
-
-def unit_of(part: pd.DataFrame) -> str:
-    """Return the unit of a frame's rows."""
-    return str(part.unit.iloc[0]) if len(part) else ""
+    for side in ("left", "bottom"):
+        ax.spines[side].set(linewidth=0.6, color=SOFT)
+    if panel.grid:
+        ax.grid(True, color=GRID, linewidth=0.6)
+        ax.set_axisbelow(True)
+    tall, wide = figure.get_size_inches()[1], figure.get_size_inches()[0]
+    if panel.y_title:
+        text = "\n".join(folded(panel.y_title, box[2] * wide + box[0] * wide - x, paper.size, paper.font))
+        figure.text(x / wide, box[1] + box[3] + 0.45 * paper.em / tall, text, ha="left", va="bottom", color=INK)
+    if panel.x_title:
+        text = "\n".join(folded(panel.x_title, box[2] * wide, paper.size, paper.font))
+        under = 1.75 + 1.2 * max((w.count("\n") for w in panel.x.words), default=0)
+        figure.text(box[0] + box[2] / 2, box[1] - under * paper.em / tall, text, ha="center", va="top", color=INK)
+    return ax

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from pcbench.dataset.result import Result
-from pcbench.plots import frames
+from pcbench.plots import frames, scales
 from pcbench.plots.palette import styles
 from pcbench.statistics import wording
 from pcbench.statistics.winning import diverges_more
@@ -24,21 +24,20 @@ class Headline(NamedTuple):
     note: str
 
 
-def headlines(result: Result, scenario: str, signal: str, metric: str) -> list[Headline]:
-    """Return a table for each cell, or of many cells one that counts who wins how many."""
+def headlines(result: Result, scenario: str, signal: str, metric: str, cell: int = 0) -> list[Headline]:
+    """Return a table for each cell, or of many cells one that counts who wins how many, and that of one `cell`."""
     part = frames.rows(result, scenario, signal, metric)
     cells = list(dict.fromkeys(part.cell))
     if len(cells) > MOST:
-        return [_counted(result, scenario, signal, metric, part)]
-    return [_cell(result, scenario, signal, metric, part, cell) for cell in cells]
+        counted = _counted(result, scenario, signal, metric, part)
+        return [counted, _cell(result, scenario, signal, metric, part, cell)]
+    return [_cell(result, scenario, signal, metric, part, each) for each in cells]
 
 
 def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame, cell: int) -> Headline:
-    stats, pairs, look = result.stats, result.pairs, styles(part.observer)
-    mine = stats[(stats.scenario == scenario) & (stats.signal == signal) & (stats.cell == cell)]
-    met = pairs[
-        (pairs.scenario == scenario) & (pairs.signal == signal) & (pairs.metric == metric) & (pairs.cell == cell)
-    ]
+    stats, pairs = result.stats_of(scenario, signal), result.pairs_of(scenario, signal)
+    mine, look = stats[stats.cell == cell], styles(part.observer)
+    met = pairs[(pairs.metric == metric) & (pairs.cell == cell)]
     wide = mine.set_index(["observer", "metric"])
     ranked = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
     order, ranked = list(ranked.observer), ranked.set_index("observer")
@@ -46,7 +45,7 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
     rows = []
     for observer in order:
         row = wide.loc[observer]
-        against = "best" if observer == order[0] else wording.difference(met, observer, order[0])
+        against = "" if observer == order[0] else wording.difference(met, observer, order[0])
         if observer != order[0] and diverges_more(ranked.loc[order[0]], ranked.loc[observer]):
             against = "diverges more often"
         lost = row.loc["divergence"]
@@ -56,12 +55,12 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
         cells += ["none" if lost["mean"] == 0 else wording.fraction(lost)]
         rows.append({"cells": cells, "colour": look[observer].colour, "best": observer == order[0]})
     here = part[part.cell == cell].iloc[0]
-    at = ", ".join(f"{frames.label(a)} {here[a]}" for a in frames.varying(part))
+    at = ", ".join(frames.said(a, here[a]) for a in frames.varying(part))
     here_unit = mine[mine.metric == "rmse"].unit.iloc[0]
     unit, n = here.unit, int((part.n + part.diverged).max())
     heads = ["observer", f"{metric} [{unit}]", f"less the best [{unit}]"]
     heads += [m if m == "efficiency" else f"{m} [{here_unit}]" for m in beside] + ["diverged"]
-    title = f"{signal.replace('_', ' ')}" + (f" at {at}" if at else "")
+    title = f"At {at}" if at else ""
     kept = [i for i in range(len(heads)) if any(row["cells"][i] not in ("none", "-") for row in rows)]
     rows = [row | {"cells": [row["cells"][i] for i in kept]} for row in rows]
     lost = " Means are over the runs that did not diverge." if heads.index("diverged") in kept else " No run diverged."
@@ -72,12 +71,12 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
 
 
 def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame) -> Headline:
-    won, look = frames.winners(result, scenario, signal, metric), styles(part.observer)
+    won, look = frames.standings(result, scenario, signal, metric), styles(part.observer)
     wins = won[won.winner != ""].winner.value_counts()
     rows: list[dict[str, Any]] = []
     for observer, mine in part.groupby("observer", sort=False):
         share = 100 * mine.diverged.sum() / max((mine.n + mine.diverged).sum(), 1)
-        median = f"{np.nanmedian(mine['mean']):.4g}" if mine["mean"].notna().any() else "-"
+        median = scales.number(float(f"{np.nanmedian(mine['mean']):.4g}")) if mine["mean"].notna().any() else "-"
         name = wording.marked(str(observer), mine.certified)
         cells = [name, str(wins.get(observer, 0)), median, "none" if not share else f"{share:.3g} %"]
         rank = {"wins": int(wins.get(observer, 0)), "median": float(mine["mean"].median())}
@@ -88,5 +87,5 @@ def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.D
     note = (
         f"{len(won)} cells, ties among them: {ties}; there the best is not surely better than every other (5 %, Holm)."
     )
-    title = f"{signal.replace('_', ' ')} over all cells"
+    title = f"Over all {len(won)} cells"
     return Headline(title, heads, rows, f"{note} {result.unproven(scenario)}".strip())

@@ -1,28 +1,41 @@
-"""One self-contained page from a study's folder: tables, charts, and how to repeat it. Nothing is loaded from elsewhere."""
+"""One self-contained page from a study's folder: who wins, the experiments, tables and pictures, and how to repeat it.
 
-import json
-from collections.abc import Iterator
-from importlib.metadata import version
+Nothing is loaded from elsewhere, and the pictures are SVG in the page: it opens anywhere, prints, and needs no script.
+"""
+
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import altair as alt
 import jinja2
-import vl_convert
 
 from pcbench.dataset import store
 from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result, opened
-from pcbench.machine import cache
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.plants import signals_of
-from pcbench.plots import frames, one_run
-from pcbench.report import chart, headline, lines, maps
-from pcbench.report.chart import Chart
-from pcbench.study import scenarios_of
+from pcbench.plots import frames
+from pcbench.plots.files import inline
+from pcbench.plots.words import title_of_scenario
+from pcbench.report import headline, pictures, sentences, summary
+from pcbench.report.experiment import Experiment, experiment
+from pcbench.report.pictures import SHOWN, Picture, Shown
 
-EXPLAINED = ("mae", "rmse", "tail_rmse", "peak", "settling_time", "efficiency", "divergence", "mean_diff", "p_holm")
+WORDS = {
+    "surely": "better than every other by a paired test on the same draws, 5 % with Holm's correction over the study's "
+    "comparisons; or the other surely diverges more often",
+    "tail": "the part of a run that tail_ metrics are of, from the time said at each experiment on",
+    "cell": "one combination of the values of a study's axes",
+}
+ALWAYS = ("rmse", "tail_rmse", "efficiency", "divergence")
+
+
+class Part(NamedTuple):
+    """What the page says of one signal of a scenario."""
+
+    title: str
+    headlines: list[headline.Headline]
+    at: str  # the values of the axes at which pictures stand
+    pictures: list[dict[str, Any]]
 
 
 class Section(NamedTuple):
@@ -30,107 +43,95 @@ class Section(NamedTuple):
 
     anchor: str
     title: str
-    summary: str
-    source: str
-    headlines: list[headline.Headline]
-    charts: list[dict[str, Any]]
+    experiment: Experiment
+    parts: list[Part]
 
 
-def write(
-    folder: str | Path,
-    out: str | Path,
-    progress: Progress = SILENT,
-    metric: str = frames.METRIC,
-    signals: list[str] | None = None,
-) -> int:
+def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, shown: Shown = SHOWN) -> int:
     """Write the page of a study's folder as one file, and return its size in bytes.
 
-    Observers are ranked by `metric`; `signals` are those shown, of every scenario that has them: None, those it is known by; an
-    empty list, all.
-    Runs shown in time are simulated where the folder has none yet, and kept there. Raises UserError where the folder holds no
-    finished study.
+    `shown` says what is to be looked at: the metric that ranks, signals, cell and seed. Runs shown in time are simulated where
+    the folder has none of these yet, and kept there. Raises UserError where the folder holds no finished study.
     """
-    content = page(opened(folder), progress, metric, signals).encode()
+    content = page(opened(folder), progress, shown).encode()
     target = store.target(str(Path(out).parent if "://" not in str(out) else str(out).rpartition("/")[0]))
     store.make(target)
     store.put(target, str(out).replace("\\", "/").rpartition("/")[2], content)
     return len(content)
 
 
-def page(
-    result: Result,
-    progress: Progress = SILENT,
-    metric: str = frames.METRIC,
-    signals: list[str] | None = None,
-) -> str:
+def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> str:
     """Return the page's HTML; arguments are those of `write`."""
-    names = list(dict.fromkeys(result.stats.scenario))
+    rows = summary.rows(result, shown.metric, shown.signals)
+    won = summary.tally(result, shown.metric, shown.signals)
+    names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
     progress.begin("scenarios", len(names))
-    sections, specs = [], {}
+    sections = []
     for number, name in enumerate(names):
-        made = []
-        for i, drawn in enumerate(_charts(result, name, metric, signals)):
-            key = f"chart-{number}-{i}"
-            specs[key] = drawn.spec
-            made.append({"id": key, "title": drawn.title, "text": drawn.text, "note": drawn.note})
-        s = scenarios_of(result.study)[name]
-        tables = [
-            h
-            for signal in frames.chosen(result, name, signals)
-            for h in headline.headlines(result, name, signal, metric)
-        ]
-        sections.append(
-            Section(f"scenario-{number}", name, f"{s.summary[0].upper()}{s.summary[1:]}.", s.source, tables, made)
-        )
+        sections.append(_section(result, name, f"scenario-{number}", shown))
         progress.step(1)
+    explained = [shown.metric, *(m for m in ALWAYS if m in set(result.stats.metric))]
     return str(
         _template().render(
             title=f"Study {result.study.name}",
             what=_what(result),
+            metric=shown.metric,
+            metric_means=MEANING[shown.metric],
+            sure=_sure(result),
+            tally=won,
+            summary=rows,
+            several=any(t.of > len(rows) for t in won),
+            anchors={name: f"scenario-{i}" for i, name in enumerate(names)},
             sections=sections,
             command=_command(result),
             study=_said(result),
             provenance=_provenance(result),
-            meaning=[(name.replace("_", " "), MEANING[name]) for name in EXPLAINED if name in MEANING],
-            bundle=_bundle(),
-            specs=json.dumps(specs, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
+            meaning=[*((m, MEANING.get(m, _OF_STATS.get(m, ""))) for m in dict.fromkeys(explained)), *WORDS.items()],
         )
     )
 
 
-def _charts(result: Result, scenario: str, metric: str, signals: list[str] | None) -> Iterator[Chart]:
-    """Every chart that a scenario's results have something for."""
-    for signal in frames.chosen(result, scenario, signals):
-        whole = frames.rows(result, scenario, signal, metric)
-        yield lines.distribution(whole, frames.distribution(result, scenario, signal, metric), metric)
-        axes = frames.varying(whole)
-        if len(axes) >= 2:
-            yield maps.winners(whole, frames.winners(result, scenario, signal, metric), axes[0], axes[1], metric)
-            yield maps.heatmap(whole, axes[0], axes[1], metric)
-        for axis in axes:
-            yield lines.curve(whole, axis, metric)
-    lost = frames.rows(result, scenario, None, "divergence")
-    axes = frames.varying(lost)
-    if len(axes) >= 2 and (lost["mean"] > 0).any():
-        yield maps.heatmap(lost, axes[0], axes[1], "divergence")
-    if result.fair is not None:
-        yield maps.fair(result.fair[result.fair.cell == result.fair.cell.iloc[0]])
-    signal = (frames.chosen(result, scenario, signals) or frames.chosen(result, scenario, None))[0]
-    units = dict(signals_of(scenarios_of(result.study)[scenario]))
-    run = one_run.of(result.study, scenario, result.out)
-    shown = dict.fromkeys(lost.observer)
-    at = chart.where(lost, [], "Shown at")
-    if run is not None:
-        yield lines.time(run[run.signal == signal], list(shown), signal, units[signal], result.study.first_seed, at)
+_OF_STATS = {
+    "efficiency": "the least tail_pooled_rmse that any causal estimator can have, over the observer's: 1 is best",
+    "divergence": "the share of runs whose error became non-finite or left the scenario's bound; none of them is averaged",
+}
+
+
+def _section(result: Result, scenario: str, anchor: str, shown: Shown) -> Section:
+    cell, parts = pictures.cell_of(result, scenario, shown), []
+    for signal in frames.ranked(result, scenario, shown.signals, shown.metric):
+        tables = headline.headlines(result, scenario, signal, shown.metric, cell)
+        whole = frames.rows(result, scenario, signal, shown.metric)
+        at = sentences.where(whole, cell)
+        drawn = [_drawn(p) for p in pictures.of_signal(result, scenario, signal, shown)]
+        unit = pictures.unit_of_signal(result, scenario, signal)
+        title = f"Error of {signal.replace('_', ' ')} [{unit}]"
+        parts.append(Part(title, tables, at, drawn))
+    besides = [_drawn(p) for p in pictures.of_all_signals(result, scenario, shown)]
+    parts += [Part("All signals", [], "", besides)] if besides else []
+    return Section(anchor, title_of_scenario(result, scenario), experiment(result, scenario), parts)
+
+
+def _drawn(p: Picture) -> dict[str, Any]:
+    return {"name": p.name, "title": p.title, "text": p.text, "note": p.note, "svg": inline(p.figure, p.name)}
 
 
 def _what(result: Result) -> str:
     mine = result.stats[result.stats.metric == "mae"]
     scenarios, cells = mine.scenario.nunique(), int(mine.groupby("scenario").cell.nunique().sum())
-    observers, runs = ", ".join(dict.fromkeys(mine.observer)), int((mine.n + mine.diverged).max())
-    many = f"{cells} combinations of axis values" if cells > scenarios else "one combination of axis values each"
+    observers, runs = list(dict.fromkeys(mine.observer)), int((mine.n + mine.diverged).max())
+    many = f", {cells} combinations of axis values" if cells > scenarios else ""
     where = f"{scenarios} scenario" + ("s" if scenarios > 1 else "")
-    return f"Compared: {observers}; in {where}, {many}, with up to {runs:,} noise seeds each."
+    return (
+        f"{len(observers)} observers ({', '.join(observers)}) in {where}{many}, with up to {runs:,} noise seeds each."
+    )
+
+
+def _sure(result: Result) -> str:
+    """How to read sureness, where there is any."""
+    if int((result.stats.n + result.stats.diverged).max()) < 2:
+        return "One run each: nothing is sure."
+    return "Scenarios with noise stand first, then those in which the best is farthest ahead."
 
 
 def _command(result: Result) -> str:
@@ -153,7 +154,8 @@ def _said(result: Result) -> str:
 def _provenance(result: Result) -> list[tuple[str, str]]:
     p = result.provenance
     flat = {"versions": ", ".join(f"{k} {v}" for k, v in p.get("versions", {}).items())}
-    flat |= {"device": ", ".join(str(v) for v in p.get("device", {}).values()), "system": p.get("system", "")}
+    device = p.get("device", {})
+    flat |= {"device": ", ".join(f"{k} {v}" for k, v in device.items()), "system": p.get("system", "")}
     flat |= {
         k: str(p[k])
         for k in ("precision", "root_seed", "study_sha256", "started", "wall_seconds", "compile_seconds")
@@ -162,19 +164,6 @@ def _provenance(result: Result) -> list[tuple[str, str]]:
     git = p.get("git") or {}
     flat |= {"commit": f"{git['commit']}{' (changed)' if git.get('changed') else ''}"} if git.get("commit") else {}
     return [(k.replace("_", " "), v) for k, v in flat.items() if v]
-
-
-def _bundle() -> str:
-    """Vega-Lite and what it needs, as one script."""
-    release = alt.SCHEMA_VERSION.lstrip("v").rpartition(".")[0]
-    kept = cache.folder() / f"vega-lite-{release}-{version('vl-convert-python')}.js"
-    try:
-        return kept.read_text(encoding="utf-8")
-    except OSError:
-        found = str(vl_convert.javascript_bundle(vl_version=release))  # type: ignore[call-arg]
-    text = found.replace("</script", "<\\/script")
-    cache.keep(kept, text)
-    return text
 
 
 def _template() -> jinja2.Template:

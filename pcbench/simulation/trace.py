@@ -39,7 +39,7 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
             x=_whole(actual(layout, p, k, state)),
             estimates={label: _whole(xhat) for label, xhat in estimates(layout, p, state).items()},
             u=_whole(held(p, k, state)),
-            arrived=_arrived(layout, p, k, state),
+            arrived=_arrived(layout, p, k, state)[:, 0],
             target=aims(layout, p, k),
         )
 
@@ -52,12 +52,12 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
 
 
 def _arrived(layout: Layout, p: Problem, k: Array, state: State) -> Array:
-    """What arrives at tick k, the newest of each channel: [q], NaN where nothing does."""
-    plan, y = p.schedule, jnp.full(p.noise_std.shape, jnp.nan)
+    """What arrives at tick k, the newest of each channel: [q, L], NaN where nothing does."""
+    plan, y = p.schedule, jnp.full((*p.noise_std.shape, layout.width), jnp.nan)
     for slot in range(plan.arrive.shape[1]):
         row = plan.arrive[k, slot] % layout.ring
-        value = _whole(jax.tree.map(lambda ring, row=row: ring[row], state.flight.values))
-        y = jnp.where(plan.fresh[k, slot], value, y)
+        value = lanes.whole(jax.tree.map(lambda ring, row=row: ring[row], state.flight.values), layout.width)
+        y = jnp.where(plan.fresh[k, slot][:, None], value, y)
     return y
 
 
@@ -69,3 +69,48 @@ def _whole(a: PerLane) -> Array:
 def compiled() -> Any:
     """Return `record` compiled, once for each shape in a process."""
     return jax.jit(record, static_argnums=0)
+
+
+class Thinned(NamedTuple):
+    """Every so many ticks of L runs on one schedule: K rows."""
+
+    x: Array  # [K, n + s, L]
+    estimates: dict[str, Array]  # [K, n or n + s, L]
+    held: Array  # [K, q, L] what has arrived and is held; NaN before
+    target: Array  # [K, r] the set point of a closed loop
+
+
+def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Array, seeds: Array) -> Thinned:
+    """Record ticks 0, every, 2 every ... of the runs seeds[L], so many rows; their schedule is one for all."""
+    many = seeds.shape[0]
+    layout = layout._replace(width=many)
+    events, state = prepare(layout, p, root_seed, seeds)
+    happen, drawn = where_any(p, events), drawing(layout, p, root_seed, seeds)
+    none = jnp.full((*p.noise_std.shape, many), jnp.nan)
+
+    def read(k: Array, state: State) -> Thinned:
+        return Thinned(
+            x=lanes.whole(actual(layout, p, k, state), many),
+            estimates={o: lanes.whole(xhat, many) for o, xhat in estimates(layout, p, state).items()},
+            held=_arrived(layout, p, k, state),
+            target=aims(layout, p, k),
+        )
+
+    def step(carry: tuple[State, Array, Thinned], k: Array) -> tuple[tuple[State, Array, Thinned], None]:
+        state, held, table = carry
+        new, row = tick(layout, p, k, state, drawn(k), happen, read)
+        row = row._replace(held=jnp.where(jnp.isnan(row.held), held, row.held))
+        place = jnp.where(k % every == 0, k // every, rows)  # the last row takes what is not kept
+        table = jax.tree.map(lambda a, v: lax.dynamic_update_index_in_dim(a, v.astype(a.dtype), place, 0), table, row)
+        return (lanes.like(new, state, many), row.held, table), None
+
+    ticks = jnp.arange(every * (rows - 1) + 1)
+    shape = jax.eval_shape(lambda: read(ticks[0], state))
+    table = jax.tree.map(lambda a: jnp.zeros((rows + 1, *a.shape), a.dtype), shape)
+    return jax.tree.map(lambda a: a[:rows], lax.scan(step, (state, none, table), ticks)[0][2])
+
+
+@cache
+def compiled_some() -> Any:
+    """Return `record_some` compiled, once for each shape in a process."""
+    return jax.jit(record_some, static_argnums=(0, 1, 2))

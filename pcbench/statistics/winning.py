@@ -1,6 +1,6 @@
 """Who wins a cell, and how surely. No jax."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -11,18 +11,46 @@ from pcbench.statistics.estimates import wilson
 ALPHA = 0.05
 
 
-def winner(rows: pd.DataFrame, pairs: pd.DataFrame) -> str:
-    """Return the observer that wins a cell; empty where the best is no surer than 5 %.
+class Standing(NamedTuple):
+    """How observers stand in a cell."""
 
-    `rows` are those of stats of one metric in the cell, `pairs` those of pairs. The best has the fewest diverged runs and then
-    the least mean. It wins where every other observer surely diverges more often (Wilson's intervals are apart) or differs from
-    it by Holm's adjusted p-value; where several runs do not vary there is no test, and a difference is one. No observer wins
-    where all have diverged.
+    order: tuple[str, ...]  # the best first: the fewest diverged runs, and then the least mean
+    alike: tuple[str, ...]  # of the others, those that the best is not surely better than
+    p_value: float  # the largest of Holm's adjusted p-values of the best against another; NaN: there is no test
+    factor: float  # the second mean over the best; NaN: there is none
+
+    @property
+    def winner(self) -> str:
+        """Return the best where it is surely so; empty where it is not."""
+        return self.order[0] if self.order and not self.alike else ""
+
+
+def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
+    """Return how observers stand in a cell.
+
+    `rows` are those of stats of one metric in the cell, `pairs` those of pairs. The best is surely better than another that
+    surely diverges more often (Wilson's intervals are apart) or differs from it by Holm's adjusted p-value; where several runs
+    do not vary there is no test, and a difference is one. No observer is the best where all have diverged.
     """
-    order = rows.sort_values(["diverged", "mean"], kind="stable")
+    order = ranked(rows)
     best, others = order.iloc[0], order.iloc[1:]
-    surely = bool(np.isfinite(best["mean"])) and all(_apart(pairs, best, o) for o in others.to_dict("records"))
-    return str(best.observer) if surely else ""
+    if not np.isfinite(best["mean"]):
+        return Standing(tuple(order.observer), tuple(order.observer), np.nan, np.nan)
+    alike = [str(o["observer"]) for o in others.to_dict("records") if not _apart(pairs, best, o)]
+    met = pairs[(pairs.observer_a == best.observer) | (pairs.observer_b == best.observer)].p_holm
+    second = float(others["mean"].iloc[0]) if len(others) else np.nan
+    factor = second / float(best["mean"]) if best["mean"] > 0 else np.inf if second > 0 else np.nan
+    return Standing(tuple(map(str, order.observer)), tuple(alike), float(met.max()) if len(met) else np.nan, factor)
+
+
+def ranked(rows: pd.DataFrame) -> pd.DataFrame:
+    """Return rows of one metric and cell, the best first: the fewest diverged runs, then the least mean."""
+    return rows.sort_values(["diverged", "mean"], kind="stable", na_position="last")
+
+
+def winner(rows: pd.DataFrame, pairs: pd.DataFrame) -> str:
+    """Return the observer that wins a cell; empty where the best is no surer than 5 %."""
+    return standing(rows, pairs).winner
 
 
 def diverges_more(best: Any, other: Any) -> bool:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import pcbench
+from pcbench.errors import UserError
 from pcbench.machine import process
 from pcbench.plots import one_run
 from pcbench.study import read
@@ -11,25 +12,27 @@ from pcbench.study import read
 
 @pytest.fixture(scope="module")
 def shown():
+    """Six runs beside one another, of the second value of an axis."""
     raw = {"name": "t", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 3, "first_seed": 6}
     made = read.parse(raw | {"axes": {"noise_std": [0.3, 0.5], "delay": [0.1]}}, "t")
+    at = ["axes.noise_std=0.5", "axes.delay=0.1"]
     with process.float64():
-        trace = pcbench.trace("cart/white", "pccebo", seed=6, overrides=["axes.noise_std=0.3", "axes.delay=0.1"])
-        return one_run.of(made, "cart/white", None), trace
+        traces = [pcbench.trace("cart/white", "pccebo", seed=6 + i, overrides=at) for i in range(one_run.RUNS)]
+        return one_run.of(made, "cart/white", None, cell=1), traces
 
 
 def test_it_is_thinned_evenly_from_the_start_to_the_end(shown):
-    frame, trace = shown
-    for _, mine in frame.groupby(["signal", "series"]):
-        assert len(mine) <= one_run.POINTS
+    frame, (trace, *_) = shown
+    for _, mine in frame.groupby(["signal", "series", "kind"]):
+        assert len(mine) <= 2 * one_run.POINTS
         t = mine.t.to_numpy()
         assert t[0] == 0
         assert t[-1] > 0.99 * trace.t.iloc[-1]
         np.testing.assert_allclose(np.diff(t), t[1], rtol=1e-9)
 
 
-def test_its_values_are_those_of_the_trace(shown):
-    frame, trace = shown
+def test_its_values_are_those_of_the_trace_and_its_band_that_of_all_runs(shown):
+    frame, traces = shown
     columns = {
         ("position", "plant", "truth"): "position",
         ("velocity", "plant", "truth"): "velocity",
@@ -38,7 +41,23 @@ def test_its_values_are_those_of_the_trace(shown):
         ("position", "measured", "measured"): "y1",
     }
     found = dict(list(frame.groupby(["signal", "series", "kind"])))
-    assert set(found) == set(columns)
+    of_errors = {(s, "pccebo", kind) for s in ("position", "velocity") for kind in ("error", "low", "high", "rms")}
+    assert set(found) == set(columns) | of_errors
+    at = np.round(found["position", "plant", "truth"].t.to_numpy() / 1e-3).astype(int)
     for key, column in columns.items():
-        at = np.round(found[key].t.to_numpy() / 1e-3).astype(int)
-        np.testing.assert_array_equal(found[key].value, trace[column].to_numpy()[at])
+        np.testing.assert_allclose(found[key].value, traces[0][column].to_numpy()[at], rtol=1e-12, atol=1e-12)
+    errors = np.array([(t["position"] - t["pccebo.position"]).to_numpy()[at] for t in traces])
+    for kind, values in (
+        ("error", errors[0]),
+        ("low", np.quantile(errors, 0.05, axis=0)),
+        ("high", np.quantile(errors, 0.95, axis=0)),
+        ("rms", np.sqrt((errors**2).mean(axis=0))),
+    ):
+        np.testing.assert_allclose(found["position", "pccebo", kind].value, values, rtol=1e-9, atol=1e-12)
+
+
+def test_runs_that_are_alike_have_no_band_and_a_cell_that_is_none_is_one_sentence():
+    study = read.parse({"name": "t", "scenarios": ["cart/nominal"], "observers": ["pccebo"]}, "t")
+    assert set(one_run.of(study, "cart/nominal", None).kind) == {"truth", "estimate", "error", "measured"}
+    with pytest.raises(UserError, match="--cell: got 7, expected one of 0"):
+        one_run.of(study, "cart/nominal", None, cell=7)

@@ -10,8 +10,8 @@ from scipy import stats as scipy_stats
 import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
-from pcbench.plots import frames
-from pcbench.report import maps
+from pcbench.plots import frames, scales, words
+from pcbench.report import sentences
 
 STUDY = {
     "name": "map",
@@ -28,8 +28,14 @@ def result():
     return pcbench.run(STUDY)
 
 
-def axes_of(figure):
-    return [ax for ax in figure.axes if ax.get_visible() and ax.get_xlabel()]
+def said(figure):
+    """Every text outside the axes: titles of the picture and of its axes, keys."""
+    return [text.get_text().replace("\n", " ").replace("\u00a0", " ") for text in figure.texts]
+
+
+def dots(ax):
+    """The points of every observer."""
+    return {line.get_label(): line for line in ax.get_lines() if not line.get_label().startswith("_")}
 
 
 def test_a_distribution_is_the_runs_in_order(result):
@@ -40,34 +46,62 @@ def test_a_distribution_is_the_runs_in_order(result):
         np.testing.assert_array_equal(mine.value, values)
         np.testing.assert_allclose(mine.share, np.arange(1, 25) / 24)
     figure = plots.distributions(result, metric="tail_rmse", cell=1)
-    (ax,) = axes_of(figure)
-    assert ax.get_xlabel() == "rms error of position in the tail [m]"
+    (ax,) = figure.axes
+    assert "rms error of position in the tail [m]" in said(figure)
     drawn = {line.get_label(): line.get_xdata() for line in ax.get_lines()}
-    np.testing.assert_array_equal(drawn["kfbo"], part[part.observer == "kfbo"].value)
+    np.testing.assert_array_equal(drawn["kfbo"][1:], part[part.observer == "kfbo"].value)
 
 
 def test_a_curve_has_the_means_and_their_intervals(result):
     figure = plots.curves(result, "noise_std", metric="mae", at={"delay": 0.4})
-    (ax,) = axes_of(figure)
-    assert ax.get_xlabel() == "noise std [unit of the output]"
+    (ax,) = figure.axes
+    assert {"noise std [m]", "mean |error| of position [m]"} <= set(said(figure))
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["0.1", "2"], (
+        "a tick at each value of the axis, and no other"
+    )
     rows = result.stats.query("metric == 'mae' and signal == 'position' and delay == 0.4 and observer == 'kfbo'")
-    (line,) = [line for line in ax.get_lines() if line.get_label() == "kfbo"]
-    np.testing.assert_allclose(line.get_ydata(), rows["mean"])
-    np.testing.assert_allclose(line.get_xdata(), [0.1, 2.0])
-    band = ax.collections[STUDY["observers"].index("kfbo")].get_paths()[0].vertices[:, 1]
-    np.testing.assert_allclose([band.min(), band.max()], [rows.ci_low.min(), rows.ci_high.max()])
+    np.testing.assert_allclose(dots(ax)["kfbo"].get_ydata(), rows["mean"])
+    np.testing.assert_allclose(dots(ax)["kfbo"].get_xdata(), [0.1, 2.0], atol=0.03)
+    bar = np.array(ax.collections[STUDY["observers"].index("kfbo")].get_segments())[:, :, 1]
+    np.testing.assert_allclose(bar, rows[["ci_low", "ci_high"]])
+
+
+def test_an_interval_never_leaves_its_axis(result):
+    """Also on a logarithmic one, which ends where the intervals end and not where the means do."""
+    for metric in ("mae", "peak", "tail_rmse"):
+        (ax,) = plots.curves(result, "delay", metric=metric).axes
+        ends = np.concatenate([np.array(bar.get_segments())[:, :, 1].ravel() for bar in ax.collections])
+        low, high = ax.get_ylim()
+        assert low <= ends.min()
+        assert ends.max() <= high
 
 
 def test_an_axis_that_a_figure_does_not_show_stands_at_its_first_value(result):
     drawn = [
-        {
-            line.get_label(): line.get_ydata()
-            for line in axes_of(plots.curves(result, "noise_std", at=at))[0].get_lines()
-        }
+        {name: line.get_ydata() for name, line in dots(plots.curves(result, "noise_std", at=at).axes[0]).items()}
         for at in (None, {"delay": 0.2}, {"delay": 0.4})
     ]
     np.testing.assert_array_equal(drawn[0]["kfbo"], drawn[1]["kfbo"])
     assert (drawn[0]["kfbo"] != drawn[2]["kfbo"]).all()
+
+
+def test_an_interval_of_more_seeds_is_that_of_the_table(result):
+    part = frames.convergence(result, metric="tail_rmse", cell=3)
+    row = result.stats.query(
+        "metric == 'tail_rmse' and signal == 'position' and cell == 3 and observer == 'kfbo'"
+    ).iloc[0]
+    mine = part[part.observer == "kfbo"].set_index("seeds").half
+    assert list(mine.index) == [4, 8, 16, 24]
+    assert mine[24] == pytest.approx((row.ci_high - row.ci_low) / 2 / row["mean"], rel=1e-12)
+    (ax,) = plots.convergence(result, metric="tail_rmse", cell=3).axes
+    np.testing.assert_allclose(dots(ax)["kfbo"].get_ydata(), 100 * mine)
+
+
+def test_the_cell_that_tells_most_is_the_one_where_a_sure_winner_is_farthest_ahead(result):
+    found = frames.standings(result, metric="mae").set_index("cell")
+    cell = frames.telling(result, metric="mae")
+    assert found.winner[cell] != ""
+    assert found.factor[cell] == found.factor[found.winner != ""].max()
 
 
 def test_a_share_of_runs_is_of_all_of_them_and_ends_where_the_rest_diverged():
@@ -76,7 +110,7 @@ def test_a_share_of_runs_is_of_all_of_them_and_ends_where_the_rest_diverged():
         for o, lost in (("a", 0), ("b", 3))
         for i in range(4)
     ]
-    named = SimpleNamespace(stats=pd.DataFrame({"scenario": ["s"], "signal": ["x"]}), study=SimpleNamespace(name="t"))
+    named = SimpleNamespace(scenarios=["s"], signals=lambda scenario: ["x"], study=SimpleNamespace(name="t"))
     named.runs_of = lambda scenario, metrics, cell: pd.DataFrame(rows)
     part = frames.distribution(named, "s", "x", "mae")
     assert part[part.observer == "a"].share.tolist() == [0.25, 0.5, 0.75, 1.0]
@@ -86,7 +120,7 @@ def test_a_share_of_runs_is_of_all_of_them_and_ends_where_the_rest_diverged():
 @pytest.mark.slow
 def test_a_tie_is_blank_and_a_win_is_what_a_paired_test_says(result):
     """Two observers alike to the bit never win; without the twin pccebo wins where the t-test on the same draws says so."""
-    won = frames.winners(result, metric="tail_rmse").set_index("cell")
+    won = frames.standings(result, metric="tail_rmse").set_index("cell")
     runs = result.runs[result.runs.signal == "position"]
     for cell, row in won.iterrows():
         wide = runs[runs.cell == cell].pivot(index="seed", columns="observer", values="tail_rmse")
@@ -98,7 +132,7 @@ def test_a_tie_is_blank_and_a_win_is_what_a_paired_test_says(result):
             assert row.winner == "", "its twin is as good"
             assert row.text == "tie"
     alone = pcbench.run(STUDY | {"observers": ["pccebo", "kfbo"]})
-    again = frames.winners(alone, metric="tail_rmse").set_index("cell")
+    again = frames.standings(alone, metric="tail_rmse").set_index("cell")
     assert "pccebo" in set(again.winner)
 
 
@@ -112,38 +146,62 @@ def test_diverged_runs_lose_and_are_said_in_per_cent():
         "seeds": 4,
     }
     result = pcbench.run(study)
-    assert set(frames.winners(result).winner) == {"pccebo"}
+    assert set(frames.standings(result).winner) == {"pccebo"}
     figure = plots.divergence(result)
-    texts = [t.get_text() for ax in axes_of(figure) for t in ax.texts]
-    assert "100" in texts
-    drawn = maps.heatmap(frames.rows(result, None, None, "divergence"), "delay", "noise_std", "divergence")
-    assert drawn.text == "Ranges [%]: pccebo 0 to 0, kfbo 100 to 100."
-    assert "diverged runs [%]" in figure.get_suptitle()
+    texts = [t.get_text() for t in figure.axes[1].texts]
+    assert texts == ["100"] * 4
+    drawn = frames.rows(result, None, None, "divergence")
+    assert (
+        sentences.ranges(drawn.assign(mean=100 * drawn["mean"]), "%") == "Ranges [%]: pccebo 0 to 0, kfbo 100 to 100."
+    )
+    assert any("diverged runs [%]" in text for text in said(figure))
 
 
-def test_maps_stand_on_one_scale_with_both_axes_named(result):
+def test_maps_stand_on_one_scale_with_numbers_and_both_axes_named(result):
     figure = plots.heatmaps(result, metric="mae")
-    small = axes_of(figure)
+    small = figure.axes
     assert len(small) == 3
+    assert {"delay [s]", "pccebo ↑ noise std [m]", "kfbo"} <= set(said(figure))
     for ax in small:
-        assert (ax.get_xlabel(), ax.get_ylabel()) == ("delay [s]", "noise std [unit of the output]")
-    assert len({ax.images[0].get_clim() for ax in small}) == 1
-    grid = small[1].images[0].get_array()
-    rows = result.stats.query("metric == 'mae' and signal == 'position' and observer == 'kfbo'")
-    assert grid[1, 0] == rows.query("delay == 0.2 and noise_std == 2.0")["mean"].item()
+        assert [t.get_text() for t in ax.get_yticklabels()] == ["0.1", "2"]
+    rows = result.stats.query("metric == 'mae' and signal == 'position'")
+    shown = {}
+    for ax, observer in zip(small, STUDY["observers"], strict=True):
+        mine = rows[rows.observer == observer].sort_values(["delay", "noise_std"])
+        texts = sorted((t.get_position(), t.get_text()) for t in ax.texts)
+        assert [text for _, text in texts] == [scales.short(v) for v in mine["mean"]]
+        for patch, value in zip(ax.patches, rows[rows.observer == observer]["mean"], strict=True):
+            shown[value] = patch.get_facecolor()
+    light = [sum(shown[value][:3]) for value in sorted(shown)]
+    assert light == sorted(light, reverse=True), "the larger, the darker, whoever's it is"
+
+
+def test_a_map_of_winners_says_who_and_by_how_much_and_is_pale_where_that_is_not_sure(result):
+    figure = plots.winners(result, metric="tail_rmse")
+    (ax,) = figure.axes
+    texts = [t.get_text() for t in ax.texts]
+    found = frames.standings(result, metric="tail_rmse")
+    for row, text in zip(found.to_dict("records"), texts, strict=True):
+        if row["winner"]:
+            assert text == f"{row['winner']}\n{words.times(row['factor'])}"
+        else:
+            assert text.startswith("tie")
 
 
 def test_one_run_in_time_is_the_trace(result):
-    figure = plots.time(result)
-    (ax,) = axes_of(figure)
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("t [s]", "position [m]")
-    lines = {line.get_label(): line for line in ax.get_lines()}
+    figure = plots.time(result, cell=2, seed=3)
+    above, below = figure.axes
+    assert {"position [m]", "t [s]", "pccebo", "plant", "measured, held"} <= set(said(figure))
+    assert said(figure)[0] == "cart/white, delay 0.4 s, noise std 0.1, seed 3"
+    lines = {line.get_label(): line for line in above.get_lines()}
     assert set(lines) == {"plant", "pccebo", "kfbo", "pccebo-twin", "measured, held"}
-    trace = pcbench.trace("cart/white", ["kfbo"], overrides=["axes.delay=0.2", "axes.noise_std=0.1"])
+    at = ["axes.delay=0.4", "axes.noise_std=0.1"]
+    trace = pcbench.trace("cart/white", ["kfbo"], seed=3, overrides=at)
     t = lines["kfbo"].get_xdata()
-    at = np.round(t / 1e-3).astype(int)
-    np.testing.assert_allclose(lines["kfbo"].get_ydata(), trace["kfbo.position"].to_numpy()[at], rtol=1e-12)
-    np.testing.assert_allclose(lines["measured, held"].get_ydata(), trace["y1"].to_numpy()[at], rtol=1e-12)
+    k = np.round(t / 1e-3).astype(int)
+    np.testing.assert_allclose(lines["kfbo"].get_ydata(), trace["kfbo.position"].to_numpy()[k], rtol=1e-9)
+    np.testing.assert_allclose(lines["measured, held"].get_ydata(), trace["y1"].to_numpy()[k], rtol=1e-9)
+    assert set(dots(below)) == {"pccebo", "kfbo", "pccebo-twin"}
 
 
 MISTAKES = [
@@ -152,6 +210,8 @@ MISTAKES = [
     (lambda r: plots.curves(r, metric="beauty"), "'beauty' is no metric"),
     (lambda r: plots.time(r, signal="speed"), "'speed' is no signal"),
     (lambda r: plots.time(r, scenario="cart/nominal"), "'cart/nominal' is no scenario"),
+    (lambda r: plots.time(r, cell=9), "--cell: got 9"),
+    (lambda r: plots.save(None, "a.gif"), "expected a name that ends in"),
     (lambda r: plots.fair(r), "expected a study with several tunings"),
     (lambda r: plots.trade_off(pd.DataFrame({"decay": [1.0], "refused": [""]}), "noise"), "'noise' is no column"),
 ]

@@ -1,0 +1,205 @@
+"""The experiment as it was run: what was true, what drove it, how it was measured; and what of that is not as published."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from pcbench.dataset.result import Result
+from pcbench.plants import entry_of, nonlinear, numbers_of, parameters_of, signals_of, states_of
+from pcbench.plots import outputs
+from pcbench.plots.scales import number
+from pcbench.plots.words import LTI
+from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
+from pcbench.scenarios.sources import Table, Wave
+from pcbench.study.cells import Cell, cells
+from pcbench.study.own_observers import is_absent
+
+TOLD = (  # fields of which is said that they are not as published
+    *(
+        "x0",
+        "sampling_period",
+        "delay",
+        "noise_std",
+        "process_std",
+        "drift",
+        "profile",
+        "jitter",
+        "delay_jitter",
+        "loss",
+    ),
+    *("input", "unknown_input", "actuator_delay", "assumed_delay_error", "horizon"),
+)
+MANY = 8  # rows or columns up to which matrices are printed
+
+
+class Fact(NamedTuple):
+    """One thing that is known of an experiment."""
+
+    what: str
+    said: str
+    changed: bool = False  # by an axis of the study: the values are all of them
+
+
+class Experiment(NamedTuple):
+    """What the page says of how a scenario was run."""
+
+    published: str  # what it begins from, and what of that is not so here
+    facts: list[Fact]
+    matrices: list[tuple[str, list[list[str]]]]  # name, rows of numbers
+
+
+def experiment(result: Result, scenario: str) -> Experiment:
+    """Return how a scenario was run, over all its cells."""
+    every = cells(result.study, scenario)
+    s = every[0].scenario
+    facts = [fact for each in _facts(s) if (fact := _fact(each, every, result.study.axes))]
+    facts += [_parameter(name, values) for name, values in result.study.axes.items() if name.startswith("plant.")]
+    facts += [Fact("observers", "; ".join(_observer(every[0], o) for o in every[0].options))]
+    return Experiment(_published(result, s, every), facts, _matrices(s))
+
+
+class Field(NamedTuple):
+    """A field of a scenario, how it is called, and how its value is said; `usual`: not said where it is that."""
+
+    name: str
+    what: str
+    say: Callable[[Any], str]
+    usual: Any = None
+
+
+def _facts(s: Scenario) -> list[Field]:
+    """What is said of a scenario, in order; of what is not so usually only where it is."""
+    signals, seen = signals_of(s), outputs.units(s)
+    states = [unit for _, unit in states_of(s)]
+
+    def with_units(units: list[str]) -> Callable[[Any], str]:
+        return lambda values: _each(values, units)
+
+    seconds = with_units(["s"] * len(s.sampling.delay))
+    return [
+        Field(
+            "plant", "plant", lambda name: entry_of(s).summary if name != LTI else f"of the study: {len(states)} states"
+        ),
+        Field("input", "input", _source),
+        Field("controller", "loop", lambda name: f"closed by {name}", ""),
+        Field(
+            "control", "controller's options", lambda given: ", ".join(f"{k} {_plain(v)}" for k, v in given.items()), {}
+        ),
+        Field("unknown_input", "unknown input", _source, ""),
+        Field("x0", "start x(0)", lambda v: _vector(v, signals)),
+        Field("xhat0", "observers' start", lambda v: _vector(v, signals)),
+        Field("prior_std", "std of the start", lambda v: _vector(v, signals)),
+        Field("sampling_period", "a sample every", seconds),
+        Field("delay", "each late by", lambda v: "one interval" if set(v) == {INTERVAL} else seconds(v)),
+        Field("noise_std", "noise of a sample (std)", lambda v: _each(v, seen) if any(v) else "none"),
+        Field(
+            "process_std",
+            "process noise a tick (std)",
+            lambda v: _plain(v) if np.ndim(v) > 1 else _vector(v, signals),
+            (),
+        ),
+        Field("drift", "drift", number, 0.0),
+        Field(
+            "profile", "sampling intervals", lambda v: v if isinstance(v, str) else _each(v, ["s"] * len(v)), "periodic"
+        ),
+        Field("jitter", "sampling jitter", lambda v: f"± {number(v)} s", 0.0),
+        Field("delay_jitter", "delay jitter", lambda v: f"up to {number(v)} s more", 0.0),
+        Field("delay_swing", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)", (0.0, 0.0)),
+        Field("loss", "lost samples", lambda v: f"{number(100 * v)} %", 0.0),
+        Field("continuous", "measured", lambda v: "continuously, without noise", False),
+        Field("actuator_delay", "commands late by", lambda v: f"{number(v)} s", None),
+        Field("assumed_delay_error", "observers believe samples older by", lambda v: f"{number(v)} s", 0.0),
+        Field("start_box", "observers' start, drawn within", lambda v: _vector(v, signals), ()),
+        Field("horizon", "horizon", lambda v: f"{number(v)} s, in ticks of {number(s.dt)} s"),
+        Field("tail", "tail (tail_ metrics) from", lambda v: f"{number(v)} s"),
+        Field("settle_band", "settled within", lambda v: _vector(v, signals)),
+        Field("bound", "diverged beyond", lambda v: _vector(v, signals) if isinstance(v, tuple) else number(v)),
+    ]
+
+
+def _fact(field: Field, every: list[Cell], axes: dict[str, Any]) -> Fact | None:
+    """What is to be said of a field over all cells; nothing where it is as usual in all of them."""
+    values = list({str(v): v for c in every for v in (c.scenario.value(field.name),)}.values())
+    if len(values) == 1 and (values[0] == field.usual or (isinstance(values[0], tuple) and field.usual == () and not any(
+            np.ravel(values[0])))):  # fmt: skip
+        return None
+    usual = "none" if field.usual in (0.0, (), "") else "as the samples"
+    said = [usual if v == field.usual else field.say(v) for v in values]
+    return Fact(field.what, " | ".join(said), field.name in axes and len(values) > 1)
+
+
+def _parameter(name: str, values: list[Any]) -> Fact:
+    return Fact(
+        f"{name.removeprefix('plant.').replace('_', ' ')} of the plant",
+        " | ".join(map(_plain, values)),
+        len(values) > 1,
+    )
+
+
+def _observer(cell: Cell, label: str) -> str:
+    """An observer with the options that are not its own defaults."""
+    given = cell.options[label]
+    own = {k: v for k, v in given.model_dump(exclude_defaults=True).items() if v is not None}
+    if label in cell.own and is_absent(cell.own[label]):
+        return label
+    return f"{label} ({', '.join(f'{k} {_plain(v)}' for k, v in own.items())})" if own else label
+
+
+def _published(result: Result, s: Scenario, every: list[Cell]) -> str:
+    """What a scenario begins from, and which of its fields this study has changed."""
+    known = SCENARIOS.get(s.name)
+    if known is None or s.own:
+        return f"{s.summary[0].upper()}{s.summary[1:]}. Source: {s.source}." if s.name != LTI else ""
+    differ = [f.replace("_", " ") for f in TOLD if any(c.scenario.value(f) != known.value(f) for c in every)]
+    differ += [name.removeprefix("plant.") for name in result.study.axes if name.startswith("plant.")]
+    differ += ["start (random)"] if every[0].choices.random_start else []
+    but = f" Here another: {', '.join(differ)}; as below." if differ else ""
+    return f"As published: {s.summary}. Source: {s.source}.{but}"
+
+
+def _matrices(s: Scenario) -> list[tuple[str, list[list[str]]]]:
+    """The matrices of the nominal model; of a nonlinear plant its parameters are said."""
+    if nonlinear(s):
+        plant, numbers = entry_of(s), numbers_of(s)
+        return [(name, [[number(getattr(numbers, name))]]) for name in parameters_of(plant)]
+    model = entry_of(s).nominal(numbers_of(s))
+    named = {"A": model.A, "B": model.B, "C": model.C, "D": model.D, "E": model.E}
+    found = {k: np.asarray(v) for k, v in named.items() if v is not None and np.any(np.asarray(v))}
+    return [(k, [[number(float(v)) for v in row] for row in m]) for k, m in found.items() if max(m.shape) <= MANY]
+
+
+def _source(given: Any) -> str:
+    """An input in words."""
+    parts = given.split(",") if isinstance(given, str) else given
+    return ", ".join(map(_one_source, parts)) or "none"
+
+
+def _one_source(part: Any) -> str:
+    if isinstance(part, Wave):
+        unit, pace = f" {part.unit}" if part.unit else "", f", {number(part.frequency)} Hz" if part.frequency else ""
+        return f"{part.shape} of {number(part.amplitude)}{unit}{pace}"
+    return f"a table of {len(part.t)} rows" if isinstance(part, Table) else str(part).strip()
+
+
+def _vector(values: Any, signals: Any) -> str:
+    """Numbers with the names and units of the signals that they are of."""
+    named = zip(np.ravel(values), signals, strict=False)
+    return ", ".join(f"{name.replace('_', ' ')} {number(float(v))} {unit}".strip() for v, (name, unit) in named)
+
+
+def _each(values: Any, units: list[str]) -> str:
+    """One number where all channels are alike, or all of them."""
+    said = [
+        f"{number(v)} {u}".strip() if not isinstance(v, str) else "one interval"
+        for v, u in zip(values, units, strict=False)
+    ]
+    return said[0] if len(set(said)) == 1 else ", ".join(said)
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, float | int) and not isinstance(value, bool):
+        return number(value)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_plain, value)) + "]"
+    return str(value)

@@ -1,0 +1,109 @@
+"""The pictures of a study, each with its words: the page shows these, and `--figures` writes the same as files."""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from matplotlib.figure import Figure
+
+from pcbench import plots
+from pcbench.dataset.result import Result
+from pcbench.plants import signals_of
+from pcbench.plots import frames, one_run
+from pcbench.plots.sheet import PAPER, Paper
+from pcbench.plots.words import named, unit_of
+from pcbench.report import sentences
+from pcbench.study import scenarios_of
+
+
+class Shown(NamedTuple):
+    """What is to be looked at."""
+
+    metric: str = frames.METRIC  # by which observers are ranked
+    signals: list[str] | None = None  # of every scenario that has them; None: those it is known by; []: all
+    cell: int | None = None  # at whose values axes stand that a picture does not show; None: the one that tells most
+    seed: int | None = None  # of the run in time; None: the study's first
+    paper: Paper = PAPER
+
+
+SHOWN = Shown()
+
+
+class Picture(NamedTuple):
+    """A figure with its words."""
+
+    name: str  # of a file, without its kind
+    title: str
+    figure: Figure
+    text: str  # what it shows, for those who do not see it
+    note: str = ""  # how to read it
+
+
+def cell_of(result: Result, scenario: str, shown: Shown) -> int:
+    """Return the number of the cell at which pictures stand."""
+    if shown.cell is not None:
+        return shown.cell
+    signals = frames.ranked(result, scenario, shown.signals, shown.metric)
+    return frames.telling(result, scenario, signals[0], shown.metric) if signals else 0
+
+
+def of_signal(result: Result, scenario: str, signal: str, shown: Shown) -> Iterator[Picture]:
+    """Yield the pictures of one signal of a scenario, in the order in which they are looked at."""
+    here: dict[str, Any] = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
+    cell, name = cell_of(result, scenario, shown), f"{scenario.replace('/', '-')}-{signal}"
+    whole = frames.rows(result, scenario, signal, shown.metric)
+    mine, axes = whole[whole.cell == cell], frames.varying(whole)
+    at, units = frames.values_at(whole, cell), frames.units(result, whole)
+    words, unit, spread = named(shown.metric, signal), unit_of(whole), frames.distributed(mine)
+    run = one_run.of(result.study, scenario, result.out, cell, shown.seed)
+    if run is not None:
+        figure = plots.time(result, scenario=scenario, signal=signal, cell=cell, seed=shown.seed, paper=shown.paper)
+        text, note = sentences.time(run[run.signal == signal], unit_of_signal(result, scenario, signal))
+        yield Picture(f"{name}-time", "One run in time", figure, text, note)
+    if len(axes) >= 2:
+        x, y = frames.map_axes(whole)
+        over = f"{frames.label(x, units)} and {frames.label(y, units)}"
+        figure = plots.winners(result, **here)
+        text = sentences.winners(frames.standings(result, scenario, signal, shown.metric))
+        yield Picture(f"{name}-winners", f"Who wins over {over}", figure, text, sentences.WINNERS)
+        rest = {a: v for a, v in at.items() if a not in (x, y)}
+        figure = plots.heatmaps(result, at=rest, **here)
+        text = sentences.ranges(frames.fixed(whole, [x, y], rest), unit)
+        yield Picture(f"{name}-map", f"{_upper(words)} over {over}", figure, text, "Dark is worse; one scale for all.")
+    for axis in axes:
+        rest = {a: v for a, v in at.items() if a != axis}
+        figure = plots.curves(result, axis, at=rest, **here)
+        text = sentences.curve(frames.fixed(whole, [axis], rest), axis, unit)
+        title = f"{_upper(words)} over {frames.label(axis, units)}"
+        yield Picture(f"{name}-over-{axis.replace('.', '-')}", title, figure, text, "Bars: 95 % intervals of the mean.")
+    if spread:
+        figure = plots.distributions(result, cell=cell, **here)
+        text = sentences.medians(mine, unit)
+        yield Picture(f"{name}-distribution", f"How {words} is distributed over runs", figure, text, "Left is better.")
+        figure = plots.convergence(result, cell=cell, **here)
+        text = sentences.convergence(frames.convergence(result, scenario, signal, shown.metric, cell))
+        yield Picture(f"{name}-convergence", "What more seeds are worth", figure, text, sentences.CONVERGENCE)
+
+
+def of_all_signals(result: Result, scenario: str, shown: Shown) -> Iterator[Picture]:
+    """Yield what a scenario has besides: how many runs diverge, and what gains are worth."""
+    lost = frames.rows(result, scenario, None, "divergence")
+    if len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
+        x, y = frames.map_axes(lost)
+        rest = {a: v for a, v in frames.values_at(lost, cell_of(result, scenario, shown)).items() if a not in (x, y)}
+        figure = plots.divergence(result, scenario=scenario, at=rest, paper=shown.paper)
+        part = frames.fixed(lost, [x, y], rest)
+        title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"
+        text = sentences.ranges(part.assign(mean=100 * part["mean"]), "%")
+        yield Picture(f"{scenario.replace('/', '-')}-divergence", title, figure, text)
+    if result.fair is not None and scenario in set(result.fair.scenario):
+        figure = plots.fair(result, paper=shown.paper)
+        yield Picture("fair", "Gains as printed, by design and tuned", figure, sentences.fair(result.fair))
+
+
+def unit_of_signal(result: Result, scenario: str, signal: str) -> str:
+    """Return the unit of a signal."""
+    return dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
+
+
+def _upper(text: str) -> str:
+    return text[0].upper() + text[1:]

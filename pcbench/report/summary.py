@@ -1,0 +1,143 @@
+"""Who wins where and how surely: the page's first table, a row for each scenario and signal, those that tell most first."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from pcbench.dataset.result import Result
+from pcbench.errors import UserError
+from pcbench.plots import frames
+from pcbench.plots.palette import styles
+from pcbench.plots.words import times, title_of_scenario
+from pcbench.report.sentences import number
+from pcbench.statistics import wording
+
+MOST = 7  # others that are named in a row
+SURE = 1e-3  # a p-value below it is written as that
+
+
+class Row(NamedTuple):
+    """One scenario and signal."""
+
+    scenario: str
+    title: str
+    signal: str
+    best: str  # empty: nobody
+    colour: str
+    won: str  # what of it is sure
+    sure: bool
+    value: str  # its metric with interval
+    others: list[tuple[str, str, str]]  # name, colour, how many times larger
+    tells: float  # by which rows are ordered, the largest first
+
+
+class Tally(NamedTuple):
+    """What one observer won."""
+
+    observer: str
+    colour: str
+    won: int  # cells
+    of: int  # cells in which it ran
+
+
+def rows(result: Result, metric: str, signals: list[str] | None) -> list[Row]:
+    """Return a row for each scenario and signal; scenarios in order of what they tell."""
+    every = [
+        _row(result, scenario, signal, metric)
+        for scenario in result.scenarios
+        for signal in frames.ranked(result, scenario, signals, metric)
+    ]
+    if not every:
+        raise UserError(
+            f"--metric: got {metric}, which no signal shown has, expected another; see pcbench list metrics."
+        )
+    tells: dict[str, float] = {}
+    for row in every:
+        tells[row.scenario] = max(tells.get(row.scenario, -np.inf), row.tells)
+    return sorted(every, key=lambda row: -tells[row.scenario])
+
+
+def tally(result: Result, metric: str, signals: list[str] | None) -> list[Tally]:
+    """Return how many cells, of all signals shown, each observer surely wins, the most first."""
+    won: dict[str, int] = {}
+    of: dict[str, int] = {}
+    for scenario in result.scenarios:
+        for signal in frames.ranked(result, scenario, signals, metric):
+            part = frames.rows(result, scenario, signal, metric)
+            found = frames.standings(result, scenario, signal, metric)
+            for observer in dict.fromkeys(part.observer):
+                of[observer] = of.get(observer, 0) + len(found)
+                won[observer] = won.get(observer, 0) + int((found.winner == observer).sum())
+    look = styles(of)
+    return sorted((Tally(o, look[o].colour, won[o], of[o]) for o in of), key=lambda t: -t.won)
+
+
+def _row(result: Result, scenario: str, signal: str, metric: str) -> Row:
+    part = frames.rows(result, scenario, signal, metric)
+    found = frames.standings(result, scenario, signal, metric)
+    look = styles(part.observer)
+    counted = found.winner[found.winner != ""].value_counts()
+    several = len(found) > 1
+    best = str(counted.index[0]) if several and len(counted) else str(found.best.iloc[0]) if not several else ""
+    deterministic = not frames.distributed(part)
+    middle = _multiples(part)
+    ahead = np.nanmedian(found.factor) if found.factor.notna().any() else np.nan
+    sure = bool(len(counted))
+    told = (0 if deterministic else 100) + (0 if not sure else 50) + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0)
+    return Row(
+        scenario=scenario,
+        title=title_of_scenario(result, scenario),
+        signal=signal.replace("_", " "),
+        best=best,
+        colour=look[best].colour if best else "",
+        won=_said(found, counted, best, deterministic, int((part.n + part.diverged).max())),
+        sure=sure,
+        value=_value(part, best, several),
+        others=[(o, look[o].colour, times(m)) for o, m in middle if several or o != best][:MOST],
+        tells=told,
+    )
+
+
+def _said(found: pd.DataFrame, counted: pd.Series, best: str, deterministic: bool, runs: int) -> str:
+    """How surely, in words."""
+    if len(found) > 1:
+        ties = int((found.winner == "").sum())
+        share = (
+            f"{int(counted.get(best, 0))} of {len(found)} cells" if best else f"no cell of {len(found)} is surely won"
+        )
+        rest = [f"{o} {n}" for o, n in counted.items() if o != best]
+        return "; ".join(filter(None, [share, ", ".join(rest), f"ties {ties}" if ties and best else ""]))
+    row = found.iloc[0]
+    if not best:
+        return "all diverge"
+    if deterministic:
+        return "runs do not differ" if row.winner else f"as good: {', '.join(row.alike)}"
+    if runs == 1:
+        return "one run: nothing is sure"
+    if row.winner:
+        return "surely" + (f", p < {SURE:g}" if row.p < SURE else f", p = {row.p:.2g}" if np.isfinite(row.p) else "")
+    return f"not surely better: {', '.join(row.alike)}"
+
+
+def _multiples(part: pd.DataFrame) -> list[tuple[str, float]]:
+    """Every observer with its mean over that of the cell's best, the median over cells, the least first."""
+    wide = part.pivot(index="cell", columns="observer", values="mean")
+    least, out = wide.min(axis=1), []
+    for observer in dict.fromkeys(part.observer):
+        mine = wide[observer].fillna(np.inf)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratio = np.where(least > 0, mine / least, np.where(mine > 0, np.inf, 1.0))
+        out.append((observer, float(np.median(ratio[least.notna()])) if least.notna().any() else np.inf))
+    return sorted(out, key=lambda pair: pair[1])
+
+
+def _value(part: pd.DataFrame, best: str, several: bool) -> str:
+    mine: Any = part[part.observer == best]
+    unit = part.unit.iloc[0]
+    if not len(mine):
+        return "-"
+    if several:
+        low, high = mine["mean"].min(), mine["mean"].max()
+        return f"{number(low)} to {number(high)} {unit}" if np.isfinite(low) else "-"
+    return f"{wording.interval(mine.iloc[0])} {unit}"

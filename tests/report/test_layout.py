@@ -1,0 +1,96 @@
+"""The page in a browser: nothing complains, is cut off or overlaps, on a phone, a desk and on paper; every picture is drawn."""
+
+import pytest
+from browser import CHROMIUM, looked_at
+
+import pcbench
+from pcbench.report import page
+
+WIDTHS = [(390, False), (1024, False), (1400, False), (718, True)]  # phone, small and large window, a printed page
+MOTOR = {
+    "name": "motor",
+    "seeds": 8,
+    "observers": ["dkf", "dkf-load", "open-loop"],
+    "options": {"dkf-load": {"bias_variance": 0.1}},
+    "axes": {"plant.input_bias": [0.0, 0.2]},
+    "lti": {
+        "A": [[0.0, 1.0, 0.0], [0.0, -0.5, 20.0], [0.0, -2.0, -40.0]],
+        "B": [[0.0], [0.0], [50.0]],
+        "C": [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        "states": ["angle [rad]", "speed [rad/s]", "current [A]"],
+        "sampling_period": [0.04, 0.01],
+        "delay": [0.06, 0.01],
+        "noise_std": [0.002, 0.5],
+        "process_std": [0.0, 0.0, 0.05],
+        "x0": [0.5, 0.0, 0.0],
+        "horizon": 1.0,
+    },
+}
+MAP = {
+    "name": "map",
+    "scenarios": ["cart/white"],
+    "observers": ["pccebo", "kfbo", "dkf"],
+    "seeds": 24,
+    "axes": {"delay": [0.2, 0.4], "noise_std": [0.1, 0.5], "sampling_period": [0.1, 0.2]},
+}
+BROKEN = "<p style='position:absolute;left:1390px;white-space:nowrap'>this one is cut off</p>"
+
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no browser here: the layout is not looked at")
+
+
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory):
+    """Pages of studies by their names, each written once."""
+    made, known = {}, {"motor": MOTOR, "map": MAP}
+
+    def drawn(name):
+        if name not in made:
+            folder = tmp_path_factory.mktemp(name)
+            pcbench.run(known.get(name, name), out=folder / "run", seeds=None if name in known else 16)
+            page.write(folder / "run", folder / "report.html")
+            made[name] = folder
+        return made[name]
+
+    return drawn
+
+
+def quiet(folder, width, paper):
+    told = looked_at(folder / "report.html", folder, width, paper)
+    assert told["wide"] == width
+    assert told["pictures"] == (folder / "report.html").read_text().count("<figure") > 0
+    assert told["complaints"] == told["console"] == []
+
+
+@pytest.mark.parametrize(
+    ("width", "paper"), [WIDTHS[0], *(pytest.param(*w, marks=pytest.mark.slow) for w in WIDTHS[1:])]
+)
+def test_a_motors_page_is_whole(drawn, width, paper):
+    quiet(drawn("motor"), width, paper)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "paper"), WIDTHS)
+@pytest.mark.parametrize("study", ["map", "quick", "all", "helicopter", "unequal-delays", "fair"])
+def test_the_page_of_a_study_is_whole(drawn, study, width, paper):
+    quiet(drawn(study), width, paper)
+
+
+@pytest.mark.slow
+def test_what_overlaps_or_is_cut_off_is_seen(drawn, tmp_path):
+    """The measure itself: a page that is broken in five ways is told so."""
+    text = (drawn("motor") / "report.html").read_text()
+    head, text_, rest = text.partition("<text")
+    text = f'{head}<text x="9999" y="5">far</text><text x="1" y="9">a</text><text x="2" y="9">b</text>{text_}{rest}'
+    text = text.replace("<h2>How to repeat it</h2>", BROKEN + "<svg width='9' height='9'></svg>")
+    (tmp_path / "report.html").write_text(text.replace("function hints", "console.log('noise'); function hints"))
+    told = looked_at(tmp_path / "report.html", tmp_path, 1400)
+    for said in (
+        "wider than its window",
+        "leaves its picture: far",
+        "overlap: b / a",
+        "cut off: this one",
+        "an empty picture",
+    ):
+        assert any(said in line for line in told["complaints"]), said
+    assert any("noise" in line for line in told["console"])

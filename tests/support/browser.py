@@ -1,0 +1,103 @@
+"""A page in a browser without a window: what it complains of, and which of its texts overlap or are cut off."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+
+CHROMIUM = next(
+    (found for name in ("chromium", "chromium-browser", "google-chrome") if (found := shutil.which(name))), None
+)
+NEAR = 1.5  # pixels by which boxes of text may touch: they have room above and below their letters
+PROBE = """
+<script>
+const beside = (a, b) => a.right <= b.left + NEAR || b.right <= a.left + NEAR;
+const apart = (a, b) => beside(a, b) || a.bottom <= b.top + NEAR || b.bottom <= a.top + NEAR;
+const within = (a, b) => a.left >= b.left - NEAR && a.right <= b.right + NEAR;
+const inside = (a, b) => within(a, b) && a.top >= b.top - NEAR && a.bottom <= b.bottom + NEAR;
+const shown = box => box.width > 0.5 && box.height > 0.5;
+const words = leaf => leaf.textContent.trim().slice(0, 50);
+
+function pictures(out) {
+  for (const svg of document.querySelectorAll("svg")) {
+    const frame = svg.getBoundingClientRect(), before = [];
+    for (const text of svg.querySelectorAll("text")) {
+      const full = text.getBoundingClientRect(), cut = full.height * 0.18;  // letters are lower than their line
+      const box = new DOMRect(full.x, full.y + cut, full.width, full.height - 2 * cut);
+      if (!words(text)) continue;
+      if (!inside(box, frame)) out.push("leaves its picture: " + words(text));
+      for (const [other, said] of before) if (!apart(box, other)) out.push("overlap: " + words(text) + " / " + said);
+      before.push([box, text.textContent.trim()]);
+    }
+    if (!shown(frame) || !before.length) out.push("an empty picture");
+    const label = svg.closest("[role=img]")?.getAttribute("aria-label") ?? "";
+    if (label.length < 20) out.push("a picture without words");
+    if (!before.some(([, said]) => /\\[.+\\]/.test(said))) out.push("a picture without a unit: " + label.slice(0, 50));
+  }
+}
+
+function texts(out, wide) {
+  const boxes = [];
+  for (const leaf of document.querySelectorAll("h1, h2, h3, h4, p, td, th, dt, dd, figcaption, a")) {
+    const range = document.createRange();
+    range.selectNodeContents(leaf);
+    const box = range.getBoundingClientRect();
+    if (!shown(box) || leaf.closest(".wide, .picture, .matrix")) continue;
+    if (box.right > wide + NEAR) out.push("cut off: " + words(leaf));
+    if (leaf.matches("a") || leaf.querySelector("table")) continue;
+    for (const [other, said] of boxes) if (!apart(box, other)) out.push("overlap: " + words(leaf) + " / " + said);
+    boxes.push([box, words(leaf)]);
+  }
+}
+
+function told() {
+  const out = [], wide = document.documentElement.clientWidth;
+  if (document.documentElement.scrollWidth > wide + 1) out.push("the page is wider than its window");
+  pictures(out);
+  texts(out, wide);
+  for (const box of document.querySelectorAll(".wide, .picture")) {
+    if (box.scrollWidth <= box.clientWidth + 1) continue;
+    if (PAPER || wide >= 1000) out.push("cut off at desktop width or on paper: " + words(box));
+    else if (getComputedStyle(box.nextElementSibling).display == "none") out.push("scrolls and does not say so");
+  }
+  return {pictures: document.querySelectorAll("svg").length, wide: wide, complaints: out};
+}
+addEventListener("load", () => setTimeout(() => parent.postMessage(JSON.stringify(told()), "*"), 300));
+</script>
+""".replace("NEAR", str(NEAR))
+
+
+def looked_at(page, folder, width, paper=False):
+    """What is wrong with a page `width` pixels wide, or as it is printed: how many pictures, complaints, console messages."""
+    text = page.read_text().replace("@media print", "@media all") if paper else page.read_text()
+    inner, outer = folder / f"inner-{width}.html", folder / f"outer-{width}.html"
+    inner.write_text(text.replace("</body>", PROBE.replace("PAPER", "true" if paper else "false") + "</body>"))
+    outer.write_text(
+        "<title>waiting</title><script>addEventListener('message', e => { document.title = 'told';"
+        "document.body.append(Object.assign(document.createElement('pre'), {id: 'told', textContent: e.data})); });</script>"
+        f"<iframe src='{inner.as_uri()}' style='width:{width}px;height:2000px;border:0'></iframe>"
+    )
+    words = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=20000"]
+    words += ["--enable-logging=stderr", "--v=0", "--window-size=1600,2000", "--dump-dom", outer.as_uri()]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=900, check=False)
+    found = re.search(r'<pre id="told">(.*?)</pre>', done.stdout, re.S)
+    if not found:
+        raise RuntimeError(f"the page said nothing of itself: {done.stderr[-400:]}")
+
+    told = json.loads(html.unescape(found.group(1)))
+    told["console"] = [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+    return told
+
+
+if __name__ == "__main__":  # python tests/support/browser.py report.html
+    import sys
+    import tempfile
+    from pathlib import Path
+
+    for name in sys.argv[1:]:
+        for width, paper in ((390, False), (1024, False), (1400, False), (718, True)):
+            with tempfile.TemporaryDirectory() as folder:
+                told = looked_at(Path(name).absolute(), Path(folder), width, paper)
+            print(name, f"{width} px", "as printed" if paper else "", f"{told['pictures']} pictures")
+            print("\n".join(f"    {line}" for line in [*told["complaints"], *told["console"]][:40]))
