@@ -286,7 +286,7 @@ def test_design_shows_gain_and_certificate():
 
 def test_list_names_everything():
     found = json.loads(call("list", "--json").stdout)
-    assert set(found) == {"plants", "observers", "scenarios", "studies"}
+    assert set(found) == {"plants", "controllers", "observers", "scenarios", "studies"}
     assert len(found["scenarios"]) >= 6
     assert "kfbo" in call("list", "observers").stdout
 
