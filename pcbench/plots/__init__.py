@@ -15,7 +15,7 @@ from pcbench.plots.gains import fair, trade_off
 from pcbench.plots.lines import convergence, curves, distributions
 from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.palette import styles
-from pcbench.plots.sheet import Paper
+from pcbench.plots.paper import Paper
 from pcbench.plots.time import time
 
 __all__ = ["Paper", "convergence", "curves", "distributions", "divergence", "fair", "heatmaps", "save", "styles", "time",

@@ -7,7 +7,8 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
 from pcbench.plots import frames, scales
 from pcbench.plots.palette import COLOURS, SOFT, Style, styles
-from pcbench.plots.sheet import PAPER, Key, Panel, Paper, drawn_on, sheet
+from pcbench.plots.paper import PAPER, Paper, drawn_on
+from pcbench.plots.sheet import Key, Panel, sheet
 from pcbench.plots.words import title_of
 
 MARKS = {"paper": "o", "design": "s", "tuned": "D"}

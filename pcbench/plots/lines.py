@@ -11,7 +11,8 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames, scales
 from pcbench.plots.palette import SOFT, Style, styles
-from pcbench.plots.sheet import PAPER, Key, Panel, Paper, drawn_on, sheet
+from pcbench.plots.paper import PAPER, Paper, drawn_on
+from pcbench.plots.sheet import Key, Panel, sheet
 from pcbench.plots.words import about, title_of, unit_of
 
 APART = 0.012  # of an axis' length, between points of observers at one value

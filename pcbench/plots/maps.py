@@ -14,7 +14,8 @@ from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.plots import frames, scales
 from pcbench.plots.palette import Style, pale, styles
-from pcbench.plots.sheet import PAPER, Key, Paper
+from pcbench.plots.paper import PAPER, Paper
+from pcbench.plots.sheet import Key
 from pcbench.plots.small_maps import Cell, Map, Over, drawn
 from pcbench.plots.words import about, named, times, title_of, unit_of
 

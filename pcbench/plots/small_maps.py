@@ -9,7 +9,8 @@ from matplotlib.patches import Rectangle
 
 from pcbench.plots import scales
 from pcbench.plots.palette import INK, on
-from pcbench.plots.sheet import Key, Panel, Paper, drawn_on, sheet, width_of
+from pcbench.plots.paper import Paper, drawn_on, width_of
+from pcbench.plots.sheet import Key, Panel, sheet
 
 FINE = 6  # values of both axes from which on contour lines are drawn
 ROW = 0.42  # inches of a cell, where there are few

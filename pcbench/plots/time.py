@@ -12,7 +12,8 @@ from pcbench.plants import signals_of
 from pcbench.plots import frames, one_run, scales
 from pcbench.plots.lines import keys_of, line
 from pcbench.plots.palette import MEASURED, PLANT, SOFT, Style, pale
-from pcbench.plots.sheet import PAPER, Key, Panel, Paper, drawn_on, sheet
+from pcbench.plots.paper import PAPER, Paper, drawn_on
+from pcbench.plots.sheet import Key, Panel, sheet
 from pcbench.plots.words import title_of_scenario
 from pcbench.study import scenarios_of
 

@@ -13,7 +13,7 @@ from pcbench.plots.words import LTI
 from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
 from pcbench.scenarios.sources import Table, Wave
 from pcbench.study.cells import Cell, cells
-from pcbench.study.own_observers import is_absent
+from pcbench.study.own_observers import ABSENT, is_absent
 
 TOLD = (  # fields of which is said that they are not as published
     *(
@@ -71,16 +71,13 @@ class Field(NamedTuple):
 def _facts(s: Scenario) -> list[Field]:
     """What is said of a scenario, in order; of what is not so usually only where it is."""
     signals, seen = signals_of(s), outputs.units(s)
-    states = [unit for _, unit in states_of(s)]
 
     def with_units(units: list[str]) -> Callable[[Any], str]:
         return lambda values: _each(values, units)
 
     seconds = with_units(["s"] * len(s.sampling.delay))
     return [
-        Field(
-            "plant", "plant", lambda name: entry_of(s).summary if name != LTI else f"of the study: {len(states)} states"
-        ),
+        Field("plant", "plant", lambda name: _plant(s, name)),
         Field("input", "input", _source),
         Field("controller", "loop", lambda name: f"closed by {name}", ""),
         Field(
@@ -167,6 +164,12 @@ def _matrices(s: Scenario) -> list[tuple[str, list[list[str]]]]:
     named = {"A": model.A, "B": model.B, "C": model.C, "D": model.D, "E": model.E}
     found = {k: np.asarray(v) for k, v in named.items() if v is not None and np.any(np.asarray(v))}
     return [(k, [[number(float(v)) for v in row] for row in m]) for k, m in found.items() if max(m.shape) <= MANY]
+
+
+def _plant(s: Scenario, name: str) -> str:
+    """What a plant is; of one whose code is not here, its name."""
+    summary, many = entry_of(s).summary, len(states_of(s))
+    return f"of the study, linear, {many} states" if name == LTI else name if summary == ABSENT else summary
 
 
 def _source(given: Any) -> str:

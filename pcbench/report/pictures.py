@@ -9,7 +9,7 @@ from pcbench import plots
 from pcbench.dataset.result import Result
 from pcbench.plants import signals_of
 from pcbench.plots import frames, one_run
-from pcbench.plots.sheet import PAPER, Paper
+from pcbench.plots.paper import PAPER, Paper
 from pcbench.plots.words import named, unit_of
 from pcbench.report import sentences
 from pcbench.study import scenarios_of
