@@ -67,6 +67,8 @@ def test_without_axes_a_column_is_a_signal_with_its_unit(result):
 
     class One:
         study = result.study
+        scenarios = result.scenarios
+        signals, stats_of, pairs_of = result.signals, result.stats_of, result.pairs_of
 
     One.stats, One.pairs = stats[stats.cell == 0], pairs[pairs.cell == 0]
     (found,) = layout.tables(One, "tail_rmse", [])
@@ -79,6 +81,8 @@ def test_along_more_axes_a_row_is_a_cell(result):
 
     class Two:
         study, pairs = result.study, result.pairs
+        scenarios = result.scenarios
+        signals, stats_of, pairs_of = result.signals, result.stats_of, result.pairs_of
 
     Two.stats = stats
     (found,) = layout.tables(Two, "tail_rmse")
