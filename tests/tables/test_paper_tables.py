@@ -67,8 +67,9 @@ def test_without_axes_a_column_is_a_signal_with_its_unit(result):
 
     class One:
         study = result.study
-        scenarios = result.scenarios
-        signals, stats_of, pairs_of = result.signals, result.stats_of, result.pairs_of
+        scenarios, signals = result.scenarios, result.signals
+        stats_of = staticmethod(lambda name, signal: One.stats[One.stats.signal == signal])
+        pairs_of = staticmethod(lambda name, signal: One.pairs[One.pairs.signal == signal])
 
     One.stats, One.pairs = stats[stats.cell == 0], pairs[pairs.cell == 0]
     (found,) = layout.tables(One, "tail_rmse", [])
@@ -81,8 +82,9 @@ def test_along_more_axes_a_row_is_a_cell(result):
 
     class Two:
         study, pairs = result.study, result.pairs
-        scenarios = result.scenarios
-        signals, stats_of, pairs_of = result.signals, result.stats_of, result.pairs_of
+        scenarios, signals = result.scenarios, result.signals
+        stats_of = staticmethod(lambda name, signal: Two.stats[Two.stats.signal == signal])
+        pairs_of = staticmethod(lambda name, signal: Two.pairs[Two.pairs.signal == signal])
 
     Two.stats = stats
     (found,) = layout.tables(Two, "tail_rmse")
