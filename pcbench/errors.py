@@ -69,6 +69,11 @@ def raised(error: BaseException) -> str:
     return f"{type(error).__name__}{': ' if message else ''}{message}" + (f", {place}" if place else "")
 
 
+def is_ours(thing: Any) -> bool:
+    """Say whether a function or a class is pcbench's own, not a user's."""
+    return str(getattr(thing, "__module__", "")).split(".")[0] == "pcbench"
+
+
 def line_of(error: BaseException) -> str:
     """Return `file line n` of the user's code that an exception came from; empty where there is none."""
     if isinstance(error, SyntaxError) and error.filename:

@@ -1,6 +1,7 @@
 """What `pcbench list` says of everything there is: as data, for a program and for the screen."""
 
 from collections.abc import Callable, Mapping
+from inspect import get_annotations
 from typing import Any
 
 from pydantic import BaseModel
@@ -64,8 +65,10 @@ def controller(name: str) -> Description:
 
 
 def controller_of(c: controllers.Entry) -> Description:
-    """Return any controller likewise."""
-    return {"summary": c.summary, "table": "[controller]", "options": options(c.options)}
+    """Return any controller likewise, its own options before those that all laws have."""
+    said, mine = options(c.options), get_annotations(c.options)
+    order = sorted(said, key=lambda name: name not in mine)
+    return {"summary": c.summary, "table": "[controller]", "options": {name: said[name] for name in order}}
 
 
 def options(model: type[BaseModel]) -> dict[str, Description]:

@@ -8,28 +8,24 @@ the observer's: what is fed back is its estimate of the present. The weights are
 """
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.controllers import state_feedback
+from pcbench.controllers.parts import common
 from pcbench.controllers.parts import sizes as fit
-from pcbench.controllers.parts.common import Aims, Limit, Offset, Period, Weight
+from pcbench.controllers.parts.common import Weight
 from pcbench.controllers.parts.sizes import Sizes
 from pcbench.controllers.parts.told import Told
 from pcbench.dynamics.linear import Matrix
 from pcbench.synthesis import lqr
 
 
-class Lqr(BaseModel):
+class Lqr(common.Options):
     """The weights and what all laws have."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     Q1: Weight = Field(description="[n, n] of the state: a number, a diagonal, or rows")
     Q2: Weight = Field(description="[m, m] of the input, likewise")
     knows_delay: bool = Field(True, strict=True, description="predict the state to when the command acts")
-    period: Period = None
-    limit: Limit = None
-    offset: Offset = 0.0
-    set_point: Aims = {}
 
 
 def check(options: Lqr, sizes: Sizes) -> None:

@@ -16,10 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field, Strict
+from pydantic import Field, Strict
 
+from pcbench.controllers.parts import common
 from pcbench.controllers.parts import sizes as fit
-from pcbench.controllers.parts.common import Aims, Cost, Limit, Number, Offset, Period, Rows
+from pcbench.controllers.parts.common import Number, Rows
 from pcbench.controllers.parts.set_points import reference
 from pcbench.controllers.parts.sizes import Sizes
 from pcbench.controllers.parts.told import Told
@@ -29,20 +30,13 @@ from pcbench.synthesis import lqr
 Gain = Number | list[Number] | Rows
 
 
-class Options(BaseModel):
+class Options(common.Options):
     """Gains [m, q] from the outputs' errors to the inputs; one number, or a list, for as many inputs as outputs."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     Kp: Gain = Field(description="[m, q] proportional")
     Ki: Gain = Field(0.0, description="[m, q] integral [1/s]; default: none")
     Kd: Gain = Field(0.0, description="[m, q] derivative [s]; default: none")
     filter: Annotated[float, Strict()] = Field(0.0, ge=0, description="time constant of the derivative's filter [s]")
-    period: Period = None
-    limit: Limit = None
-    offset: Offset = 0.0
-    set_point: Aims = {}
-    Q1: Cost = None
-    Q2: Cost = None
 
 
 class Params(NamedTuple):

@@ -18,10 +18,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
+from pcbench.controllers.parts import common
 from pcbench.controllers.parts import sizes as fit
-from pcbench.controllers.parts.common import Aims, Cost, Limit, Offset, Period, Rows
+from pcbench.controllers.parts.common import Rows
 from pcbench.controllers.parts.set_points import reference
 from pcbench.controllers.parts.sizes import Sizes
 from pcbench.controllers.parts.told import Told
@@ -29,18 +30,11 @@ from pcbench.protocols import Controller, Leaf, Now
 from pcbench.synthesis import lqr
 
 
-class Options(BaseModel):
+class Options(common.Options):
     """The gain and what all laws have."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     K: Rows = Field(description="[m, n]: u = -K (xhat - x_ref)")
     knows_delay: bool = Field(False, strict=True, description="predict the state to when the command acts")
-    period: Period = None
-    limit: Limit = None
-    offset: Offset = 0.0
-    set_point: Aims = {}
-    Q1: Cost = None
-    Q2: Cost = None
 
 
 class Params(NamedTuple):

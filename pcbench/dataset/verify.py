@@ -70,7 +70,16 @@ def status(out: str | Path) -> Status:
             each = by.get((scenario, observer), [])
             proof = block_files.about_block(target, each[0]).get("certificate") if each else None
             certified = is_certified(proof) if proof else None
-            rows.append(Share(scenario, observer, len(mine), len(each), asked - lacking, asked, certified))
+            share = Share(
+                scenario=scenario,
+                observer=observer,
+                cells=len(mine),
+                blocks=len(each),
+                seeds=asked - lacking,
+                wanted=asked,
+                certified=certified,
+            )
+            rows.append(share)
     damaged = [b.name for b in there if store.footer(target, b.name) is None] + summary.damaged(target)
     return Status(
         study=study.name,

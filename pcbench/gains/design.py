@@ -11,7 +11,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.machine import process
 from pcbench.observers import Entry
 from pcbench.observers.parts.options import WAY, extra
-from pcbench.planning import setting
+from pcbench.planning import designed, setting
 from pcbench.study import Study
 from pcbench.study.cells import Cell
 from pcbench.study.labels import label_of
@@ -37,7 +37,7 @@ def design(
     if method is not None:
         way = _way(cell.entry(label), label, method)
         study, cell = one_cell(_changed(study, label, {way: method}), [label], [])
-    return study, cell, cell.entry(label).design(setting(cell), cell.options[label])
+    return study, cell, designed(label, cell.entry(label), setting(cell), cell.options[label])
 
 
 def as_study(study: Study, cell: Cell, observer: str, found: Design) -> dict[str, Any]:
@@ -166,7 +166,7 @@ def _proven_again(study: Study, cell: Cell, observer: str, chosen: dict[str, Any
     for each in (*slower, {k: v for k, v in chosen.items() if k != "decay" or not v}):
         try:
             here = _changed(study.model_copy(update={"options": {}}), observer, each)
-            cell.entry(observer).design(setting(cell), one_cell(here, [observer], [])[1].options[observer])
+            designed(observer, cell.entry(observer), setting(cell), one_cell(here, [observer], [])[1].options[observer])
         except UserError:
             continue
         return each

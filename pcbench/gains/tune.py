@@ -96,7 +96,7 @@ def tune(
         every, start = freed(observer, entry, known, options, designed, only, where)
 
         def design(at: Vector) -> Any:
-            return entry.design(known, parameters.put(options, every, at)).gains
+            return planning.designed(observer, entry, known, parameters.put(options, every, at)).gains
 
         (p,) = padding.fit(list(planning.drafts([cell])))
         evaluation.check_estimates(p, aim, where)
@@ -120,7 +120,7 @@ def tune(
             points=trials.points,
             method=how,
             objective=aim,
-            certified=is_certified(entry.design(known, chosen).certificate._asdict()),
+            certified=is_certified(planning.designed(observer, entry, known, chosen).certificate._asdict()),
         )
         history.finish(target, whole, tuned)
         return tuned
@@ -132,7 +132,7 @@ def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple
     A gain found for a rate stands at its edge, where another proof of the same rate may fail.
     """
     options = cell.options[observer]
-    designed = cell.entry(observer).design(known, options)
+    designed = planning.designed(observer, cell.entry(observer), known, options)
     decay = getattr(options, "decay", None)
     if not decay:
         return study, cell, designed
@@ -154,7 +154,8 @@ def freed(
     every, at = parameters.start(observer, entry, options, designed.certificate.numbers, only, where)
 
     def gains(there: Vector) -> list[Any]:
-        return gradient.numbers(entry.design(known, parameters.put(options, every, there)).gains)
+        there_too = parameters.put(options, every, there)
+        return gradient.numbers(planning.designed(observer, entry, known, there_too).gains)
 
     used = parameters.used(every, at, gains)
     if not used:

@@ -184,7 +184,7 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
     cell = one_cell(here, [version.observer], [])[1]
     known, chosen = planning.setting(cell), cell.options[version.observer]
     entry = cell.entry(version.observer)
-    designed = entry.design(known, chosen)
+    designed = planning.designed(version.observer, entry, known, chosen)
     try:
         return bool(tune.freed(version.observer, entry, known, chosen, designed, None, study.name))
     except parameters.NothingFree:

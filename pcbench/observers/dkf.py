@@ -24,16 +24,14 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import covariance_after
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import require_detectable
 from pcbench.observers.parts import assumed_noise, kalman, prediction
-from pcbench.observers.parts.assumed_noise import Size, Sizes, Variances
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Leaf, Observer, Room
@@ -57,21 +55,9 @@ class Gains(NamedTuple):
     known: Any  # x[n] -> [r] the known part of f, or None
 
 
-class Options(BaseModel):
+class Options(assumed_noise.Options):
     """What the filter assumes, where it is not what the scenario has."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    R: Variances | None = tunable(
-        None,
-        description="assumed variance of one sample: for all outputs, for each, or in full; default: the scenario's",
-    )
-    q: Size | list[Size] | None = tunable(
-        None, description="assumed intensity of process noise through the input, or through each"
-    )
-    Q: Sizes | None = tunable(
-        None,
-        description="assumed covariance of a tick's process noise: for each state, or in full; default: the scenario's",
-    )
     bias_variance: float | None = Field(
         None, gt=0, description="prior variance of a constant input bias, estimated beside the state; default: no bias"
     )

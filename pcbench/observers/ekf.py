@@ -24,11 +24,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from jaxtyping import Float, Int
-from pydantic import BaseModel, ConfigDict
 
 from pcbench.dynamics import linear
 from pcbench.observers.parts import assumed_noise, kalman, one_tick, reordering
-from pcbench.observers.parts.assumed_noise import Size, Sizes, Variances
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reordering import Buffer, Measurement
@@ -61,21 +59,9 @@ class Memory(NamedTuple):
     z: Float[Array, " N"]
 
 
-class Options(BaseModel):
+class Options(assumed_noise.Options):
     """What the filter assumes."""
 
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    R: Variances | None = tunable(
-        None,
-        description="assumed variance of one sample: for all outputs, for each, or in full; default: the scenario's",
-    )
-    q: Size | list[Size] | None = tunable(
-        None, description="assumed intensity of process noise through the input, or through each"
-    )
-    Q: Sizes | None = tunable(
-        None,
-        description="assumed covariance of a tick's process noise: for each state, or in full; default: the scenario's",
-    )
     walk: float = tunable(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")
 
 

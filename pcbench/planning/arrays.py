@@ -7,10 +7,11 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pcbench import plants
-from pcbench.errors import UserError, raised
+from pcbench.errors import UserError
 from pcbench.observers import base_of
 from pcbench.planning import controller, padding
 from pcbench.planning.design_setting import setting
+from pcbench.planning.designing import designed
 from pcbench.planning.least_error import bound
 from pcbench.planning.padding import Plan
 from pcbench.plants import lti
@@ -20,7 +21,7 @@ from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import per_lane, shared
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of
-from pcbench.synthesis.certificate import Certificate, Design, Setting
+from pcbench.synthesis.certificate import Setting
 
 AnySchedule = shared.Schedule | per_lane.Times  # one for all runs, or numbers by which each run draws its own
 
@@ -61,7 +62,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     s, known = cell.scenario, known or setting(cell)
     true, belief, choices = s.truth, s.belief, cell.choices
     plant, n = plants.entry_of(s), cell.times.ticks
-    designs = {o: _design(o, cell, known, given) for o, given in options.items()}
+    designs = {o: designed(o, cell.entry(o), known, given) for o, given in options.items()}
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
     numbers = ({"drift": true.drift} if "drift" in plant.numbers._fields else {}) | cell.parameters
     numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
@@ -147,24 +148,6 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySche
     found = per_lane.realised(clocks, n, channels, *run) if run and cell.times.random else shared.samples(clocks, n)
     schedule = shared.schedule(found, n, channels, error)
     return schedule, shared.in_flight(schedule)
-
-
-def _design(observer: str, cell: Cell, known: Setting, options: BaseModel) -> Design:
-    try:
-        found = cell.entry(observer).design(known, options)
-    except UserError:
-        raise
-    except Exception as error:
-        if observer not in cell.own:
-            raise
-        raise UserError(
-            f"observer {observer}: design got {raised(error)}, expected Design(gains, Certificate); mend that line."
-        ) from error
-    if not isinstance(found, Design) or not isinstance(found.certificate, Certificate):
-        raise UserError(
-            f"observer {observer}: design returned {type(found).__name__}, expected Design(gains, Certificate)."
-        )
-    return found
 
 
 def alone(p: Plan, root_seed: int, seed: int) -> Plan:

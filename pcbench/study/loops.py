@@ -16,6 +16,7 @@ from pcbench.plants import entry_of, numbers_of, states_of
 from pcbench.scenarios import Scenario
 from pcbench.study import axes, times
 from pcbench.study.own import Own
+from pcbench.study.own_options import filled
 from pcbench.study.sentences import sentence
 from pcbench.synthesis import lqr
 
@@ -62,10 +63,7 @@ def closed(s: Scenario, given: dict[str, Any], where: str, own: Mapping[str, Own
     for key in control:
         if key not in fields and not open_ended:
             raise unknown(where, f"option of {way.use}", key, [*fields, *Network.model_fields])
-    try:
-        options = entry.options.model_validate(control)
-    except ValidationError as error:
-        raise sentence(where, error, {"": entry.options.model_fields}) from None
+    options = filled(entry.options, control, where)
     if entry_of(s).nominal(numbers_of(s)).feedthrough.any():
         raise UserError(
             f"{where}: got a plant with D in {s.name}, expected an output without the input: in a closed loop it is decided "

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
 from pcbench.errors import UserError, shown, unknown
 from pcbench.observers import OBSERVERS
@@ -10,8 +10,8 @@ from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import PATHS, SIGNALS, SINGLE
 from pcbench.study import axes
 from pcbench.study.names import base_in, entry_in
+from pcbench.study.own_options import filled
 from pcbench.study.schema import Choices, Study
-from pcbench.study.sentences import sentence
 
 LEAST = 1e-30  # a number of an option is 0 or at least this: the square of the least noise is larger
 
@@ -49,10 +49,7 @@ def checked_options(study: Study, name: str, given: dict[str, Any], where: str) 
     underscored(given, where)
     for key, value in given.items():
         _of_sensible_size(value, f"{where}.{key}")
-    try:
-        options = model.model_validate(dashes(given))
-    except ValidationError as error:
-        raise sentence(where, error, {"": model.model_fields}) from None
+    options = filled(model, dashes(given), where)
     if isinstance(options, Choices):
         for key, signal, valid in (("input", options.input, SIGNALS), ("unknown_input", options.unknown_input, SINGLE)):
             if signal is not None and signal not in valid:

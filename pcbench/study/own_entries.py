@@ -15,6 +15,7 @@ from pcbench.errors import UserError, unknown
 from pcbench.protocols import Controller, Observer
 from pcbench.study import own, own_controllers, own_observers
 from pcbench.study.own import Own
+from pcbench.study.own_options import require_model
 
 DICT = "a dict with the keys of a table [scenario]"
 
@@ -74,7 +75,10 @@ def of(kind: str, code: own.Code, where: str, folder: Path | None = None) -> Own
     if not isinstance(found, KINDS[kind].types):
         raise UserError(f"{where}: got {called(found)}, expected {KINDS[kind].expected}; name one of those.")
     _free(kind, code.name, where)
-    return Own(KINDS[kind].entry(found, module, where), code._replace(digest=own.digest_of(code, module)))
+    made = KINDS[kind].entry(found, module, where)
+    if kind in ("observer", "controller"):
+        require_model(made.options, module, where)
+    return Own(made, code._replace(digest=own.digest_of(code, module)))
 
 
 def the(kind: str, name: str, module: ModuleType, where: str) -> Any:

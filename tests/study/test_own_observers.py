@@ -2,12 +2,15 @@
 
 import shutil
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 import pcbench
+from pcbench import planning
 from pcbench.dataset import pickled
+from pcbench.observers import OBSERVERS
 from pcbench.planning import plan
 from pcbench.simulation import batch
 from pcbench.study import own, read
@@ -160,12 +163,65 @@ def test_what_an_import_raises_has_its_line(here):
         study(observers=["bad.py:nudge"])
 
 
-def test_what_a_design_raises_has_its_line(here):
+MODEL, DESIGN = "class Options(BaseModel):", "def design(setting, options):"
+BROKEN = {  # by what is wrong: a text of the file, what stands there instead with its line marked, and what is said
+    "no model": (
+        (MODEL, "class Options:  # here"),
+        "got another class as Options, mine.py line {}, expected a pydantic model",
+    ),
+    "a table": (
+        (MODEL, "Options = {'a': 0.1}  # here\nclass Other:"),
+        "got {{'a': 0.1}} as Options, mine.py line {}, expected",
+    ),
+    "a validator": (
+        (MODEL, f"{MODEL}\n    def model_post_init(self, context):\n        self.share / None  # here\n"),
+        "for /: 'float' and 'NoneType', mine.py line {}, expected options or a ValueError",
+    ),
+    "a refusal": (
+        (
+            MODEL,
+            f"{MODEL}\n    def model_post_init(self, context):\n        raise ValueError('an odd share')  # here\n",
+        ),
+        "expected an odd share",
+    ),
+    "a design": (
+        (DESIGN, f"{DESIGN}\n    options.shore  # here"),
+        "observer nudge: design got AttributeError: 'Options'",
+    ),
+    "a design's line": ((DESIGN, f"{DESIGN}\n    options.shore  # here"), "mine.py line {}, expected Design"),
+    "a design of other arguments": ((DESIGN, "def design(setting):  # here"), "design got TypeError: design() takes 1"),
+    "its line": ((DESIGN, "def design(setting):  # here"), "but 2 were given, mine.py line {}, expected Design"),
+    "no design": ((DESIGN, f"{DESIGN}  # here\n    return 1"), "design returned int, mine.py line {}, expected Design"),
+}
+
+
+@pytest.mark.parametrize("what", BROKEN)
+def test_what_a_file_does_wrong_is_one_sentence_with_its_line_and_nothing_is_written(here, what):
+    (old, new), sentence = BROKEN[what]
     text = (here / "mine.py").read_text()
-    (here / "mine.py").write_text(text.replace("    noisier = 1", "    noisier = None + 1"))
-    line = 1 + text[: text.index("    noisier")].count("\n")
-    with pytest.raises(pcbench.UserError, match=rf"observer nudge: design.*TypeError.*mine.py line {line}"):
-        plan(study(observers=["mine.py:nudge"]).study)
+    assert text.count(old) == 1
+    (here / "mine.py").write_text(text.replace(old, new))
+    line = 1 + next(i for i, row in enumerate((here / "mine.py").read_text().splitlines()) if row.endswith("# here"))
+    for ask in (
+        partial(pcbench.run, out="out", seeds=4, observers=["mine.py:nudge"]),
+        partial(pcbench.design, observer="mine.py:nudge"),
+    ):
+        with pytest.raises(pcbench.UserError) as error:
+            ask("cart/white")
+        assert sentence.format(line) in str(error.value)
+        assert "\n" not in str(error.value)
+    assert not (here / "out").exists()
+
+
+def test_what_pcbench_itself_does_wrong_is_no_mistake_of_a_users():
+    """A traceback is what its authors need."""
+
+    def broken(setting, options):
+        raise TypeError
+
+    broken.__module__ = "pcbench.observers.dkf"
+    with pytest.raises(TypeError):
+        planning.designed("dkf", OBSERVERS["dkf"]._replace(design=broken), None, None)
 
 
 def test_two_contents_of_one_file_stand_side_by_side(here):

@@ -7,10 +7,11 @@ R = L diag(r) L', L unit lower triangular, L^-1 y = L^-1 C x + L^-1 v has the va
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from pydantic import Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError, shown
+from pcbench.observers.parts.options import tunable
 from pcbench.synthesis.certificate import Setting
 
 Variance = Annotated[float, Field(gt=0)]
@@ -18,6 +19,23 @@ Size = Annotated[float, Field(ge=0)]
 Variances = Variance | list[Variance] | list[list[float]]  # one for all outputs, one for each, or in full
 Sizes = list[Size] | list[list[float]]  # one for each state, or in full
 ROUNDING = 1e-12  # part of the largest entry by which a matrix may fall short of a covariance
+
+
+class Options(BaseModel):
+    """What a filter assumes of noise, where that is not what the scenario has."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+    R: Variances | None = tunable(
+        None,
+        description="assumed variance of one sample: for all outputs, for each, or in full; default: the scenario's",
+    )
+    q: Size | list[Size] | None = tunable(
+        None, description="assumed intensity of process noise through the input, or through each"
+    )
+    Q: Sizes | None = tunable(
+        None,
+        description="assumed covariance of a tick's process noise: for each state, or in full; default: the scenario's",
+    )
 
 
 class Independent(NamedTuple):

@@ -1,0 +1,29 @@
+"""Style that a test can read: records of many fields are filled by keyword, as what stands in place seven nobody knows."""
+
+import ast
+import re
+from pathlib import Path
+
+import pcbench
+
+ROOT = Path(pcbench.__file__).parent
+MOST = 6  # arguments by position
+CAP_WORDS = re.compile(r"[A-Z]\w*[a-z]\w*")
+
+
+def crowded(text):
+    """The calls of a CapWords name with too many arguments by position, as (line, name, how many)."""
+    calls = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Call)]
+    named = [(call, getattr(call.func, "id", getattr(call.func, "attr", ""))) for call in calls]
+    return [(c.lineno, n, len(c.args)) for c, n in named if CAP_WORDS.fullmatch(n) and len(c.args) > MOST]
+
+
+def test_records_are_filled_by_keyword():
+    found = {str(path.relative_to(ROOT)): crowded(path.read_text()) for path in ROOT.rglob("*.py")}
+    assert {file: calls for file, calls in found.items() if calls} == {}
+
+
+def test_what_is_looked_for_is_seen():
+    assert crowded("a.Share(1, 2, 3, 4, 5, 6, 7)\nShare(1, 2, 3, 4, 5, 6, x=7)\nSHARE(1, 2, 3, 4, 5, 6, 7)") == [
+        (1, "Share", 7)
+    ]
