@@ -105,7 +105,9 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
     cell = frames.telling(result, "cart/white", "position", "tail_rmse")
     at = frames.values_at(found.assign(cell=found.cell), cell)
     drawn = [
-        p for p in pictures.of_signal(pictures.place(result, "cart/white", pictures.SHOWN), "position") if "over-delay" in p.name
+        p
+        for p in pictures.of_signal(pictures.place(result, "cart/white", pictures.SHOWN), "position")
+        if "over-delay" in p.name
     ]
     (ax,) = drawn[0].figure.axes
     rows = result.stats.query("metric == 'tail_rmse' and signal == 'position' and observer == 'kfbo'")
