@@ -46,8 +46,13 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
     return figure
 
 
-def trade_off(table: pd.DataFrame, cost: str, *, x: str = "rate", title: str = "", paper: Paper = PAPER) -> Figure:
-    """Return what a promise costs: a column `cost` of a frame of `pcbench.trade_off` over another, the decay rate [1/s]."""
+def trade_off(
+    table: pd.DataFrame, cost: str, *, x: str = "rate", title: str = "", label: str = "", paper: Paper = PAPER
+) -> Figure:
+    """Return what a promise costs: a column `cost` of a frame of `pcbench.trade_off` over another, the decay rate [1/s].
+
+    `label` is what the cost is called, with its unit.
+    """
     for name in (cost, x):
         if name not in table:
             raise unknown("trade-off", "column", name, table.columns)
@@ -55,7 +60,7 @@ def trade_off(table: pd.DataFrame, cost: str, *, x: str = "rate", title: str = "
     words = "promised decay rate [1/s]" if x == "rate" else x.replace("_", " ")
     option = str(table.columns[0])
     over = {name: scales.of(stands[name], scales.is_wide(stands[name]), margin=0.12) for name in (x, cost)}
-    panel = Panel(over[x], over[cost], f"{words}; beside a point: {option}", f"{cost.replace('_', ' ')}")
+    panel = Panel(over[x], over[cost], f"{words}; beside a point: {option}", label or cost.replace("_", " "))
     figure, (ax,) = sheet(paper, title, [panel])
     with drawn_on(paper):
         ax.plot(stands[x], stands[cost], marker="o", markersize=4, linewidth=1.2, color=COLOURS["dkf"])

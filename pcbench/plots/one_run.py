@@ -51,6 +51,8 @@ def of(
             f"--cell: got {cell}, expected one of 0 .. {len(every) - 1}, the cells of {scenario}; take one."
         )
     seed = study.first_seed if seed is None else seed
+    if not 0 <= seed < 2**32 - RUNS:
+        raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32 - {RUNS}.")
     target = None if out is None else store.target(str(out))
     name = f"examples/{scenario.replace('/', '%2F')}.parquet"
     key = _key(study, every[cell], seed)

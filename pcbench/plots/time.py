@@ -52,6 +52,13 @@ def time(
             f"plots.time: got no kept run of {scenario} and observers whose code is not here, expected one of the two; "
             "run the study again from its own file."
         )
+    return drawn(result, whole, scenario, signal, cell, seed, paper)
+
+
+def drawn(
+    result: Result, whole: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
+) -> Figure:
+    """Draw one signal of a run that is at hand, a frame of `one_run.of`."""
     part = whole[whole.signal == signal]
     named = frames.rows(result, scenario, signal, "mae")
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]

@@ -31,9 +31,10 @@ def write(
 def drawn(result: Result, shown: Shown) -> Iterator[Picture]:
     """Yield every picture, scenario after scenario."""
     for scenario in result.scenarios:
+        here = pictures.place(result, scenario, shown)
         for signal in frames.ranked(result, scenario, shown.signals, shown.metric):
-            yield from pictures.of_signal(result, scenario, signal, shown)
-        yield from pictures.of_all_signals(result, scenario, shown)
+            yield from pictures.of_signal(here, signal)
+        yield from pictures.of_all_signals(here)
 
 
 def kinds_of(text: str) -> tuple[str, ...]:

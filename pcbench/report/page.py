@@ -62,8 +62,8 @@ def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, show
 
 def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> str:
     """Return the page's HTML; arguments are those of `write`."""
-    rows = summary.rows(result, shown.metric, shown.signals)
-    won = summary.tally(result, shown.metric, shown.signals)
+    stood = summary.stood(result, shown.metric, shown.signals)
+    rows, won = summary.rows(result, stood), summary.tally(stood)
     names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
     progress.begin("scenarios", len(names))
     sections = []
@@ -98,16 +98,16 @@ _OF_STATS = {
 
 
 def _section(result: Result, scenario: str, anchor: str, shown: Shown) -> Section:
-    cell, parts = pictures.cell_of(result, scenario, shown), []
+    here, parts = pictures.place(result, scenario, shown), []
     for signal in frames.ranked(result, scenario, shown.signals, shown.metric):
-        tables = headline.headlines(result, scenario, signal, shown.metric, cell)
+        tables = headline.headlines(result, scenario, signal, shown.metric, here.cell)
         whole = frames.rows(result, scenario, signal, shown.metric)
-        at = sentences.where(whole, cell)
-        drawn = [_drawn(p) for p in pictures.of_signal(result, scenario, signal, shown)]
+        at = sentences.where(whole, here.cell)
+        drawn = [_drawn(p) for p in pictures.of_signal(here, signal)]
         unit = pictures.unit_of_signal(result, scenario, signal)
         title = f"Error of {signal.replace('_', ' ')} [{unit}]"
         parts.append(Part(title, tables, at, drawn))
-    besides = [_drawn(p) for p in pictures.of_all_signals(result, scenario, shown)]
+    besides = [_drawn(p) for p in pictures.of_all_signals(here)]
     parts += [Part("All signals", [], "", besides)] if besides else []
     return Section(anchor, title_of_scenario(result, scenario), experiment(result, scenario), parts)
 

@@ -3,12 +3,13 @@
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+import pandas as pd
 from matplotlib.figure import Figure
 
 from pcbench import plots
 from pcbench.dataset.result import Result
 from pcbench.plants import signals_of
-from pcbench.plots import frames, one_run
+from pcbench.plots import frames, one_run, time
 from pcbench.plots.paper import PAPER, Paper
 from pcbench.plots.words import named, unit_of
 from pcbench.report import sentences
@@ -46,17 +47,34 @@ def cell_of(result: Result, scenario: str, shown: Shown) -> int:
     return frames.telling(result, scenario, signals[0], shown.metric) if signals else 0
 
 
-def of_signal(result: Result, scenario: str, signal: str, shown: Shown) -> Iterator[Picture]:
+class Place(NamedTuple):
+    """A scenario with what all its pictures need."""
+
+    result: Result
+    scenario: str
+    cell: int
+    run: pd.DataFrame | None  # in time; None: it is not kept, and the code to make it is not here
+    shown: Shown
+
+
+def place(result: Result, scenario: str, shown: Shown) -> Place:
+    """Return a scenario with its run in time, simulated where it is not kept."""
+    cell = cell_of(result, scenario, shown)
+    return Place(result, scenario, cell, one_run.of(result.study, scenario, result.out, cell, shown.seed), shown)
+
+
+def of_signal(where: Place, signal: str) -> Iterator[Picture]:
     """Yield the pictures of one signal of a scenario, in the order in which they are looked at."""
+    result, scenario, cell, run, shown = where
     here: dict[str, Any] = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
-    cell, name = cell_of(result, scenario, shown), f"{scenario.replace('/', '-')}-{signal}"
+    name = f"{scenario.replace('/', '-')}-{signal}"
     whole = frames.rows(result, scenario, signal, shown.metric)
     mine, axes = whole[whole.cell == cell], frames.varying(whole)
     at, units = frames.values_at(whole, cell), frames.units(result, whole)
     words, unit, spread = named(shown.metric, signal), unit_of(whole), frames.distributed(mine)
-    run = one_run.of(result.study, scenario, result.out, cell, shown.seed)
     if run is not None:
-        figure = plots.time(result, scenario=scenario, signal=signal, cell=cell, seed=shown.seed, paper=shown.paper)
+        seed = result.study.first_seed if shown.seed is None else shown.seed
+        figure = time.drawn(result, run, scenario, signal, cell, seed, shown.paper)
         text, note = sentences.time(run[run.signal == signal], unit_of_signal(result, scenario, signal))
         yield Picture(f"{name}-time", "One run in time", figure, text, note)
     if len(axes) >= 2:
@@ -84,12 +102,13 @@ def of_signal(result: Result, scenario: str, signal: str, shown: Shown) -> Itera
         yield Picture(f"{name}-convergence", "What more seeds are worth", figure, text, sentences.CONVERGENCE)
 
 
-def of_all_signals(result: Result, scenario: str, shown: Shown) -> Iterator[Picture]:
+def of_all_signals(where: Place) -> Iterator[Picture]:
     """Yield what a scenario has besides: how many runs diverge, and what gains are worth."""
+    result, scenario, cell, _, shown = where
     lost = frames.rows(result, scenario, None, "divergence")
     if len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
         x, y = frames.map_axes(lost)
-        rest = {a: v for a, v in frames.values_at(lost, cell_of(result, scenario, shown)).items() if a not in (x, y)}
+        rest = {a: v for a, v in frames.values_at(lost, cell).items() if a not in (x, y)}
         figure = plots.divergence(result, scenario=scenario, at=rest, paper=shown.paper)
         part = frames.fixed(lost, [x, y], rest)
         title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"

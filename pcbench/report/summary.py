@@ -41,41 +41,52 @@ class Tally(NamedTuple):
     of: int  # cells in which it ran
 
 
-def rows(result: Result, metric: str, signals: list[str] | None) -> list[Row]:
-    """Return a row for each scenario and signal; scenarios in order of what they tell."""
-    every = [
-        _row(result, scenario, signal, metric)
-        for scenario in result.scenarios
-        for signal in frames.ranked(result, scenario, signals, metric)
+class Stood(NamedTuple):
+    """How observers stood in one signal of a scenario."""
+
+    scenario: str
+    signal: str
+    part: pd.DataFrame  # `frames.rows`
+    found: pd.DataFrame  # `frames.standings`
+
+
+def stood(result: Result, metric: str, signals: list[str] | None) -> list[Stood]:
+    """Return how observers stood in every signal shown of every scenario; raise UserError where none has the metric."""
+    out = [
+        Stood(name, s, frames.rows(result, name, s, metric), frames.standings(result, name, s, metric))
+        for name in result.scenarios
+        for s in frames.ranked(result, name, signals, metric)
     ]
-    if not every:
+    if not out:
         raise UserError(
             f"--metric: got {metric}, which no signal shown has, expected another; see pcbench list metrics."
         )
+    return out
+
+
+def rows(result: Result, found: list[Stood]) -> list[Row]:
+    """Return a row for each scenario and signal; scenarios in order of what they tell."""
+    every = [_row(result, each) for each in found]
     tells: dict[str, float] = {}
     for row in every:
         tells[row.scenario] = max(tells.get(row.scenario, -np.inf), row.tells)
     return sorted(every, key=lambda row: -tells[row.scenario])
 
 
-def tally(result: Result, metric: str, signals: list[str] | None) -> list[Tally]:
+def tally(every: list[Stood]) -> list[Tally]:
     """Return how many cells, of all signals shown, each observer surely wins, the most first."""
     won: dict[str, int] = {}
     of: dict[str, int] = {}
-    for scenario in result.scenarios:
-        for signal in frames.ranked(result, scenario, signals, metric):
-            part = frames.rows(result, scenario, signal, metric)
-            found = frames.standings(result, scenario, signal, metric)
-            for observer in dict.fromkeys(part.observer):
-                of[observer] = of.get(observer, 0) + len(found)
-                won[observer] = won.get(observer, 0) + int((found.winner == observer).sum())
+    for _, _, part, found in every:
+        for observer in dict.fromkeys(part.observer):
+            of[observer] = of.get(observer, 0) + len(found)
+            won[observer] = won.get(observer, 0) + int((found.winner == observer).sum())
     look = styles(of)
     return sorted((Tally(o, look[o].colour, won[o], of[o]) for o in of), key=lambda t: -t.won)
 
 
-def _row(result: Result, scenario: str, signal: str, metric: str) -> Row:
-    part = frames.rows(result, scenario, signal, metric)
-    found = frames.standings(result, scenario, signal, metric)
+def _row(result: Result, stood: Stood) -> Row:
+    scenario, signal, part, found = stood
     look = styles(part.observer)
     counted = found.winner[found.winner != ""].value_counts()
     several = len(found) > 1

@@ -4,14 +4,15 @@ import html
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 from commands import call
 
 import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
-from pcbench.plots import frames, scales
-from pcbench.report import figures, page, pictures
+from pcbench.plots import files, frames, scales, sheet
+from pcbench.report import figures, page, pictures, sentences
 from pcbench.statistics import wording
 
 STUDY = {
@@ -104,7 +105,9 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
     cell = frames.telling(result, "cart/white", "position", "tail_rmse")
     at = frames.values_at(found.assign(cell=found.cell), cell)
     drawn = [
-        p for p in pictures.of_signal(result, "cart/white", "position", pictures.Shown()) if "over-delay" in p.name
+        p
+        for p in pictures.of_signal(pictures.place(result, "cart/white", pictures.SHOWN), "position")
+        if "over-delay" in p.name
     ]
     (ax,) = drawn[0].figure.axes
     rows = result.stats.query("metric == 'tail_rmse' and signal == 'position' and observer == 'kfbo'")
@@ -191,6 +194,24 @@ def test_a_folder_without_results_is_one_sentence(tmp_path):
     assert "holds no study.toml" in done.stderr
     with pytest.raises(UserError, match="holds no study"):
         pcbench.opened(tmp_path)
+
+
+def test_every_picture_says_its_numbers_whole(folder, text):
+    """Digits are left out of where things stand, not of what is said: a delay of 0.0125 s is not one of 0.01 s."""
+    ticks = ["0.0125", "0.0375"]
+    scale = scales.at([0.0125, 0.0375])
+    assert list(scale.words) == ticks
+    drawn, _ = sheet.sheet(plots.Paper(), "", [sheet.Panel(scale, scale, "delay [s]", "delay [s]")])
+    written = files.inline(drawn, "x")
+    assert all(written.count(f">{tick}<") == 2 for tick in ticks)
+    assert not re.search(r'd="[^"]*\d\.\d{3}', written)
+
+
+def test_a_run_in_time_says_in_words_where_it_ends():
+    rows = [("plant", "truth", t, float(t)) for t in range(3)]
+    rows += [("kfbo", "estimate", t, 0.5 * t) for t in range(3)] + [("measured", "measured", 2, 9.0)]
+    run = pd.DataFrame(rows, columns=["series", "kind", "t", "value"])
+    assert sentences.time(run, "m")[0] == "At the end: plant 2 m, kfbo 1 m."
 
 
 GROWING = {"name": "grow", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 2}
