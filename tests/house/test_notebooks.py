@@ -22,7 +22,7 @@ def test_notebook_runs_and_draws(path, tmp_path):
     where = {"metadata": {"path": str(tmp_path)}}  # what it writes
     NotebookClient(notebook, timeout=900, kernel_name="python3", resources=where).execute()
     pictures = [o for cell in notebook.cells for o in cell.get("outputs", []) if "image/png" in o.get("data", {})]
-    assert len(pictures) == 1
+    assert 1 <= len(pictures) <= 2, "what shows the answer"
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
