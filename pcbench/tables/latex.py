@@ -34,7 +34,7 @@ def _table(t: Table, plain: bool) -> str:
         r"\centering",
         rf"\caption{{{_text('. '.join([t.about, ' '.join(t.notes)]))}}}",
         rf"\label{{tab:{_label(t)}}}",
-        *([] if plain else [r"\sisetup{separate-uncertainty = true, detect-all}"]),
+        *([] if plain else [r"\sisetup{separate-uncertainty = true, detect-all, group-digits = integer}"]),
         rf"\begin{{tabular}}{{{'l' * len(t.stub)}{'r' * len(t.heads)}}}",
         top,
         *_over(t, plain),

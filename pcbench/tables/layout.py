@@ -15,7 +15,7 @@ from pcbench.statistics import COMPARED
 from pcbench.statistics.winning import winner
 from pcbench.statistics.wording import estimate
 
-WIDE = 6  # values of an axis that stand beside one another
+WIDE = 4  # values of an axis that stand beside one another
 SURELY, LEAST = "surely", "least"  # less than every other by Holm's adjusted p; the least, but not surely
 
 

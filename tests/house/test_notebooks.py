@@ -1,4 +1,4 @@
-"""Notebooks run from top to bottom and are kept without outputs."""
+"""Notebooks run from top to bottom and are kept without outputs: a question, its answer, a picture that shows it."""
 
 import os
 from pathlib import Path
@@ -15,13 +15,26 @@ FIRST, *LATER = NOTEBOOKS
     "path", [FIRST, *(pytest.param(p, marks=pytest.mark.slow) for p in LATER)], ids=lambda p: p.stem
 )
 @pytest.mark.slow
-def test_notebook_runs_and_draws(path):
+def test_notebook_runs_and_draws(path, tmp_path):
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") and not cell.get("execution_count") for cell in notebook.cells), "outputs kept"
     os.environ.setdefault("MPLBACKEND", "module://matplotlib_inline.backend_inline")
-    NotebookClient(notebook, timeout=900, kernel_name="python3").execute()
+    where = {"metadata": {"path": str(tmp_path)}}  # what it writes
+    NotebookClient(notebook, timeout=900, kernel_name="python3", resources=where).execute()
     pictures = [o for cell in notebook.cells for o in cell.get("outputs", []) if "image/png" in o.get("data", {})]
-    assert len(pictures) >= 2
+    assert 1 <= len(pictures) <= 2, "what shows the answer"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
+def test_it_asks_a_question_and_answers_it_by_what_it_computes(path):
+    cells = nbformat.read(path, as_version=4).cells
+    title, answer = cells[0].source.split("\n\n")[:2]
+    assert title.startswith("# ")
+    assert title.endswith("?")
+    assert answer.endswith(".")
+    code = "\n".join(cell.source for cell in cells if cell.cell_type == "code")
+    assert "\nassert " in code, "the answer is checked"
+    assert "OBSERVERS" not in code, "an observer of one's own comes in by name"
 
 
 def test_there_is_a_first_look():
