@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import hurried
 import numpy as np
 import pytest
 
@@ -29,7 +30,6 @@ ROWS = {  # what each prints, and how often
         "reader, polars: ": 3,
     },
 }
-FAST = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"  # compiling is most of it
 
 
 def test_every_script_is_run_here():
@@ -38,7 +38,7 @@ def test_every_script_is_run_here():
 
 @pytest.mark.parametrize("name", ROWS)
 def test_a_benchmark_runs_whole_in_its_small_form(name):
-    environment = {**os.environ, "XLA_FLAGS": FAST}
+    environment = {**os.environ, "XLA_FLAGS": hurried.flags()}  # compiling is most of it
     command = [sys.executable, str(FOLDER / f"{name}.py"), "--small"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=FOLDER.parent)
     assert done.returncode == 0, done.stderr

@@ -17,6 +17,8 @@ from pcbench.plots import palette
 from pcbench.report import figures, lines, page
 from pcbench.statistics import wording
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 STUDY = {
     "name": "map",
     "scenarios": ["cart/white"],
