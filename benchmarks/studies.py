@@ -2,7 +2,7 @@
 
     python benchmarks/studies.py              # a few minutes
     python benchmarks/studies.py --only memory
-    python benchmarks/studies.py --small      # every row and check, a few runs each: its figures mean nothing then
+    python benchmarks/studies.py --small      # every row and check, a few short runs each: its figures mean nothing then
 
 writing: the time that tasks spend on their files, of the time that all devices have; and what the same tasks take longer
          with files than without, in turn (on a shared machine good to some per cent).
@@ -33,16 +33,25 @@ from pcbench import api
 from pcbench.dataset import executors, fill, ownership, store, task
 from pcbench.machine import process, provenance
 from pcbench.machine.progress import Progress
+from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import batch
 from pcbench.study import read
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
-FEW = ["kfbo"]  # of a small form: every program is one observer's
+FEW = ["pccebo"]  # of a small form: every program is one observer's
 WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's study; from the cheapest runs to dear ones
     "cart/white": (200_000, 4096, ["pccebo", "kfbo", "dkf"]),
     "csth/10s-noise": (120_000, 4096, ["chain", "equal-delay", "dkf"]),
     "arm/sampled": (3_072, 1024, ["smo", "pio", "dkf"]),
 }
+
+
+def shortened(scenario: str, observers: list[str]) -> dict[str, Any]:
+    """Return a study of a scenario until its first samples have arrived, as small forms have it."""
+    measured = SCENARIOS[scenario].sampling
+    until = 2 * (max(measured.sampling_period) + max(measured.delay))
+    table = {"base": scenario, "horizon": until, "tail": until / 2}
+    return {"name": "cost", "scenario": table, "observers": observers}
 
 
 def without_files(work: task.Work, one: task.Task, hold: Callable[[], Any]) -> task.Report:
@@ -74,6 +83,7 @@ def writing(turns: int, small: bool) -> None:
     for scenario, (seeds, block, observers) in WRITTEN.items():
         seeds, block, observers = (32, 16, observers[:1]) if small else (seeds, block, observers)
         study = {"name": "cost", "scenarios": [scenario], "observers": observers}
+        study = shortened(scenario, observers) if small else study
         with executors.here() as execute:
             timed(study | {"seeds": 16 if small else 2048}, execute)
             longer, share, base = [], [], []
@@ -94,7 +104,7 @@ def writing(turns: int, small: bool) -> None:
 def workers(turns: int, small: bool) -> None:
     """Print how much of two workers a study gets, on work that costs more than its files, and what the machine would give."""
     study = {"name": "cost", "scenarios": ["arm/sampled"], "observers": ["smo", "pio"], "seeds": 512 * 8}
-    study = STUDY | {"seeds": 32, "observers": FEW} if small else study
+    study = shortened("cart/white", FEW) | {"seeds": 32} if small else study
     seconds: dict[str, list[float]] = {}
     with ExitStack() as stack:
         clusters = [stack.enter_context(executors.dask("local", count)) for count in (1, 2)]
@@ -131,7 +141,7 @@ def simulating(work: partial[Any], tasks: Iterable[task.Task]) -> Iterator[task.
 
 def memory(turns: int, small: bool) -> None:
     """Print the peak memory of studies of several sizes, each in a process of its own."""
-    base = STUDY | {"observers": FEW} if small else STUDY
+    base = shortened("cart/white", FEW) if small else STUDY
     sizes: dict[str, tuple[int, dict[str, Any]]] = {
         f"{many} seeds, 1 cell": (many, {}) for many in ((16,) if small else (1024, 16384, 262144))
     }

@@ -4,7 +4,8 @@
 
 A study is started, killed with SIGKILL at a random moment, and started again in the same folder until it ends by itself; then
 its files are compared, byte for byte, with those of a run that nobody disturbed; and so on until there were so many kills.
-With --small the study has one observer, an eighth of the seeds and is killed twice.
+With --small the study has one observer, an eighth of the seeds, a tenth of the ticks, and is killed twice, each time when it
+has written one to four blocks.
 Meanwhile a reader polls the folder with pyarrow, DuckDB
 and Polars: whatever it sees must be whole blocks, no row twice.
 """
@@ -19,6 +20,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import duckdb
@@ -27,7 +29,9 @@ import pyarrow.dataset as ds
 
 STUDY = ["cart/white", "--observers", "pccebo,kfbo,dkf", "--set", "axes.noise_std=[0.1, 0.2, 0.4]"]
 ROWS = 64 * 2  # of a block: seeds x signals
-SEEDS, FEW = 2048, 256
+SEEDS = ["--seeds", "2048"]
+SHORT = ["--seeds", "256", "--observers", "kfbo"]  # and each run a tenth as long
+SHORT += ["--set", 'scenario={base="cart/white", name="short", horizon=1.0, tail=0.5}', "--set", 'scenarios=["short"]']
 
 
 def command(out: Path, extra: list[str]) -> list[str]:
@@ -38,6 +42,11 @@ def command(out: Path, extra: list[str]) -> list[str]:
 def files(out: Path) -> dict[str, bytes]:
     """Return a folder's tables by name."""
     return {str(p.relative_to(out)): p.read_bytes() for p in sorted(out.rglob("*.parquet"))}
+
+
+def tables(out: Path) -> int:
+    """Return how many tables a folder has."""
+    return sum(1 for _ in out.rglob("*.parquet"))
 
 
 def poll(out: Path, stop: threading.Event, seen: Counter[str]) -> None:
@@ -80,19 +89,29 @@ def with_polars(out: Path) -> tuple[int, int]:
 READERS = {"pyarrow": with_pyarrow, "duckdb": with_duckdb, "polars": with_polars}
 
 
-def disturbed(out: Path, longest: float, most: int, extra: list[str], draw: random.Random) -> int:
+def runs_still(process: subprocess.Popen[bytes], out: Path, longest: float | None, draw: random.Random) -> bool:
+    """Wait for a random moment, or without `longest` for some more tables; return whether the process has not ended before."""
+    if longest is not None:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(draw.uniform(0, longest))
+        return process.poll() is None
+    enough = tables(out) + draw.randint(1, 4)
+    while process.poll() is None and tables(out) < enough:
+        time.sleep(0.01)
+    return process.poll() is None
+
+
+def disturbed(out: Path, longest: float | None, most: int, extra: list[str], draw: random.Random) -> int:
     """Run the study to its end under kills; return how many there were, `most` at most."""
     kills = 0
     while True:
         process = subprocess.Popen(command(out, extra), start_new_session=True, stdout=subprocess.DEVNULL)
-        try:
-            code = process.wait(draw.uniform(0, longest) if kills < most else None)
-        except subprocess.TimeoutExpired:
+        if kills < most and runs_still(process, out, longest, draw):
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             kills += 1
             continue
-        if code:
+        if code := process.wait():
             raise SystemExit(f"survival: the study ended with {code}, expected 0.")
         return kills
 
@@ -101,16 +120,15 @@ def main() -> None:
     """Kill, resume, compare; exit 1 where anything differs."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=None, help="default 100, or 2 of a small study")
-    parser.add_argument("--small", action="store_true", help="fewer seeds and kills; every check")
+    parser.add_argument("--small", action="store_true", help="fewer and shorter runs, fewer kills; every check")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--dask", action="store_true", help="run on two local Dask workers")
     options = parser.parse_args()
     most = options.kills or (2 if options.small else 100)
-    extra = ["--seeds", str(FEW), "--observers", "kfbo"] if options.small else ["--seeds", str(SEEDS)]
-    extra += ["--dask", "local", "--workers", "2"] if options.dask else []
+    extra = [*(SHORT if options.small else SEEDS), *(["--dask", "local", "--workers", "2"] if options.dask else [])]
     draw, seen, kills, rounds = random.Random(options.seed), Counter[str](), 0, 0
     with tempfile.TemporaryDirectory() as folder:
-        for name in ("warm", "whole"):  # compiled programs are kept
+        for name in ("whole",) if options.small else ("warm", "whole"):  # compiled programs are kept
             start = time.perf_counter()
             subprocess.run(command(Path(folder) / name, extra), check=True, stdout=subprocess.DEVNULL)
         alone = time.perf_counter() - start
@@ -121,7 +139,7 @@ def main() -> None:
             out.mkdir()
             reader = threading.Thread(target=poll, args=(out, stop, seen))
             reader.start()
-            kills += disturbed(out, alone, most - kills, extra, draw)
+            kills += disturbed(out, None if options.small else alone, most - kills, extra, draw)
             stop.set()
             reader.join()
             got, rounds = files(out), rounds + 1

@@ -33,6 +33,7 @@ FEW = {
     "cart/variable": ["pco", "pi-pco", "dkf"],
 }  # each of them once
 ROUNDING = 1e-6  # an option that is tuned on a logarithm comes back rounded
+FEW_RUNS = 8
 SMALL = ["--budget", "3", "--train", "0:8", "--judge", "1000:1008", "--method", "search"]
 
 
@@ -47,7 +48,9 @@ def tuned(words: list[str]) -> dict[str, Any]:
 def tuned_here(words: list[str]) -> dict[str, Any]:
     """Return what the same command says in this process."""
     from pcbench.cli.commands import app
+    from pcbench.simulation import batch
 
+    batch.WIDTH = FEW_RUNS
     with contextlib.redirect_stdout(io.StringIO()) as said:
         app([*words, *SMALL], standalone_mode=False)
     return dict(json.loads(said.getvalue()))
@@ -61,7 +64,7 @@ def main() -> None:
         "--small", action="store_true", help="three points, eight runs, each observer once; every check"
     )
     options = parser.parse_args()
-    tune, runs, points = (tuned_here, 8, 3) if options.small else (tuned, 256, 60)
+    tune, runs, points = (tuned_here, FEW_RUNS, 3) if options.small else (tuned, 256, 60)
     table = Table(title=f"tuning for tail RMSE, {runs} training runs, {points} points at most")
     for head in ("scenario", "observer", "seconds", "points", "start", "tuned"):
         table.add_column(head, justify="left" if head in ("scenario", "observer") else "right")

@@ -3,6 +3,7 @@
 import os
 import shutil
 import tempfile
+from contextlib import nullcontext
 from pathlib import Path
 
 os.environ.setdefault("JAX_NUM_CPU_DEVICES", "2")
@@ -22,6 +23,28 @@ settings.register_profile("house", deadline=None)  # a machine under load is no 
 settings.load_profile("house")
 SHAPED = ["dynamics.integrate", "plants", "observers", "controllers", "synthesis", "simulation.actuator"]
 install_import_hook([f"pcbench.{name}" for name in SHAPED], "shapes.checked")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _recordings(request):
+    """Compile recordings of one run in a hurry; the slow tests have them as a user has."""
+    import hurried
+
+    from pcbench.simulation import trace
+
+    with pytest.MonkeyPatch.context() as patch:
+        if request.config.option.markexpr == "not slow":
+            patch.setattr(trace, "compiled", hurried.recorder)
+        yield
+
+
+@pytest.fixture(scope="module")
+def in_a_hurry(request):
+    """Have batches too compiled in a hurry, where a module asks for it; the slow tests have them as a user has."""
+    import hurried
+
+    with hurried.programs() if request.config.option.markexpr == "not slow" else nullcontext():
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -12,6 +12,7 @@ import pytest
 from commands import call
 
 PCBENCH = [sys.executable, "-m", "pcbench"]
+SMALL = ["cart/slow", "--observers", "pccebo,kfbo"]  # the program of `small_study`
 
 
 def refused(done):
@@ -163,7 +164,7 @@ def test_run_shows_a_table_and_says_where_the_files_are(tmp_path):
 
 
 def test_quiet_says_only_where_the_result_is(tmp_path):
-    done = call("run", "cart/nominal", "--seeds", "2", "--observers", "pccebo", "--quiet", "--out", tmp_path / "q")
+    done = call("run", *SMALL, "--seeds", "2", "--quiet", "--out", tmp_path / "q")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{tmp_path / 'q'}\n", "")
 
 
@@ -189,7 +190,7 @@ def test_names_may_be_written_with_either_dash_and_an_axis_with_one_value(tmp_pa
     )
     for name, text in zip("ab", texts, strict=True):
         (tmp_path / f"{name}.toml").write_text(
-            f"name = 'x'\nscenarios = ['cart/slow']\nobservers = ['kfbo']\nseeds = 2\n[axes]\n{text}\n"
+            f"name = 'x'\nscenarios = ['cart/slow']\nobservers = ['pccebo', 'kfbo']\nseeds = 2\n[axes]\n{text}\n"
         )
         assert call("run", tmp_path / f"{name}.toml", "--quiet", "--out", tmp_path / name).returncode == 0
     assert (tmp_path / "a" / "stats.parquet").read_bytes() == (tmp_path / "b" / "stats.parquet").read_bytes()
@@ -309,10 +310,10 @@ def test_reproduce_prints_every_claim_with_a_verdict():
 
 def test_ctrl_c_leaves_complete_files_only(tmp_path):
     out = tmp_path / "out"
-    words = [*PCBENCH, "run", "cart", "--seeds", "16000", "--out", str(out)]
+    words = [*PCBENCH, "run", *SMALL, "--seeds", "64000", "--block", "256", "--out", str(out)]
     process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     while not list(out.rglob("*.parquet")) and process.poll() is None:
-        time.sleep(0.1)
+        time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     _, stderr = process.communicate(timeout=900)
     assert process.returncode == 130, stderr

@@ -2,6 +2,7 @@
 
 import json
 
+import hurried
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -186,7 +187,8 @@ def test_another_root_seed_is_other_draws_of_the_same_study(whole, tmp_path):
 
 
 def test_other_studies_and_unfinished_ones_are_refused_in_a_sentence(whole, copy, tmp_path):
-    pcbench.run(STUDY | {"observers": ["pccebo", "dkf"]}, out=tmp_path / "o")
+    with hurried.programs():
+        pcbench.run(STUDY | {"observers": ["pccebo", "dkf"]}, out=tmp_path / "o")
     with pytest.raises(UserError, match=r"is of another study than .*kfbo there, not here.*expected the same study"):
         compare.compare(whole, tmp_path / "o")
     (copy / "stats.parquet").unlink()

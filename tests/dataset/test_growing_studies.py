@@ -2,6 +2,7 @@
 
 import tomllib
 
+import hurried
 import pandas as pd
 import pytest
 from small_study import STUDY, rows, same, tables
@@ -122,7 +123,8 @@ def test_nor_is_a_folder_taken_that_holds_nothing_but_such_a_text(tmp_path, text
 def test_columns_keep_their_kind_when_a_study_grows(tmp_path):
     """One number for all channels stays one: a list beside it could not be read together."""
     tank = {"name": "tank", "scenarios": ["csth/10s-noise"], "observers": ["dkf"], "seeds": 2}
-    pcbench.run(tank | {"axes": {"delay": [[40.0, 40.0, 40.0]]}}, out=tmp_path / "out")
+    with hurried.programs():
+        pcbench.run(tank | {"axes": {"delay": [[40.0, 40.0, 40.0]]}}, out=tmp_path / "out")
     with pytest.raises(UserError, match=r"axes.delay: a number for all channels"):
         pcbench.run(tank | {"axes": {"delay": [[40.0, 40.0, 40.0], [20.0, 50.0, 70.0]]}}, out=tmp_path / "out")
 

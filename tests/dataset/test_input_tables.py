@@ -16,13 +16,17 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import batch, metrics
 from pcbench.study import read
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 STATES = {"link_angle", "link_velocity", "motor_angle", "motor_velocity"}
 NAMES = ["smo", "smo-reconstruct", "open-loop"]
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
-    return pcbench.run("arm/sampled", observers=NAMES, seeds=3, out=tmp_path_factory.mktemp("arm") / "out")
+    short = {"base": "arm/sampled", "horizon": 0.5, "tail": 0.2}
+    out = tmp_path_factory.mktemp("arm") / "out"
+    return pcbench.run({"name": "arm", "scenario": short}, observers=NAMES, seeds=3, out=out)
 
 
 @pytest.mark.slow

@@ -15,6 +15,8 @@ from pcbench.dataset.compare import compare
 from pcbench.report import page
 from pcbench.study import read
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
 STUDY = {"name": "mine", "scenarios": ["cart/slow"], "observers": ["mine.py:nudge", "kfbo"], "seeds": 16}
 
@@ -31,10 +33,20 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The study once, to be copied."""
+    folder = tmp_path_factory.mktemp("own")
+    shutil.copy(SOURCE, folder / "mine.py")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        pcbench.run(STUDY, out="out")
+    return folder / "out"
+
+
 @pytest.fixture
-def out(here):
-    pcbench.run(STUDY, out="out")
-    return here / "out"
+def out(here, made):
+    return shutil.copytree(made, here / "out")
 
 
 def forget(here):

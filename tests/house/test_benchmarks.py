@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import hurried
 import numpy as np
 import pytest
 
@@ -31,7 +32,6 @@ ROWS = {  # what each prints, and how often
     "own_code": {"here, ": 2, "workers, ": 2},
 }
 DEAR = {"own_code"}  # two more processes: of it the part that needs none is run by default
-FAST = "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true"  # compiling is most of it
 
 
 def test_every_script_is_run_here():
@@ -48,7 +48,7 @@ def test_an_observer_of_a_users_file_leaves_the_bits_of_the_one_built_in():
 
 
 def says(name, rows, *more):
-    environment = {**os.environ, "XLA_FLAGS": FAST}
+    environment = {**os.environ, "XLA_FLAGS": hurried.flags()}  # compiling is most of it
     command = [sys.executable, str(FOLDER / f"{name}.py"), "--small", *more]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd=FOLDER.parent)
     assert done.returncode == 0, done.stderr

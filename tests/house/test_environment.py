@@ -11,7 +11,7 @@ import pcbench
 from pcbench.dataset import block_files, store, verify
 
 PCBENCH = [sys.executable, "-m", "pcbench"]
-RUN = ["run", "cart/slow", "--observers", "open-loop,kfbo", "--seeds", "3"]
+RUN = ["run", "cart/slow", "--observers", "pccebo,kfbo", "--seeds", "3"]
 
 
 def command(*words, cwd, **environment):

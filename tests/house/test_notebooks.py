@@ -3,9 +3,7 @@
 import os
 from pathlib import Path
 
-import nbformat
 import pytest
-from nbclient import NotebookClient
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
 FIRST, *LATER = NOTEBOOKS
@@ -16,6 +14,9 @@ FIRST, *LATER = NOTEBOOKS
 )
 @pytest.mark.slow
 def test_notebook_runs_and_draws(path, tmp_path):
+    import nbformat  # seconds of every collection
+    from nbclient import NotebookClient
+
     notebook = nbformat.read(path, as_version=4)
     assert all(not cell.get("outputs") and not cell.get("execution_count") for cell in notebook.cells), "outputs kept"
     os.environ.setdefault("MPLBACKEND", "module://matplotlib_inline.backend_inline")

@@ -2,6 +2,7 @@
 
 import re
 
+import hurried
 import numpy as np
 import pytest
 
@@ -20,11 +21,11 @@ def planned(**axes):
 
 
 def test_one_compilation_for_every_period_delay_noise_and_drift():
-    before = batch.compilations()
-    chosen, cells = planned(**AXES)
-    done = list(in_memory.execute(chosen, cells))
+    with hurried.programs():
+        chosen, cells = planned(**AXES)
+        done = list(in_memory.execute(chosen, cells))
+        assert batch.compilations() == 1
     assert len(done) == 24
-    assert batch.compilations() - before == 1
     mae = [d.results["kfbo"]["mae"][0, 0] for d in done]
     assert len(set(mae)) == 24, "every cell has its own numbers"
 

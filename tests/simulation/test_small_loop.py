@@ -110,12 +110,14 @@ def written_out(seed):
     return np.array(e), np.array(off), lost
 
 
-RUNS = [written_out(seed) for seed in SEEDS.tolist()]
+@pytest.fixture(scope="module")
+def runs():
+    return [written_out(seed) for seed in SEEDS.tolist()]
 
 
 @pytest.mark.parametrize("run", range(3))
-def test_sums_of_the_error_and_of_what_is_off_the_set_point_are_those_of_the_ticks(outcome, run):
-    e, off, _ = RUNS[run]
+def test_sums_of_the_error_and_of_what_is_off_the_set_point_are_those_of_the_ticks(outcome, runs, run):
+    e, off, _ = runs[run]
     for found, values in ((outcome.streams["o"], e), (outcome.tracking, off)):
         for window, (a, b) in enumerate([(0, TAIL), (TAIL, N - 1), (N - 1, N)]):
             part = values[a:b]
@@ -124,18 +126,18 @@ def test_sums_of_the_error_and_of_what_is_off_the_set_point_are_those_of_the_tic
     np.testing.assert_allclose(outcome.final["o"][:, run], e[-1], rtol=0, atol=1e-13)
 
 
-def test_a_run_that_leaves_its_bound_stands_still_and_keeps_its_tick(outcome):
-    lost = [when for _, _, when in RUNS]
+def test_a_run_that_leaves_its_bound_stands_still_and_keeps_its_tick(outcome, runs):
+    lost = [when for _, _, when in runs]
     assert sum(when >= 0 for when in lost) == 1
     assert max(lost) > LATE, "a sample has come"
     np.testing.assert_array_equal(outcome.watches["o"].first_bad, lost)
 
 
-def test_the_metrics_are_those_of_all_ticks_and_of_the_tail(outcome):
+def test_the_metrics_are_those_of_all_ticks_and_of_the_tail(outcome, runs):
     out = metrics.read(
         outcome.streams["o"], outcome.watches["o"], outcome.final["o"], N, TAIL, DT, tracking=outcome.tracking
     )
-    for run, (e, off, lost) in enumerate(RUNS):
+    for run, (e, off, lost) in enumerate(runs):
         for name, values in (
             ("rmse", e),
             ("tail_rmse", e[TAIL:]),

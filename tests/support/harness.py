@@ -13,9 +13,10 @@ from pcbench.dynamics import linear
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Plant
 from pcbench.simulation import draws
+from pcbench.simulation import trace as one_run
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import shared
-from pcbench.simulation.trace import Recording, compiled
+from pcbench.simulation.trace import Recording
 from pcbench.synthesis.certificate import Setting
 
 RING, SLOTS = 512, 2  # room for a sample at every tick with a delay of 400: one shape for every test
@@ -120,7 +121,9 @@ def problem(case: Case, observers: dict[str, dict[str, Any]]) -> tuple[Layout, P
     return layout, jax.tree.map(np.asarray, p)
 
 
-recorder = compiled
+def recorder() -> Any:
+    """Return what records a run, compiled once for each shape."""
+    return one_run.compiled()
 
 
 def trace(case: Case, observers: dict[str, dict[str, Any]]) -> Recording:

@@ -1,0 +1,53 @@
+"""Compiled in a hurry: in a third of the time, to run several times as long. For short runs whose numbers have a tolerance.
+
+Where a test asks for bits or for what is in a program, it is the one that a user gets; in the slow tests all are.
+"""
+
+from contextlib import contextmanager
+from functools import cache, lru_cache
+
+import jax
+import pytest
+
+OPTIONS = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
+LANES = 32  # of a call
+
+
+@cache
+def options():
+    """Return those of OPTIONS that this release of jax knows."""
+    return {name: value for name, value in OPTIONS.items() if _known({name: value})}
+
+
+def flags():
+    """Return the same for the environment of another process."""
+    return " ".join(f"--{name}={str(value).lower()}" for name, value in options().items())
+
+
+def _known(option):
+    try:
+        jax.jit(lambda x: -x).lower(0.0).compile(option)
+    except jax.errors.JaxRuntimeError:
+        return False
+    return True
+
+
+@cache
+def recorder():
+    """Return `trace.compiled()`, made in a hurry."""
+    from pcbench.simulation import trace
+
+    return jax.jit(trace.record, static_argnums=0, compiler_options=options())
+
+
+@contextmanager
+def programs():
+    """Have calls of a few lanes, made in a hurry, until this is left; none of them is kept."""
+    from pcbench.simulation import batch
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "WIDTH", LANES)
+        patch.setattr(batch, "HEAVY", LANES)
+        patch.setattr(batch, "ONE_THREAD", batch.ONE_THREAD | options())
+        patch.setattr(batch, "_compiled", lru_cache(maxsize=64)(batch._compiled.__wrapped__))
+        yield
