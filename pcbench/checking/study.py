@@ -119,8 +119,7 @@ def runs(grid: Grid) -> str:
                     "numbers; close the loop, or give another start, a shorter tick or horizon."
                 )
             for label in p.labels:
-                bound = np.broadcast_to(p.problem.bound, (len(p.problem.bound),))
-                left = [not (e <= bound[: e.shape[1]]).all() for e in (errors(p, out)[label] for out in outs)]
+                left = [not (e <= p.problem.bound[: e.shape[1]]).all() for e in (errors(p, o)[label] for o in outs)]
                 lost += [f"{label} in {cell.scenario.name} ({sum(left)} of {SEEDS} runs)"] if any(left) else []
     if lost:
         raise Noted(f"the error leaves the bound of {', '.join(lost)}")
