@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from pcbench import plots
 from pcbench.dataset.result import Result
 from pcbench.plants import signals_of
-from pcbench.plots import frames, one_run, time
+from pcbench.plots import frames, one_run, time_series
 from pcbench.plots.paper import PAPER, Paper
 from pcbench.plots.words import named, unit_of
 from pcbench.report import sentences
@@ -74,7 +74,7 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
     words, unit, spread = named(shown.metric, signal), unit_of(whole), frames.distributed(mine)
     if run is not None:
         seed = result.study.first_seed if shown.seed is None else shown.seed
-        figure = time.drawn(result, run, scenario, signal, cell, seed, shown.paper)
+        figure = time_series.drawn(result, run, scenario, signal, cell, seed, shown.paper)
         text, note = sentences.time(run[run.signal == signal], unit_of_signal(result, scenario, signal))
         yield Picture(f"{name}-time", "One run in time", figure, text, note)
     if len(axes) >= 2:

@@ -5,7 +5,7 @@ import pandas as pd
 
 from pcbench.plots import frames, one_run, scales
 from pcbench.plots.scales import number as exact
-from pcbench.plots.time import BANDS
+from pcbench.plots.time_series import BANDS
 
 WINNERS = (
     "A cell is won where the best is surely better than every other (5 %, Holm); the number says how many times larger the "

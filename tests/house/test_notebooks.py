@@ -1,5 +1,6 @@
 """Notebooks run from top to bottom and are kept without outputs: a question, its answer, a picture that shows it."""
 
+import json
 import os
 from pathlib import Path
 
@@ -28,12 +29,12 @@ def test_notebook_runs_and_draws(path, tmp_path):
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 def test_it_asks_a_question_and_answers_it_by_what_it_computes(path):
-    cells = nbformat.read(path, as_version=4).cells
-    title, answer = cells[0].source.split("\n\n")[:2]
+    cells = [(cell["cell_type"], "".join(cell["source"])) for cell in json.loads(path.read_text())["cells"]]
+    title, answer = cells[0][1].split("\n\n")[:2]
     assert title.startswith("# ")
     assert title.endswith("?")
     assert answer.endswith(".")
-    code = "\n".join(cell.source for cell in cells if cell.cell_type == "code")
+    code = "\n".join(source for kind, source in cells if kind == "code")
     assert "\nassert " in code, "the answer is checked"
     assert "OBSERVERS" not in code, "an observer of one's own comes in by name"
 
