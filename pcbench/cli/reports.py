@@ -6,6 +6,7 @@ import typer
 
 from pcbench.cli.shared import RANKS, Folder, Metric, Quiet, Signals, chosen, out, setup
 from pcbench.cli.stopping import stoppable
+from pcbench.errors import UserError
 
 
 def report(
@@ -23,6 +24,10 @@ def report(
         typer.Option(help="at which pictures stand: number in stats.parquet [default: the one that tells most]"),
     ] = None,
     seed: Annotated[int | None, typer.Option(help="of the run shown in time [default: the study's first]")] = None,
+    below: Annotated[
+        float | None,
+        typer.Option(help="limit of --metric, to say what suffices over each axis [default: twice the least]"),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Make one HTML page of a study's results that opens anywhere, or its pictures as files.
@@ -37,8 +42,10 @@ def report(
     from pcbench.report.pictures import Shown
 
     statistics.compared(metric, "--metric")
+    if below is not None and not below > 0:
+        raise UserError(f"--below: got {below:g}, expected a positive limit of {metric}; write --below 0.05.")
     where = f"{folder.rstrip('/')}/report.html" if file is None else file
-    shown = Shown(metric=metric, signals=chosen(signal), cell=cell, seed=seed)
+    shown = Shown(metric=metric, signals=chosen(signal), cell=cell, seed=seed, below=below)
     with process.float64(), bar(quiet) as drawn:
         progress = stoppable(drawn)
         if figures is not None:

@@ -55,6 +55,7 @@ def experiment(result: Result, scenario: str) -> Experiment:
     s = every[0].scenario
     facts = [fact for each in _facts(s) if (fact := _fact(each, every, result.study.axes))]
     facts += [_parameter(name, values) for name, values in result.study.axes.items() if name.startswith("plant.")]
+    facts += [Fact("parameters", known)] if (known := _parameters(s)) else []
     facts += [Fact("observers", "; ".join(_observer(every[0], o) for o in every[0].options))]
     return Experiment(_published(result, s, every), facts, _matrices(s))
 
@@ -134,6 +135,12 @@ def _parameter(name: str, values: list[Any]) -> Fact:
     )
 
 
+def _parameters(s: Scenario) -> str:
+    """The parameters of a nonlinear plant; a linear one is said by its matrices."""
+    numbers = numbers_of(s)
+    return ", ".join(f"{p} {number(getattr(numbers, p))}" for p in parameters_of(entry_of(s))) if nonlinear(s) else ""
+
+
 def _observer(cell: Cell, label: str) -> str:
     """An observer with the options that are not its own defaults."""
     given = cell.options[label]
@@ -156,10 +163,9 @@ def _published(result: Result, s: Scenario, every: list[Cell]) -> str:
 
 
 def _matrices(s: Scenario) -> list[tuple[str, list[list[str]]]]:
-    """The matrices of the nominal model; of a nonlinear plant its parameters are said."""
+    """The matrices of the nominal model; a nonlinear plant is said by its parameters."""
     if nonlinear(s):
-        plant, numbers = entry_of(s), numbers_of(s)
-        return [(name, [[number(getattr(numbers, name))]]) for name in parameters_of(plant)]
+        return []
     model = entry_of(s).nominal(numbers_of(s))
     named = {"A": model.A, "B": model.B, "C": model.C, "D": model.D, "E": model.E}
     found = {k: np.asarray(v) for k, v in named.items() if v is not None and np.any(np.asarray(v))}

@@ -12,7 +12,7 @@ from pcbench.plants import signals_of
 from pcbench.plots import frames, one_run, time_series
 from pcbench.plots.paper import PAPER, Paper
 from pcbench.plots.words import named, unit_of
-from pcbench.report import sentences
+from pcbench.report import enough, sentences
 from pcbench.study import scenarios_of
 
 
@@ -24,6 +24,7 @@ class Shown(NamedTuple):
     cell: int | None = None  # at whose values axes stand that a picture does not show; None: the one that tells most
     seed: int | None = None  # of the run in time; None: the study's first
     paper: Paper = PAPER
+    below: float | None = None  # what an error must stay below to suffice; None: twice the least of an axis
 
 
 SHOWN = Shown()
@@ -90,9 +91,10 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
     for axis in axes:
         rest = {a: v for a, v in at.items() if a != axis}
         figure = plots.curves(result, axis, at=rest, **here)
-        text = sentences.curve(frames.fixed(whole, [axis], rest), axis, unit)
+        part = frames.fixed(whole, [axis], rest)
+        note = " ".join(filter(None, [enough.said(part, axis, unit, shown.below), "Bars: 95 % intervals of the mean."]))
         title = f"{_upper(words)} over {frames.label(axis, units)}"
-        yield Picture(f"{name}-over-{axis.replace('.', '-')}", title, figure, text, "Bars: 95 % intervals of the mean.")
+        yield Picture(f"{name}-over-{axis.replace('.', '-')}", title, figure, sentences.curve(part, axis, unit), note)
     if spread:
         figure = plots.distributions(result, cell=cell, **here)
         text = sentences.medians(mine, unit)

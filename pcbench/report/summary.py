@@ -90,9 +90,12 @@ def _row(result: Result, stood: Stood) -> Row:
     look = styles(part.observer)
     counted = found.winner[found.winner != ""].value_counts()
     several = len(found) > 1
-    best = str(counted.index[0]) if several and len(counted) else str(found.best.iloc[0]) if not several else ""
-    deterministic = not frames.distributed(part)
     middle = _multiples(part)
+    ahead_most = [
+        o for o, _ in middle if counted.get(o, 0) == counted.max()
+    ]  # of equally many cells the least error decides
+    best = ahead_most[0] if several and len(counted) else str(found.best.iloc[0]) if not several else ""
+    deterministic = not frames.distributed(part)
     ahead = np.nanmedian(found.factor) if found.factor.notna().any() else np.nan
     sure = bool(len(counted))
     told = (0 if deterministic else 100) + (0 if not sure else 50) + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0)
