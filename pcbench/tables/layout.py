@@ -113,7 +113,8 @@ def _by_axis(result: Result, scenario: str, metric: str, signal: str, part: pd.D
     about = f"{scenario}: {metric} of the error of {_words(signal)}" + (f" [{unit}]" if unit not in ("", "1") else "")
     if len(axes) == 1 and len(points) <= WIDE:
         rows = [([o], [by.get((o, point)) for point in points]) for o in observers]
-        return Table(scenario, signal, about, [Head("observer")], [Head(p) for (p,) in points], rows, _axis(axes[0]))
+        heads = [Head(p) for (p,) in points]
+        return Table(scenario, signal, about, [Head("observer")], heads, rows, over=_axis(axes[0]))
     rows = [(list(point), [by.get((o, point)) for o in observers]) for point in points]
     return Table(scenario, signal, about, [_axis(a) for a in axes], [Head(o) for o in observers], rows)
 

@@ -21,14 +21,15 @@ SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
 STUDY = {"name": "mine", "scenarios": ["cart/slow"], "observers": ["mine.py:nudge", "kfbo"], "seeds": 16}
 
 
-def marking(text, folder):
-    return f"{text}\nopen({str(folder / 'mark')!r}, 'a').close()\n"
+def marking(text):
+    return f"{text}\nimport os\n\nopen(os.environ['MARK'], 'a').close()\n"
 
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """A folder with an observer whose code leaves a mark wherever it is run, the copy of a dataset too."""
-    (tmp_path / "mine.py").write_text(marking(SOURCE.read_text(), tmp_path))
+    (tmp_path / "mine.py").write_text(marking(SOURCE.read_text()))
+    monkeypatch.setenv("MARK", str(tmp_path / "mark"))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -37,8 +38,9 @@ def here(tmp_path, monkeypatch):
 def made(tmp_path_factory):
     """The study once, to be copied."""
     folder = tmp_path_factory.mktemp("own")
-    shutil.copy(SOURCE, folder / "mine.py")
+    (folder / "mine.py").write_text(marking(SOURCE.read_text()))
     with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MARK", str(folder / "mark"))
         patch.chdir(folder)
         pcbench.run(STUDY, out="out")
     return folder / "out"
@@ -51,7 +53,7 @@ def out(here, made):
 
 def forget(here):
     """Be as another process: no module of the user's own is loaded, and none has been run."""
-    (here / "mark").unlink()
+    (here / "mark").unlink(missing_ok=True)
     for name in [name for name in sys.modules if name.startswith("mine_")]:
         del sys.modules[name]
 
@@ -133,7 +135,7 @@ def test_plants_and_laws_are_kept_likewise(here):
     loop = SOURCE.with_name("own_loop.py").read_text().replace("Options", "Gentle")
     entry = 'law = pcbench.ControllerEntry(options=Gentle, prepare=prepare, summary="PI", controller='
     loop = loop.replace("law = ", entry, 1).replace("params.m,\n)", "params.m,\n))")
-    (here / "mine.py").write_text(marking(SOURCE.read_text() + loop, here))
+    (here / "mine.py").write_text(marking(SOURCE.read_text() + loop))
     pcbench.run(LOOP, out="out")
     before = tables(here / "out")
     kept = (here / "mine.py").rename(here / "aside.py")

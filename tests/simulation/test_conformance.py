@@ -52,7 +52,7 @@ def test_a_field_of_another_shape_than_the_memory_is_named():
 def test_a_design_that_returns_no_certificate_is_named():
     OBSERVERS["mine"] = Entry(open_loop.OBSERVER, open_loop.Options, lambda s, o: (1, 2), True, "broken")
     try:
-        with pytest.raises(UserError, match="observer mine: design returned tuple, expected Design"):
+        with pytest.raises(UserError, match=r"observer mine: design returned tuple, .*, expected Design"):
             pcbench.run("cart/nominal", observers=["mine"], seeds=1)
     finally:
         del OBSERVERS["mine"]
