@@ -10,6 +10,8 @@ import pytest
 
 import pcbench
 
+pytestmark = pytest.mark.as_a_user_has_it
+
 METRICS = (
     "mae",
     "rmse",
