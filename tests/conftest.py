@@ -38,13 +38,12 @@ def _recordings(request):
         yield
 
 
-@pytest.fixture(scope="module", autouse=True)
-def _batches(request):
-    """Compile batches in a hurry too, but for modules that ask for those of a user; the slow tests have all of them so."""
+@pytest.fixture(scope="module")
+def in_a_hurry(request):
+    """Have batches too compiled in a hurry, where a module asks for it; the slow tests have them as a user has."""
     import hurried
 
-    asked = request.node.get_closest_marker("as_a_user_has_it") or request.config.option.markexpr != "not slow"
-    with nullcontext() if asked else hurried.programs(kept=True):
+    with hurried.programs() if request.config.option.markexpr == "not slow" else nullcontext():
         yield
 
 

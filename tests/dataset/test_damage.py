@@ -13,8 +13,6 @@ from pcbench.dataset import block_files, parquet, store, verify
 from pcbench.errors import UserError
 from pcbench.plots import one_run
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 
 def told(done, code=2):
     """One sentence and no traceback."""

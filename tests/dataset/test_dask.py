@@ -14,8 +14,6 @@ import pcbench
 from pcbench.dataset import executors
 from pcbench.errors import UserError
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 distributed = pytest.importorskip("distributed")
 STUDY = {"name": "shared", "scenarios": ["cart/slow"], "observers": ["pccebo", "kfbo"], "seeds": 600, "root_seed": 3}
 SMALL = {"block": 25}

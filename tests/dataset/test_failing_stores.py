@@ -9,8 +9,6 @@ import pcbench
 from pcbench.dataset import store, task, verify
 from pcbench.errors import UserError
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 
 def test_a_folder_removed_while_running_is_one_sentence(tmp_path, monkeypatch):
     out, before = tmp_path / "out", task.compute

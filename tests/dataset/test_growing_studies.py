@@ -12,8 +12,6 @@ from pcbench.dataset import executors, verify
 from pcbench.dataset.ownership import changes
 from pcbench.errors import UserError
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 
 def test_more_seeds_extend_a_study(copy, tmp_path):
     pcbench.run(STUDY, out=copy, seeds=61)

@@ -16,6 +16,8 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import batch, metrics
 from pcbench.study import read
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 STATES = {"link_angle", "link_velocity", "motor_angle", "motor_velocity"}
 NAMES = ["smo", "smo-reconstruct", "open-loop"]
 

@@ -15,6 +15,8 @@ from pcbench.dataset.compare import compare
 from pcbench.report import page
 from pcbench.study import read
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
 STUDY = {"name": "mine", "scenarios": ["cart/slow"], "observers": ["mine.py:nudge", "kfbo"], "seeds": 16}
 

@@ -11,8 +11,6 @@ import pcbench
 from pcbench.dataset import executors, task, verify
 from pcbench.errors import UserError
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 
 def counted(monkeypatch):
     """Count the tasks that are done from now on."""

@@ -15,6 +15,8 @@ from pcbench import study
 from pcbench.dataset import columns
 from pcbench.study import as_toml, cells, read
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 AXES = [
     "sampling_period",
     "delay",

@@ -7,8 +7,6 @@ from commands import call
 
 from pcbench.dataset import block_files, store, verify
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 
 def test_status_says_how_far_a_study_is(copy):
     found = verify.status(copy)

@@ -12,8 +12,6 @@ from pcbench.simulation import batch
 from pcbench.simulation.draws import measurement_noise, normals, run_keys
 from pcbench.study import read
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 EVERYONE = ["pccebo", "kfbo", "dkf", "open-loop"]
 SEVEN = np.array([7])
 

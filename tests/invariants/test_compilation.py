@@ -11,8 +11,6 @@ from pcbench.planning import in_memory
 from pcbench.simulation import batch
 from pcbench.study import read
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 AXES = {"sampling_period": [0.1, 0.25], "delay": [0.0, 0.2, 0.7], "noise_std": [0.0, 0.5], "drift": [0.0, 1.0]}
 
 

@@ -10,8 +10,6 @@ import pytest
 
 import pcbench
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 METRICS = (
     "mae",
     "rmse",

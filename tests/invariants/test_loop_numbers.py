@@ -16,6 +16,8 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.study.lti import Lti
 from pcbench.synthesis.certificate import Certificate, Design
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 
 def noise_of_a_tick(A, R1, h):
     """The covariance that an intensity R1 adds over h seconds, by Van Loan."""

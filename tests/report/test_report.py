@@ -15,6 +15,8 @@ from pcbench.plots import files, frames, scales, sheet
 from pcbench.report import figures, page, pictures, sentences
 from pcbench.statistics import wording
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 STUDY = {
     "name": "map",
     "scenarios": ["cart/white"],

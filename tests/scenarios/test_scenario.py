@@ -14,8 +14,6 @@ from pcbench.study import Study
 from pcbench.study.cells import cell_of, cells, identity
 from pcbench.study.own import Code, Own
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 ARM = SCENARIOS["arm/sampled"]
 
 

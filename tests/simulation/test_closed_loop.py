@@ -17,8 +17,6 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import batch, draws
 from pcbench.study import Study
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 SECOND = 1.0
 BOX = {"random_start": True}
 

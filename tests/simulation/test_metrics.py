@@ -7,6 +7,8 @@ import pcbench
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import metrics
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 SCENARIO, SEED, TAIL = "cart/gaussian-fast", 5, 3000
 NAMES = ["pccebo", "kfbo", "dkf", "open-loop"]
 

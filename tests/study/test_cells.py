@@ -10,6 +10,8 @@ from pcbench.study import read
 from pcbench.study.as_toml import digest, to_toml
 from pcbench.study.cells import cells, cells_of, identity, numbered, numbering
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 
 def study(scenario="cart/white", **changes):
     return read.parse({"name": "t", "scenarios": [scenario]} | changes, "t")

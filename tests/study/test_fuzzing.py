@@ -17,6 +17,8 @@ from pcbench.machine import process
 from pcbench.study import observers_of, read
 from pcbench.study.cells import cells
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 FEW = {"derandomize": True, "suppress_health_check": list(HealthCheck), "print_blob": True}
 MANY = FEW | {"derandomize": False}
 

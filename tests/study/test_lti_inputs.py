@@ -11,6 +11,8 @@ from pcbench.errors import UserError
 from pcbench.scenarios import signals
 from pcbench.scenarios.sources import Table, Wave
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 TICK, TICKS = 0.01, 100
 T = TICK * np.arange(TICKS + 1)
 PLANT = {

@@ -15,6 +15,8 @@ from pcbench.study import read
 from pcbench.study.cells import cells_of
 from pcbench.study.lti import Lti
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 TICK, TICKS = 0.01, 60
 PLANT = {  # a mass on a spring with an actuator: two named numbers in three matrices
     "A": [[0.0, 1.0, 0.0], ["-k", "-c/2", 1.0], [0.0, 0.0, -3.0]],

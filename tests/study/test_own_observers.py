@@ -15,8 +15,6 @@ from pcbench.planning import plan
 from pcbench.simulation import batch
 from pcbench.study import own, read
 
-pytestmark = pytest.mark.as_a_user_has_it
-
 SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
 BASE = {"name": "mine", "scenarios": ["cart/white"], "seeds": 8}
 

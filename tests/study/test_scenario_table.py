@@ -12,6 +12,8 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.scenarios.sources import values
 from pcbench.study import cells, read, scenario_toml
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 CART = {"plant": "cart", "x0": [2.0, -1.0], "sampling_period": 0.1, "delay": 0.05, "noise_std": 0.2}
 WHITE, CIRCLE = {"base": "cart/white"}, {"Kp": [1.0, 2.0], "Kd": [1.0, 2.0], "limit": [1.0, 2.0], "path": "circl"}
 

@@ -41,22 +41,13 @@ def recorder():
 
 
 @contextmanager
-def programs(kept=False):
-    """Have calls of a few lanes, made in a hurry, until this is left; `kept` are those for the next time."""
+def programs():
+    """Have calls of a few lanes, made in a hurry, until this is left; none of them is kept."""
     from pcbench.simulation import batch
-
-    compiled = _kept() if kept else lru_cache(maxsize=64)(batch._compiled.__wrapped__)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batch, "WIDTH", LANES)
         patch.setattr(batch, "HEAVY", LANES)
         patch.setattr(batch, "ONE_THREAD", batch.ONE_THREAD | options())
-        patch.setattr(batch, "_compiled", compiled)
+        patch.setattr(batch, "_compiled", lru_cache(maxsize=64)(batch._compiled.__wrapped__))
         yield
-
-
-@cache
-def _kept():
-    from pcbench.simulation import batch
-
-    return lru_cache(maxsize=64)(batch._compiled.__wrapped__)
