@@ -1,6 +1,5 @@
 """Every command line that the README and the guide show is run, page by page in one folder, on few seeds."""
 
-import re
 import shlex
 
 import pytest
