@@ -66,7 +66,7 @@ def test_it_names_nothing_outside_the_repository():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("pdoc") is None, reason="the extra docs is not installed")
+@pytest.mark.skipif(importlib.util.find_spec("pdoc") is None, reason="the group docs is not installed")
 def test_the_reference_has_a_page_for_every_module_and_no_warning(tmp_path):
     done = subprocess.run(
         [sys.executable, ROOT / ".ci" / "docs", tmp_path], capture_output=True, text=True, check=False
