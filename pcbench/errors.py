@@ -37,6 +37,12 @@ def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
     return UserError(f"{where}: '{short(got)}' is no {kind}; {hint}valid: {', '.join(names)}.")
 
 
+def missing(module: str) -> str:
+    """Say that a library is not installed, as where pcbench was installed without what it depends on."""
+    package = module.split(".")[0].replace("_", "-")
+    return f"got no package '{package}', expected it for this command; install it: pip install {package}."
+
+
 def short(text: str) -> str:
     """Return a text that a sentence may quote: what is too long loses its middle."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 23]}...{text[-20:]}"

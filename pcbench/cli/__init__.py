@@ -4,7 +4,7 @@ import signal
 import sys
 
 from pcbench.cli.stopping import STOPPED, asked, interrupt, stop_if_asked, unraisable
-from pcbench.errors import UserError
+from pcbench.errors import UserError, missing
 
 __all__ = ["main"]
 
@@ -32,6 +32,10 @@ def main() -> None:
         code = _stopped()
     except BrokenPipeError:
         code = 141
+    except ModuleNotFoundError as error:
+        if (error.name or "pcbench").split(".")[0] == "pcbench":  # ours: a fault of ours
+            raise
+        code = _complain(missing(str(error.name)))
     except Exception as error:
         if asked():  # what a library makes of it
             sys.exit(_stopped())

@@ -5,10 +5,24 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.cli import checking, creating, datasets, lists, observers, papers, reports, runs, sufficing, tables, tuning
+from pcbench.cli import (
+    checking,
+    creating,
+    datasets,
+    guide,
+    lists,
+    observers,
+    papers,
+    reports,
+    runs,
+    sufficing,
+    tables,
+    tuning,
+)
 
 ALL: dict[str, tuple[Any, str]] = {  # by name: the function, and a line that fits beside the name
     "list": (lists.list_, "what there is: observers, scenarios, options, metrics"),
+    "guide": (guide.guide, "a page of the guide, or which there are"),
     "show": (lists.show, "a scenario in full, or as a study file to start from"),
     "new": (creating.new, "a file to start from: an observer, plant, controller, scenario"),
     "run": (runs.run, "run a study, and leave its tables in a folder"),

@@ -1,7 +1,39 @@
 """The studies that pcbench brings along, by name."""
 
+from typing import Any
+
 from pcbench.scenarios import SCENARIOS
+from pcbench.study.scenario_table import ScenarioTable
 from pcbench.study.schema import TUNINGS, Study, Tune
+
+WANDER = (0.01, 0.1)  # m, m/s a tick: the process noise of `beliefs`
+BELIEFS: dict[str, dict[str, Any]] = {  # what is wrong in each of its scenarios; sizes of noise are off by 4
+    "as-believed": {},
+    "noise-over": {"assumed_process_std": [std / 4 for std in WANDER]},  # a gain knows R against Q alone
+    "noise-under": {"assumed_process_std": [std * 4 for std in WANDER]},
+    "delay-over": {"assumed_delay_error": 0.04},
+    "delay-under": {"assumed_delay_error": -0.04},
+    "gain-off": {"parameters": {"b": 390.5}},
+    "drift": {"drift": 1.0},
+}
+
+
+def _believed(name: str) -> ScenarioTable:
+    """Return one scenario of `beliefs`: cart/white whose position wanders, and one thing that is not as observers are told."""
+    off = {"noise-over": 16.0, "noise-under": 1 / 16}.get(name, 1.0)
+    told = {
+        "pccebo-loose": {
+            "gain": "riccati",
+            "q": 0.1 / off,
+        },  # as if the input were noisy: the usual answer to a doubtful model
+        "pccebo-riccati": {"gain": "riccati", "q": 0.002 / off},
+        "pco": {"Kp": -61.0},
+        "pi-pco": {"Kp": -61.0, "Ki": 12.2},
+        "kfbo": {"R": 0.07 * off, "Q": [0.1, 10.0]},  # intensities: 0.35 a sample times 0.2 s, and WANDER
+    }
+    usual = {"base": "cart/white", "process_std": list(WANDER), "drift_intensity": 0.0, "options": told}
+    return ScenarioTable.model_validate(usual | BELIEFS[name])
+
 
 STUDIES = {
     "quick": Study(name="quick", scenarios=["cart/nominal", "cart/white"], seeds=256),
@@ -57,6 +89,14 @@ STUDIES = {
         options={"scenario": {"random_start": True}},
         tuning=list(TUNINGS),
         tune=Tune(objective="tail_pooled_rmse"),
+    ),
+    "beliefs": Study(
+        name="beliefs",
+        scenarios=list(BELIEFS),
+        tables={name: _believed(name) for name in BELIEFS},
+        observers=["dkf", "pccebo-riccati", "pccebo-loose", "pco", "pi-pco", "kfbo", "open-loop"],
+        seeds=256,
+        options={"scenario": {"random_start": True}},
     ),
     "all": Study(name="all", scenarios=list(SCENARIOS), seeds=256),
     "variable-sampling": Study(

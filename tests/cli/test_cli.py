@@ -212,6 +212,7 @@ def test_commands_stand_in_the_order_of_work_and_no_line_is_cut():
     names = [line.split()[0] for line in said.partition("Commands:")[2].splitlines() if line.strip()]
     assert names == [
         "list",
+        "guide",
         "show",
         "new",
         "run",

@@ -2,12 +2,12 @@
 
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from commands import call
+from documents import PAGES
 from interruptions import stop_tuning_at
 
 import pcbench
@@ -17,7 +17,7 @@ from pcbench.machine import process
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.study import STUDIES, TUNINGS, observers_of, read
 
-README = (Path(__file__).parents[2] / "README.md").read_text()
+PAGE = PAGES["gains_and_tuning.md"]
 FAIR = {
     "name": "little",
     "scenarios": ["cart/gaussian"],
@@ -170,7 +170,7 @@ def test_nothing_beats_the_bound_and_tuned_is_not_worse_than_its_start():
         se = np.hypot(by.held_out_se[observer, "tuned"], by.held_out_se[observer, "paper"])
         assert by.held_out[observer, "tuned"] <= start + 2 * se
     rows = re.findall(
-        r"^\| (as printed|by design|tuned) \| (\d+) % \| (\d+) % \| (?:(\d+) %|as printed) \|$", README, re.M
+        r"^\| (as printed|by design|tuned) \| (\d+) % \| (\d+) % \| (?:(\d+) %|as printed) \|$", PAGE, re.M
     )
     assert len(rows) == 3
     for (_, *said), tuning in zip(rows, TUNINGS, strict=True):

@@ -36,7 +36,8 @@ def test_every_command_that_is_quoted_exists():
     assert tools == {"pip", "python", "ruff", "mypy"}
     asked = re.search(r'pip install -e "\.\[([\w,]+)\]"', block)[1].split(",")
     assert set(asked) <= set(PROJECT["project"]["optional-dependencies"])
-    for script in (".ci/run", ".ci/docs"):
+    assert re.findall(r"--group (\w+)", block) == list(PROJECT["dependency-groups"])
+    for script in (".ci/run", ".ci/docs", ".ci/site", ".ci/lowest"):
         assert script in block
         assert (ROOT / script).stat().st_mode & 0o100
     for command in set(re.findall(r"`pcbench (\w+)", TEXT)):
@@ -65,7 +66,7 @@ def test_it_names_nothing_outside_the_repository():
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("pdoc") is None, reason="the extra docs is not installed")
+@pytest.mark.skipif(importlib.util.find_spec("pdoc") is None, reason="the group docs is not installed")
 def test_the_reference_has_a_page_for_every_module_and_no_warning(tmp_path):
     done = subprocess.run(
         [sys.executable, ROOT / ".ci" / "docs", tmp_path], capture_output=True, text=True, check=False

@@ -1,8 +1,10 @@
-"""What SECURITY.md and the README say that code is run by, and that no other place of the package could run any."""
+"""What SECURITY.md and the guide say that code is run by, and that no other place of the package could run any."""
 
 import ast
 import re
 from pathlib import Path
+
+from documents import PAGES
 
 import pcbench
 from pcbench.cli.commands import ALL
@@ -10,7 +12,7 @@ from pcbench.cli.commands import ALL
 PACKAGE = Path(pcbench.__file__).parent
 ROOT = PACKAGE.parent
 TEXT = (ROOT / "SECURITY.md").read_text()
-README = (ROOT / "README.md").read_text()
+PAGE = PAGES["your_own_observer.md"]
 RUNS = {  # calls that run code of others, and where they may stand
     "exec": ("study/own",),
     "import_module": ("study/own", "__init__.py"),  # of the package's own names
@@ -37,9 +39,9 @@ def test_code_of_others_is_run_in_one_place_and_pickles_are_read_in_one():
     assert {"exec", "import_module", "loads of pickle"} == {name for name, _ in found}
 
 
-def test_the_readme_says_the_same_and_names_the_page():
-    paragraph = next(p for p in README.split("\n\n") if p.startswith("**What a study file can make happen.**"))
-    assert "[SECURITY.md](SECURITY.md)" in paragraph
+def test_the_guide_says_the_same_and_names_the_page():
+    paragraph = next(p for p in PAGE.split("\n\n") if p.startswith("**What a study file can make happen.**"))
+    assert "[SECURITY.md](../../SECURITY.md)" in paragraph
     for text in (" ".join(paragraph.split()), " ".join(TEXT.split())):
         assert "any command given its `study.toml`" in text
         assert re.search("[Aa] name with a colon", text)

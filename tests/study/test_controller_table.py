@@ -1,11 +1,10 @@
 """The table [controller]: what it may say, for every scenario; what it may not, in one sentence, with nothing written."""
 
-import re
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pytest
+from documents import blocks
 from loops import Q1, Q2, study
 
 import pcbench
@@ -87,9 +86,8 @@ def test_lqr_that_knows_its_delay_is_stable_however_late_and_without_knowing_it_
         assert len(unstable(grid_of(raw, {}, []))) == many
 
 
-def test_the_readmes_table_closes_the_loop_of_the_cart():
-    text = (Path(pcbench.__file__).parents[1] / "README.md").read_text()
-    (block,) = re.findall(r"```toml\n(\[controller\].*?)```", text, re.S)
+def test_the_guides_table_closes_the_loop_of_the_cart():
+    (block,) = blocks("toml", "loops.md")
     found = grid_of({"name": "t", "scenarios": ["cart/white"]} | tomllib.loads(block), {}, [])
     assert found.cells[0].values["command_loss"] == 0.05
     assert unstable(found) == []

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from documents import PAGES
 
 from pcbench import citing
 from pcbench.errors import UserError
@@ -11,7 +12,7 @@ from pcbench.observers import OBSERVERS
 from pcbench.scenarios import SCENARIOS
 
 ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text()
+PAGE = PAGES["which_observer.md"].split("## All of them")[1]
 CITATION = (ROOT / "CITATION.cff").read_text()
 ENTRIES = {r.key: r.text for r in citing.references()}
 NEEDED = {"article": {"author", "title", "journal", "year"}, "book": {"author", "title", "publisher", "year"}}
@@ -26,8 +27,8 @@ def fields(entry):
 def test_every_observer_has_its_paper(observer):
     (key,) = citing.known([citing.source_of(observer)])
     author = fields(ENTRIES[key])["author"].split(",")[0]
-    line = re.search(rf"^\| `{observer}` \|.*\| (.*) \|$", README, re.M)[1]
-    assert "the same paper" in line or author.replace("{\\'a}", "a") in line, "as the README has it"
+    line = re.search(rf"^\| `{observer}` \|.*\| (.*) \|$", PAGE, re.M)[1]
+    assert "the same paper" in line or author.replace("{\\'a}", "a") in line, "as the guide has it"
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
@@ -51,7 +52,7 @@ def test_papers_are_those_of_the_citation_file_with_the_same_numbers():
         (entry,) = [fields(e) for e in ENTRIES.values() if fields(e).get("doi") == doi]
         assert entry["year"] == year
         assert entry["pages"].startswith(start)
-    said = set(re.findall(r"doi (10\.\S+)", README))
+    said = set(re.findall(r"doi (10\.\S+)", PAGE))
     assert len(said) >= 4
     assert said <= {fields(e).get("doi") for e in ENTRIES.values()}
 

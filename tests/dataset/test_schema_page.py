@@ -1,0 +1,36 @@
+"""The written schema of the tables is the one that a study leaves: names, order and types."""
+
+import re
+
+import pyarrow.parquet as pq
+import schema_page
+
+SECTIONS = dict(re.findall(r"^## (.*?)\n(.*?)(?=^## |\Z)", schema_page.PAGE.read_text(), re.S | re.M))
+TYPES = {
+    name: kind for text in SECTIONS.values() for name, kind in re.findall(r"^\| `([\w.]+)` \| (.*?) \|", text, re.M)
+}
+AXES = re.findall(r"^\| `(\w+)`", SECTIONS["Axes"], re.M)
+
+
+def test_the_page_is_made_from_the_code():
+    assert schema_page.PAGE.read_text() == schema_page.page(), "run: python tests/support/schema_page.py"
+
+
+def test_tables_have_the_columns_of_the_page_in_their_order(whole):
+    for name, order in schema_page.orders().items():
+        file = next((whole / "runs").rglob("*.parquet")) if name == "runs/" else whole / name
+        schema = pq.ParquetFile(file).schema_arrow
+        there = [column for column in schema.names if column not in AXES]
+        loops = {m for m in order if m.removeprefix("tail_") in ("cost", "input_rms")}  # of closed loops alone
+        assert there == [c for c in order if c not in loops and (name != "runs/" or c not in ("scenario", "observer"))]
+        at = schema.names.index("cell") + 1
+        axes = [c for c in schema.names if c in AXES]
+        assert schema.names[at : at + len(axes)] == axes == [a for a in AXES if a in axes]
+        for field in schema:
+            assert str(field.type) in TYPES[field.name], field.name
+
+
+def test_every_meaning_in_the_metadata_stands_on_the_page(whole):
+    page = schema_page.PAGE.read_text()
+    for field in pq.ParquetFile(whole / "stats.parquet").schema_arrow:
+        assert schema_page.in_table(field.metadata[b"meaning"].decode()) in page

@@ -1,0 +1,130 @@
+"""Of every page of the guide: it is short, is found, its links lead somewhere, and every block in it is one that runs."""
+
+import ast
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+
+import pytest
+import typer
+from commands import call
+from documents import GUIDE, PAGES, README, ROOT, TEXTS, blocks, commands, prose
+
+from pcbench.cli.commands import app
+from pcbench.cli.guide import pages, title
+from pcbench.study import read
+
+LONGEST = 120  # lines beside code
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+MENTIONED = ("[controller]", "scenarios = ", "[lti.plant]")  # first lines of what is part of a study
+RUN_ELSEWHERE = (
+    "import control",
+    "from typing import",
+    '"""A pendulum',
+    "import numpy as np\nimport pcbench",
+)  # and where
+
+
+@pytest.mark.parametrize("name", PAGES)
+def test_a_page_is_short_and_has_a_title(name):
+    assert len(prose(PAGES[name]).splitlines()) <= LONGEST
+    assert PAGES[name].startswith(f"# {title(PAGES[name])}\n")
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_every_link_leads_to_a_file(name):
+    here = ROOT if name == "README.md" else (GUIDE / name).parent
+    for link in LINK.findall(prose(TEXTS[name])):
+        if not link.startswith(("http://", "https://", "#")):
+            path, _, anchor = link.partition("#")
+            assert (here / path).exists(), link
+            assert not anchor or anchor in anchors((here / path).read_text()), link
+        elif link.startswith("#"):
+            assert link[1:] in anchors(TEXTS[name]), link
+
+
+def anchors(text):
+    heads = re.findall(r"^#+ (.*)$", prose(text), re.M)
+    return {re.sub(r"[^\w\- ]", "", head).strip().lower().replace(" ", "-") for head in heads}
+
+
+def test_every_page_is_in_the_readme_or_one_step_from_it():
+    linked = set(LINK.findall(README)) | {
+        f"pcbench/guide/decisions/{n}" for n in LINK.findall(PAGES["decisions/README.md"])
+    }
+    assert {f"pcbench/guide/{name}" for name in PAGES} <= linked | {"pcbench/guide/tables.md"}
+    assert "(tables.md)" in PAGES["versions.md"]
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_every_command_line_is_one_that_is_taken(name):
+    group = typer.main.get_command(app)
+    for line in commands(name):
+        _, command, *words = shlex.split(line)
+        assert command in group.commands, line
+        group.commands[command].make_context(command, words)  # reads every option, runs nothing
+
+
+def test_command_lines_are_found():
+    assert len([line for name in TEXTS for line in commands(name)]) > 60
+
+
+def test_every_study_is_whole_or_part_of_one():
+    for block in blocks("toml"):
+        raw = tomllib.loads(block)
+        if not block.startswith(MENTIONED):
+            assert read.grid_of(raw, {}, []).cells
+
+
+def test_every_block_of_python_is_run_by_a_test():
+    for block in blocks("python"):
+        ast.parse(block)
+    left = [b for b in blocks("python") if not b.startswith(RUN_ELSEWHERE) and b not in [*OF_A_RESULT, *ALONE]]
+    assert left == blocks("python", "README.md", "first_study.md")
+
+
+OF_A_RESULT = blocks("python", "reading_results.md")
+ALONE = blocks("python", "how_it_works.md")
+
+
+@pytest.mark.slow
+def test_what_reads_a_result_runs(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    call("run", "quick", "--seeds", "8", "--quiet", cwd=tmp_path)
+    for block in OF_A_RESULT:
+        exec(compile(block, "reading_results.md", "exec"), {})
+
+
+@pytest.mark.parametrize("block", ALONE)
+def test_what_needs_no_result_runs(block, capsys):
+    exec(compile(block, "guide", "exec"), {})
+    assert capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_the_first_steps_in_python_run(capsys):
+    (block,) = blocks("python", "first_study.md")
+    exec(compile(block.replace("pcbench.setup()", ""), "first_study.md", "exec"), {})
+    assert "pccebo" in capsys.readouterr().out
+
+
+def test_the_guide_is_listed_and_shown_in_the_terminal():
+    assert {path.relative_to(GUIDE).as_posix() for path in pages().values()} == set(PAGES)
+    listed = call("guide").stdout
+    assert all(f"  {topic} " in listed for topic in pages())
+    shown = call("guide", "Which_Observer").stdout
+    assert "Which observer?" in shown
+    assert "pccebo-riccati" in shown
+    wrong = call("guide", "lops")
+    assert wrong.returncode == 2
+    assert wrong.stderr.startswith("pcbench: guide: 'lops' is no page; did you mean 'loops'?")
+
+
+def test_the_list_of_pages_imports_nothing_heavy():
+    code = "import sys; from pcbench.cli import guide; guide.guide(None); "
+    code += "print({'jax', 'rich.markdown', 'pandas'} & set(sys.modules))"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.endswith(
+        "set()\n"
+    )
