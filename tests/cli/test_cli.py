@@ -183,6 +183,7 @@ def test_a_name_without_its_table_is_answered_with_the_table(change, tmp_path):
     assert HINTS[change] in refused(call("run", "quick", "--set", change, cwd=tmp_path))
 
 
+@pytest.mark.slow
 def test_names_may_be_written_with_either_dash_and_an_axis_with_one_value(tmp_path):
     texts = (
         "noise-std = 0.1\nplant.lam = 110.0\n[options.kfbo]\nlag-aware = true",

@@ -33,6 +33,7 @@ def commands(said):
     return [line.split()[1:] for line in said.splitlines() if line.startswith("  pcbench")]
 
 
+@pytest.mark.slow
 def test_a_plant_passes_every_check_and_its_study_is_read(here, capsys):
     creating.new("plant", "heavy-swing")
     assert capsys.readouterr().out.startswith("heavy_swing.py and heavy_swing.toml are written. Next:")

@@ -226,6 +226,7 @@ def test_signals_are_a_list_with_commas_or_all():
     assert shared.chosen(None) is None
 
 
+@pytest.mark.slow
 def test_a_narrow_terminal_shows_the_readmes_motor_whole(tmp_path):
     """What a newcomer sees first fits 80 columns, even where more are free."""
     done = call("run", "cart/white", "--seeds", "8", "--out", tmp_path / "out")

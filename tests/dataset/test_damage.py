@@ -64,6 +64,7 @@ def _alike(spoilt, content):
         return False
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     study = pcbench.opened(copy).study
     made = one_run.of(study, "cart/slow", copy)

@@ -120,6 +120,7 @@ def test_nor_is_a_folder_taken_that_holds_nothing_but_such_a_text(tmp_path, text
     assert (tmp_path / "study.toml").read_text() == text
 
 
+@pytest.mark.slow
 def test_columns_keep_their_kind_when_a_study_grows(tmp_path):
     """One number for all channels stays one: a list beside it could not be read together."""
     tank = {"name": "tank", "scenarios": ["csth/10s-noise"], "observers": ["dkf"], "seeds": 2}

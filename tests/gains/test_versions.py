@@ -103,6 +103,7 @@ def test_a_folder_that_is_another_studys_is_left_alone(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
+@pytest.mark.slow
 def test_versions_are_compared_on_two_ranges_of_seeds_and_against_the_bound(tmp_path):
     result = pcbench.run(FAIR | {"tuning": ["paper", "design"]}, out=tmp_path / "out")
     fair = result.fair.set_index("label")

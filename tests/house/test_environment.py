@@ -26,6 +26,7 @@ def command(*words, cwd, **environment):
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
 
 
+@pytest.mark.slow
 def test_a_terminal_without_our_letters_has_the_table_in_its_own(tmp_path):
     done = command(*RUN, "--out", "out", cwd=tmp_path, **ASCII)
     assert done.returncode == 0, done.stderr

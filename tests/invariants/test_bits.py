@@ -84,6 +84,7 @@ def test_on_the_arm_with_drift_too(monkeypatch):
     same(alone, found(SEVEN, devices=1), 0, three)
 
 
+@pytest.mark.slow
 def test_other_seeds_and_root_seeds_draw_other_noise():
     a, b, c = (np.asarray(measurement_noise(root, seed, 5)) for root, seed in ((0, 0), (0, 1), (1, 0)))
     assert len({a.tobytes(), b.tobytes(), c.tobytes()}) == 3
@@ -93,6 +94,7 @@ def test_other_seeds_and_root_seeds_draw_other_noise():
     assert len(np.unique(several)) == 15
 
 
+@pytest.mark.slow
 def test_a_run_uses_the_studys_root_seed():
     raw = {"name": "roots", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 1}
     zero, one = (pcbench.run(raw | {"root_seed": root}).runs.mae[0] for root in (0, 1))

@@ -142,6 +142,7 @@ def test_the_controllers_options_equal_the_reference(name, choices):
 
 
 @pytest.mark.parametrize("form", [forms.blocks(), forms.predictor()], ids=["two blocks", "predictor"])
+@pytest.mark.slow
 def test_other_forms_of_the_observer_are_the_same(form):
     assert gap(planned("high-gain", SHORT, name="varying"), form) < 1e-10
 

@@ -28,6 +28,7 @@ def test_the_sign_of_the_integrals_effect_changes_where_the_theorem_says(found):
     assert set(lowers.values()) == {True, False}
 
 
+@pytest.mark.slow
 def test_the_printed_ordering_holds_for_an_amplifying_gain_only():
     with process.float64():
         claims = pi_pco._ordering()

@@ -223,6 +223,7 @@ def series(out):
     return figure(page.page(pcbench.opened(out)), "cart-white-position-time")
 
 
+@pytest.mark.slow
 def test_a_run_in_time_is_of_the_study_as_it_stands(tmp_path):
     """A study that has grown, or was started over with other draws, is not shown with the run of before."""
     out = tmp_path / "grow"
@@ -237,6 +238,7 @@ def test_a_run_in_time_is_of_the_study_as_it_stands(tmp_path):
     assert series(out) != second
 
 
+@pytest.mark.slow
 def test_one_run_is_sure_of_nothing_and_divergence_is_said(tmp_path):
     unstable = {"sampled_innovation": True, "R": 1e-6}
     study = {"name": "lost", "scenarios": ["cart/slow"], "observers": ["pccebo", "kfbo"], "options": {"kfbo": unstable}}

@@ -66,8 +66,10 @@ def test_lqr_with_jitter_and_loss_on_both_sides_is_the_references_run_by_run():
         assert np.isnan(got["cost", "rate"]), "one number a run stands with its first signal"
 
 
-@pytest.mark.parametrize("knows", [True, False])
-@pytest.mark.parametrize("late", [0, 4])
+@pytest.mark.parametrize(
+    ("late", "knows"),
+    [(4, True), (0, False), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0, True), (4, False)))],
+)
 def test_state_feedback_over_a_constant_delay(late, knows):
     p = plant()
     K = [[2.0, 1.2, 0.1], [0.3, -0.4, -0.5]]

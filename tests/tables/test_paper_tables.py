@@ -145,6 +145,7 @@ def test_a_metric_that_is_none_is_one_sentence(result):
         layout.tables(result, "rmsd")
 
 
+@pytest.mark.slow
 def test_the_command_writes_the_form_that_its_file_says(whole, tmp_path):
     for name, begins in (("t.tex", "% needs"), ("t.md", "cart/slow: tail_rmse"), ("t.csv", "scenario,signal,metric")):
         done = call("tables", whole, "--out", tmp_path / name)
