@@ -2,17 +2,16 @@
 
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
-import pandas as pd
 
 from pcbench.dataset import run_study
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
-from pcbench.gains import fair_table, versions
+from pcbench.gains import versions
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import alone, drafts, padding
@@ -21,6 +20,9 @@ from pcbench.scenarios.sources import units
 from pcbench.study import read
 from pcbench.study.read import Described, grid_of, one_cell
 from pcbench.synthesis.certificate import Design, is_certified
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def run(
@@ -76,12 +78,17 @@ def run(
         for sentence in read.unstable(grid):
             (say or warnings.warn)(sentence)
         made = versions.prepare(grid, out, fresh, progress)
-        return fair_table.report(made, run_study.execute(made.grid, out, how), out, how)
+        result = run_study.execute(made.grid, out, how)
+        if made.aim is None:
+            return result
+        from pcbench.gains import fair_table  # tuned gains alone need it
+
+        return fair_table.report(made, result, out, how)
 
 
 def trace(
     scenario: Described, observers: str | list[str], *, seed: int = 0, overrides: list[str] | None = None
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Return one run tick by tick, ticks 0 .. N: t [s], each signal, <observer>.<signal>, u1.., y1.. (held arrivals).
 
     Signals are the states and what the plant has of unknown inputs or parameters; observers have columns for what they
@@ -101,6 +108,8 @@ def trace(
                 "trace them one at a time."
             )
         (p,) = (alone(planned, study.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
+        import pandas as pd
+
         from pcbench.simulation import trace
 
         out = trace.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))

@@ -16,7 +16,7 @@ from jaxtyping import install_import_hook
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
-jax.config.update("jax_compilation_cache_dir", os.environ["PCBENCH_CACHE"] + "/programs")
+jax.config.update("jax_compilation_cache_dir", os.environ["PCBENCH_CACHE"] + "/jax")
 jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
 
 settings.register_profile("house", deadline=None)  # a machine under load is no failure

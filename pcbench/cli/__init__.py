@@ -5,6 +5,7 @@ import sys
 
 from pcbench.cli.stopping import STOPPED, asked, interrupt, stop_if_asked, unraisable
 from pcbench.errors import UserError, missing
+from pcbench.machine import threads
 
 __all__ = ["main"]
 
@@ -17,6 +18,7 @@ def main() -> None:
     code = 0
     signal.signal(signal.SIGINT, interrupt)
     sys.unraisablehook = unraisable
+    threads.one()
     try:
         from pcbench.cli.commands import app
         from pcbench.cli.shared import speak

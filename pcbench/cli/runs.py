@@ -45,7 +45,7 @@ def run(
     """
     setup()
     from pcbench import api, statistics
-    from pcbench.cli.screen import gains, results
+    from pcbench.cli import ahead
     from pcbench.cli.screen.progress import bar
     from pcbench.study import read
 
@@ -68,7 +68,7 @@ def run(
             workers=workers,
             block=block,
             memory=memory,
-            progress=stoppable(progress),
+            progress=stoppable(ahead.importing(progress, ahead.CLOSING + (() if quiet else ahead.SHOWING))),
             say=say,
         )
     if result.study.use:
@@ -87,9 +87,13 @@ def run(
     elif quiet:
         print(into)
     else:
+        from pcbench.cli.screen import results
+
         screen = console()
         results.closing(result, screen, metric, where)
         if result.fair is not None:
+            from pcbench.cli.screen import gains
+
             gains.fair(result.fair, screen)
         screen.print(results.took(result, into), highlight=False, markup=False, soft_wrap=True)
         screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)

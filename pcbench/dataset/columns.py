@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 
 from pcbench.dataset import loop_columns
@@ -149,7 +148,9 @@ def runs_table(
 
 def _words(words: tuple[str, ...], which: Any) -> pa.Array:
     """A column of few words."""
-    return pa.DictionaryArray.from_arrays(pa.array(which, pa.int32()), pa.array(words)).cast(pa.string())
+    return pa.DictionaryArray.from_arrays(_array(np.asarray(which, np.int32), pa.int32()), pa.array(words)).cast(
+        pa.string()
+    )
 
 
 def _column(values: Any, many: int, seeds: int) -> Any:
@@ -176,12 +177,21 @@ def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:
             if isinstance(values, list) and any(isinstance(v, list) for v in values):
                 values = [v if isinstance(v, list) else [v] for v in values]  # channels that differ in one cell
             kind = _type(name, values, bools)
-            values = pa.array(values, kind, from_pandas=True)
+            values = _array(values, kind)
         arrays.append(values)
         unit = AXIS_UNITS.get(name, "s" if name in SECONDS else "")
         about = {"meaning": MEANING.get(name, "the plant's parameter in this cell")} | ({"unit": unit} if unit else {})
         fields.append(pa.field(name, kind, metadata=about))
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"pcbench.schema": SCHEMA}))
+
+
+def _array(values: Any, kind: pa.DataType) -> pa.Array:
+    """Values as a column; NaN is null."""
+    if not isinstance(values, np.ndarray) or values.dtype.kind != "f":
+        return pa.array(values, kind, from_pandas=True)
+    bad = np.isnan(values)  # four times as fast as `pa.array`
+    known = pa.py_buffer(np.packbits(~bad, bitorder="little")) if bad.any() else None
+    return pa.Array.from_buffers(kind, len(values), [known, pa.py_buffer(np.ascontiguousarray(values, float))])
 
 
 def _type(name: str, values: Any, bools: tuple[str, ...]) -> pa.DataType:
@@ -232,8 +242,3 @@ def pairs_order(axes: list[str]) -> list[str]:
     ]
     head += ["signal", "unit", "metric"]
     return [*head, "n", "mean_diff", "se", "ci_low", "ci_high", "prob_a_better", "p_value", "p_holm"]
-
-
-def frame(arrow: pa.Table) -> pd.DataFrame:
-    """Return a table as a pandas frame."""
-    return arrow.to_pandas()

@@ -146,7 +146,7 @@ def _shared(a: Side, b: Side) -> CommonSeeds:
 
 def _stats(side: Side, shared: CommonSeeds) -> pd.DataFrame:
     """The rows of stats with their cells' digests and the draws they stand on; over the `shared` seeds, if any."""
-    frame, drawn, root = columns.frame(_over(side, shared)), _drawn(side), side.owned.study.root_seed
+    frame, drawn, root = _over(side, shared).to_pandas(), _drawn(side), side.owned.study.root_seed
     cells = {c.key: c for c in side.owned.cells}
     keys = list(zip(frame.scenario, frame.cell, strict=True))
     frame["digest"] = [side.digests[key] for key in keys]

@@ -5,7 +5,6 @@ leaves whole files and computes only while it holds a device (`with hold() as de
 free, so that memory does not grow with their number.
 """
 
-from asyncio import CancelledError as AsyncCancelled
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
@@ -85,6 +84,8 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
     Raises UserError where there is no such cluster.
     """
     distributed = _distributed()
+    from asyncio import CancelledError as AsyncCancelled
+
     try:
         cluster = _local(distributed, workers) if address == "local" else None
         client = distributed.Client(cluster or address, timeout=PATIENCE, set_as_default=False)

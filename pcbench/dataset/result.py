@@ -3,11 +3,9 @@
 from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 import pyarrow as pa
-import pyarrow.dataset as ds
 
 from pcbench.dataset import block_files, columns, earlier, fill, ownership, parquet, store, summary
 from pcbench.dataset.verify import FAIR
@@ -15,6 +13,10 @@ from pcbench.errors import UserError, said
 from pcbench.statistics.wording import UNPROVEN
 from pcbench.study import Study, observers_of
 from pcbench.synthesis.certificate import is_certified
+
+if TYPE_CHECKING:
+    import pandas as pd
+    import pyarrow.dataset as ds
 
 
 def opened(out: str | Path) -> "Result":
@@ -57,17 +59,17 @@ class Result:
         self.provenance: dict[str, Any] = summary.record(target) or {}
 
     @cached_property
-    def stats(self) -> pd.DataFrame:
+    def stats(self) -> "pd.DataFrame":
         """One row per cell, observer, signal and metric."""
         return self._closing("stats.parquet", columns.stats_order)
 
     @cached_property
-    def pairs(self) -> pd.DataFrame:
+    def pairs(self) -> "pd.DataFrame":
         """One row per cell, pair of observers, signal and metric."""
         return self._closing("pairs.parquet", columns.pairs_order)
 
     @cached_property
-    def runs(self) -> pd.DataFrame:
+    def runs(self) -> "pd.DataFrame":
         """One row per cell, observer, seed and signal."""
         whole = self._read()
         first = ["study", "scenario", "observer", "cell"]
@@ -80,7 +82,7 @@ class Result:
         return [str(name) for name in self.stats.scenario.unique()]
 
     @cached_property
-    def _parts(self) -> tuple[dict[Any, pd.DataFrame], dict[Any, pd.DataFrame]]:
+    def _parts(self) -> "tuple[dict[Any, pd.DataFrame], dict[Any, pd.DataFrame]]":
         key = ["scenario", "signal"]
         stats, pairs = self.stats.groupby(key, sort=False), self.pairs.groupby(key, sort=False)
         return dict(iter(stats)), dict(iter(pairs))
@@ -89,16 +91,18 @@ class Result:
         """Return the signals of a scenario that there are numbers of, in their order."""
         return [signal for name, signal in self._parts[0] if name == scenario]
 
-    def stats_of(self, scenario: str, signal: str) -> pd.DataFrame:
+    def stats_of(self, scenario: str, signal: str) -> "pd.DataFrame":
         """Return the rows of `stats` of one signal."""
         return self._parts[0][scenario, signal]
 
-    def pairs_of(self, scenario: str, signal: str) -> pd.DataFrame:
+    def pairs_of(self, scenario: str, signal: str) -> "pd.DataFrame":
         """Return the rows of `pairs` of one signal; none of one observer alone."""
         return self._parts[1].get((scenario, signal), self.pairs.iloc[:0])
 
-    def runs_of(self, scenario: str, metrics: list[str], cell: int) -> pd.DataFrame:
+    def runs_of(self, scenario: str, metrics: list[str], cell: int) -> "pd.DataFrame":
         """Return some metrics of the runs of one cell: observer (in the study's order), seed, signal, diverged, metrics."""
+        import pyarrow.dataset as ds
+
         here = (ds.field("scenario") == scenario) & (ds.field("cell") == cell)
         found = self._read(["observer", "seed", "signal", "diverged", *metrics], filter=here)
         order = {name: i for i, name in enumerate(observers_of(self.study, scenario))}
@@ -115,7 +119,7 @@ class Result:
         said = [f"{', '.join(observers)} ({why})" for why, observers in reasons.items()]
         return f"{UNPROVEN} the gains of {'; '.join(said)}." if said else ""
 
-    def _read(self, columns: list[str] | None = None, filter: ds.Expression | None = None) -> pd.DataFrame:
+    def _read(self, columns: list[str] | None = None, filter: "ds.Expression | None" = None) -> "pd.DataFrame":
         """Rows of the blocks, every page checked; raise UserError, naming the file, where one is damaged."""
         try:
             return self._dataset().to_table(columns, filter=filter).to_pandas()
@@ -127,20 +131,22 @@ class Result:
                 f"{self._target.name}."
             ) from None
 
-    def _dataset(self) -> ds.Dataset:
+    def _dataset(self) -> "ds.Dataset":
+        import pyarrow.dataset as ds
+
         checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
         kind = ds.ParquetFileFormat(default_fragment_scan_options=checked)
         files = [f"{self._target.root}/{name}" for name in store.names(self._target, "runs")]
         base = f"{self._target.root}/runs"
         return ds.dataset(files, filesystem=self._target.fs, format=kind, partitioning="hive", partition_base_dir=base)
 
-    def _closing(self, name: str, order: earlier.Order) -> pd.DataFrame:
+    def _closing(self, name: str, order: earlier.Order) -> "pd.DataFrame":
         found = summary.table(self._target, name)
         if found is None:
             raise UserError(
                 f"{self._target.name}/{name}: is gone or damaged; run the study again to have it made anew."
             )
-        return columns.frame(earlier.completed(found, order))
+        return earlier.completed(found, order).to_pandas()
 
     def __repr__(self) -> str:
         return f"<pcbench result of study '{self.study.name}': {len(self.stats)} rows of stats>"

@@ -8,8 +8,6 @@ was stopped goes on by getting its earlier answers again.
 from collections.abc import Callable
 
 import numpy as np
-import optax
-from scipy.optimize import minimize
 
 from pcbench.gains.parameters import Vector
 
@@ -23,6 +21,8 @@ Ask = Callable[[Vector], tuple[float, Vector]]  # value and slope; infinite wher
 
 def descent(ask: Ask, start: Vector, budget: int) -> None:
     """Ask for `budget` points at most, each step halved until it goes down enough; end where none does."""
+    import optax
+
     rule = optax.scale_by_lbfgs()
     at, (value, slope), left = start, ask(start), budget - 1
     state = rule.init(at)
@@ -53,4 +53,6 @@ def search(value: Callable[[Vector], float], start: Vector, budget: int) -> None
     """Ask for `budget` points at most of a simplex that shrinks towards the least."""
     corners = np.vstack([start, start + SPREAD * np.eye(len(start))])
     how = {"initial_simplex": corners, "maxfev": budget, "xatol": 1e-4, "fatol": 0.0, "adaptive": len(start) > 3}
+    from scipy.optimize import minimize
+
     minimize(value, start, method="Nelder-Mead", options=how)  # type: ignore[call-overload]

@@ -12,12 +12,12 @@ def folder() -> Path:
     return Path(os.environ.get("PCBENCH_CACHE") or user_cache_path("pcbench"))
 
 
-def keep(path: Path, text: str) -> None:
-    """Put a text into the cache, whole or not at all; where it cannot be written, that only costs time."""
+def keep(path: Path, content: str | bytes) -> None:
+    """Put a text or bytes into the cache, whole or not at all; where they cannot be written, that only costs time."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as beside:
-            beside.write(text)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as beside:
+            beside.write(content.encode() if isinstance(content, str) else content)
         os.replace(beside.name, path)
     except OSError:
         return

@@ -8,15 +8,17 @@ from contextlib import contextmanager
 import jax
 
 from pcbench.errors import UserError, said, shown
+from pcbench.machine import threads
 from pcbench.machine.cache import folder
 
 
 def setup() -> None:
-    """Give this process to pcbench: float64, compiled programs remembered between processes.
+    """Give this process to pcbench: float64, compiled programs remembered between processes, linear algebra on one thread.
 
     The command line does this. In a notebook call it first, before anything touches jax; a host program that needs its
     own jax configuration leaves it out: pcbench then computes the same, and compiles anew in every process.
     """
+    threads.one()
     jax.config.update("jax_enable_x64", True)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
         jax.config.update("jax_compilation_cache_dir", str(folder() / "programs"))

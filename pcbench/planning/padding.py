@@ -115,7 +115,7 @@ def checked(drafts: Iterable[Plan]) -> Iterator[Plan]:
         for label, observer in p.layout.observers:
             if (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
                 seen.add(key)
-                conformance.check(label, observer, p.problem, p.layout.continuous)
+                conformance.checked(label, observer, p.problem, p.layout.continuous)
         yield p
 
 

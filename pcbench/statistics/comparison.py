@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtr
 
+from pcbench.statistics.distributions import student_below
 from pcbench.statistics.estimates import Estimate, student
 from pcbench.statistics.moments import Moments, Values, merge, moments
 from pcbench.statistics.stack import kept
@@ -68,7 +68,7 @@ def judged(c: Contest) -> tuple[Estimate, Values, Values]:
     better = better if d.n or any(c.only) else np.full(len(c.wins), np.nan)
     varies = (d.n > 1) & (d.se > 0) & (c.ties < d.n)
     t = np.abs(d.mean) / np.where(varies, d.se, 1.0)
-    return d, better, np.where(varies, 2 * stdtr(max(d.n - 1, 1), -t), np.nan)
+    return d, better, np.where(varies, 2 * student_below(max(d.n - 1, 1), -t), np.nan)
 
 
 def holm(p_values: Values) -> Values:

@@ -23,8 +23,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
+from pcbench.statistics.distributions import student_quantile
 from pcbench.statistics.moments import Moments, Values
 
 Z95 = 1.959963984540054  # quantile of the normal distribution
@@ -46,7 +46,7 @@ def student(m: Moments) -> Estimate:
     if m.n < 2:
         return Estimate(m.n, m.mean if m.n else blank, blank, blank, blank)
     se = np.sqrt(m.m2 / (m.n - 1)) / np.sqrt(m.n)
-    half = se * float(stdtrit(m.n - 1, 0.975))
+    half = se * student_quantile(m.n - 1, 0.975)
     return Estimate(m.n, m.mean, se, m.mean - half, m.mean + half)
 
 
@@ -55,7 +55,7 @@ def positive(m: Moments) -> Estimate:
     e = student(m)
     if m.n < 2:
         return e
-    part = e.se * float(stdtrit(m.n - 1, 0.975)) / np.where(e.mean > 0, e.mean, 1.0)
+    part = e.se * student_quantile(m.n - 1, 0.975) / np.where(e.mean > 0, e.mean, 1.0)
     with np.errstate(over="ignore"):  # of a signed metric's mean, whose interval is Student's own
         return e._replace(ci_low=e.mean * np.exp(-part), ci_high=e.mean * np.exp(part))
 

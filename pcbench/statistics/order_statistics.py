@@ -23,12 +23,13 @@ Ties (a settling time at the horizon) make N larger, and the interval cover more
 the very value q on a step: there an end errs by up to P(N = r) more.
 """
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import bdtrc
 
+from pcbench.statistics.distributions import binomial_above
 from pcbench.statistics.moments import Values
 
 QUANTILES = {"p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95}
@@ -42,6 +43,7 @@ class Positions(NamedTuple):
     part: Values  # NaN: open
 
 
+@cache
 def positions(n: int) -> Positions:
     """Return the positions of the quantiles and of the ends of their intervals among n > 0 sorted values."""
     q = np.array(list(QUANTILES.values()))
@@ -68,7 +70,7 @@ def _end(n: int, q: Values, g: float) -> tuple[NDArray[np.int64], Values]:
     r = _last(n, q, g)
     closed = (r >= 1) & (r < n)
     r = np.where(closed, r, 1)
-    beyond, here = bdtrc(r, n, q), bdtrc(r - 1, n, q)  # P(N >= r + 1), P(N >= r)
+    beyond, here = binomial_above(r, n, q), binomial_above(r - 1, n, q)  # P(N >= r + 1), P(N >= r)
     # a / (1 - a) of step 3, times (1 - q) r / (q (n - r))
     odds = (g - beyond) * (1 - q) * r / ((here - g) * q * np.maximum(n - r, 1) + np.finfo(float).tiny)
     return r - 1, np.where(closed, 1 / (1 + odds), np.nan)
@@ -79,6 +81,6 @@ def _last(n: int, q: Values, g: float) -> NDArray[np.int64]:
     low, high = np.zeros(len(q), np.int64), np.full(len(q), n + 1)
     while (high - low > 1).any():
         middle = (low + high) // 2
-        enough = bdtrc(middle - 1, n, q) >= g
+        enough = binomial_above(middle - 1, n, q) >= g
         low, high = np.where(enough, middle, low), np.where(enough, high, middle)
     return low

@@ -6,9 +6,10 @@ mean that cannot be negative does when runs are few, its ends stand instead: `0.
 
 from collections.abc import Iterable
 from math import floor, isfinite, isnan, log10
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
+if TYPE_CHECKING:
+    import pandas as pd
 
 ROUNDING = 1e-11  # a value below it is rounding of 0, and stands as that
 EXACT = 1e-6  # an interval narrower than this part of its value is not written: six digits stand
@@ -58,7 +59,7 @@ def fraction(row: Any) -> str:
     return f"{100 * row['mean']:.3g} % ({100 * row['ci_low']:.3g} .. {100 * row['ci_high']:.3g})"
 
 
-def difference(pairs: pd.DataFrame, observer: str, best: str) -> str:
+def difference(pairs: "pd.DataFrame", observer: str, best: str) -> str:
     """Return the difference of an observer to the best, with its interval; '=' where it is not distinguishable."""
     forward = pairs[(pairs.observer_a == observer) & (pairs.observer_b == best)]
     backward = pairs[(pairs.observer_a == best) & (pairs.observer_b == observer)]

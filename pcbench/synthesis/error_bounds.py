@@ -11,7 +11,6 @@ import math
 
 import numpy as np
 from scipy.linalg import eigh, solve_discrete_lyapunov
-from scipy.optimize import minimize_scalar
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
@@ -84,6 +83,8 @@ def gain_bound(F: Matrix, B: Matrix, W: Matrix, P: Matrix) -> float:
     F [k, n, n], B [k, n, d]; NaN where it proves none. Over one map it is a bound of the H-infinity norm.
     """
     Ft, Bt = F.transpose(0, 2, 1), B.transpose(0, 2, 1)
+
+    from scipy.optimize import minimize_scalar  # takes a tenth of a second to import
 
     def square(exponent: float) -> float:
         S = np.exp(exponent) * P

@@ -9,7 +9,6 @@ so over an interval e becomes M(Th Ts) e. Its spectral radius passes 1 at Th Ts 
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.optimize import brentq
 
 from pcbench.synthesis.certificate import Certificate
 
@@ -30,6 +29,8 @@ def radius(interval: float) -> float:
 
 def limit() -> float:
     """Return the largest Th Ts below which errors of the linear chain decay."""
+    from scipy.optimize import brentq  # takes a tenth of a second to import
+
     return float(brentq(lambda s: radius(s) - 1, 2.0, 4.0))
 
 

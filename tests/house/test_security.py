@@ -15,8 +15,8 @@ TEXT = (ROOT / "SECURITY.md").read_text()
 PAGE = PAGES["your_own_observer.md"]
 RUNS = {  # calls that run code of others, and where they may stand
     "exec": ("study/own",),
-    "import_module": ("study/own", "__init__.py"),  # of the package's own names
-    "loads of pickle": ("dataset/pickled.py",),
+    "import_module": ("study/own", "__init__.py", "cli/ahead.py"),  # of the package's own names
+    "loads of pickle": ("dataset/pickled.py", "simulation/kept_programs.py"),
     "load of pickle": (),
     "eval": (),
     "__import__": (),

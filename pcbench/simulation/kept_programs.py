@@ -1,0 +1,170 @@
+"""Compiled programs that outlive their process, found again without being traced anew.
+
+A program is kept under the digest of its text (what jax lowers it to) with all that decides how that is compiled. A second,
+smaller file says which text it is that this source, with this layout and these shapes, is lowered to: where that is known, the
+program is loaded at once, in a tenth of the time that tracing takes. It is written for pcbench's own functions alone, which
+their source describes; a program of a user's own is traced in every process, as its numbers may stand in its closures.
+
+Programs are kept where `process.setup` has said so. What cannot be read or written costs time, and nothing else.
+"""
+
+import hashlib
+import pickle
+import platform
+import threading
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache, partial
+from pathlib import Path
+from types import FunctionType
+from typing import Any
+
+import jax
+import numpy as np
+from jax import monitoring
+from jax.experimental import serialize_executable
+
+from pcbench import __version__
+from pcbench.machine import cache as kept
+from pcbench.machine.provenance import versions
+
+HIT = "/jax/compilation_cache/cache_hits"
+BASE = Path(__file__).parent.parent
+QUIET = ("cache", "log", "traceback", "explain")  # settings that change no program
+
+
+def folder() -> Path | None:
+    """Return where programs are kept; None where they are not."""
+    where = kept.folder() / "programs"
+    told = {name: getattr(jax.config, f"jax_{name}") for name in ("enable_compilation_cache", "compilation_cache_dir")}
+    return where / "whole" if told == {"enable_compilation_cache": True, "compilation_cache_dir": str(where)} else None
+
+
+def asked(layout: Any, problem: Any, device: Any, options: Any) -> str | None:
+    """Return what tells a program from all others before it is traced; None where functions are not all pcbench's own.
+
+    `problem` has the kind of each array as a text in its place.
+    """
+    try:
+        said = [_said(layout), _said(problem), repr(device), repr(options), _settings(), _machine(), _source()]
+    except LookupError:
+        return None
+    return _digest(said)
+
+
+def kind(array: Any) -> str:
+    """Return an array's type and shape as a text."""
+    return f"{np.asarray(array).dtype}{np.shape(array)}"
+
+
+def of_text(text: str, device: Any, options: Any) -> str:
+    """Return what tells a lowered program from all others."""
+    return _digest([text, repr(device), repr(options), _settings(), _machine()])
+
+
+def known(where: Path, asked: str) -> str | None:
+    """Return which text this asks for, where that is known."""
+    try:
+        return (where / f"{asked}.txt").read_text()
+    except OSError:
+        return None
+
+
+def load(where: Path, text: str, device: Any) -> Any:
+    """Return a compiled program on a device; None where it is not kept, or cannot be loaded."""
+    try:
+        said, given, left = pickle.loads(zlib.decompress((where / f"{text}.program").read_bytes()))
+        return serialize_executable.deserialize_and_load(said, given, left, execution_devices=[device])
+    except Exception:  # whatever a damaged file, or another release's, makes of it
+        return None
+
+
+def keep(where: Path, text: str, asked: str | None, compiled: Any = None) -> None:
+    """Keep a program that has just been made, and which text it was that asked for it."""
+    if compiled is not None:
+        try:
+            content = zlib.compress(pickle.dumps(serialize_executable.serialize(compiled)), 1)
+        except Exception:  # not every platform can
+            return
+        kept.keep(where / f"{text}.program", content)
+    if asked:
+        kept.keep(where / f"{asked}.txt", text)
+
+
+@contextmanager
+def found_by_jax() -> Iterator[list[str]]:
+    """Yield a list that gets an entry where jax finds a program in its own cache: such a one cannot be kept again.
+
+    What is serialised from it lacks functions, and says so only when it is called.
+    """
+    _listening()
+    out: list[str] = []
+    _HITS.found = out
+    try:
+        yield out
+    finally:
+        _HITS.found = []
+
+
+_HITS = threading.local()
+
+
+@cache
+def _listening() -> None:
+    monitoring.register_event_listener(_hear)
+
+
+def _hear(event: str, **about: str | int) -> None:
+    """Note a hit for the thread that compiles."""
+    if event == HIT:
+        getattr(_HITS, "found", []).append(event)
+
+
+def _said(what: Any) -> Any:
+    """Return what a layout or a tree holds, functions by where they stand in pcbench's source and what they close over.
+
+    Raises LookupError for what that does not describe.
+    """
+    if what is None or isinstance(what, bool | int | float | str):
+        return repr(what)
+    if isinstance(what, tuple | list):
+        return [type(what).__qualname__, *map(_said, what)]
+    if isinstance(what, dict):
+        return [[_said(key), _said(value)] for key, value in what.items()]
+    if isinstance(what, partial):
+        return [type(what).__qualname__, _said(what.func), _said(what.args), _said(what.keywords)]
+    code = what.__code__ if isinstance(what, FunctionType) else None
+    if code is None or BASE not in Path(code.co_filename).parents:
+        raise LookupError(what)
+    held = [cell.cell_contents for cell in what.__closure__ or ()]
+    place = [code.co_filename, code.co_qualname, str(code.co_firstlineno)]
+    return [place, _said(held), _said(what.__defaults__), _said(what.__kwdefaults__)]
+
+
+def _digest(said: Any) -> str:
+    return hashlib.sha256(repr(said).encode()).hexdigest()[:40]
+
+
+def _settings() -> list[str]:
+    """Return what this thread's jax is set to, but for where it keeps and says things."""
+    names = [n for n in sorted(jax.config.values) if n.startswith("jax_") and not any(w in n for w in QUIET)]
+    return [f"{name}={getattr(jax.config, name, None)}" for name in names]
+
+
+@cache
+def _machine() -> str:
+    """Return what decides how a text is compiled, besides options and settings: releases, flags, the processor."""
+    about = Path("/proc/cpuinfo")
+    lines = about.read_text().splitlines() if about.exists() else []
+    flags = {line for line in lines if line.startswith(("model name", "flags", "Features", "CPU part"))}
+    return repr([versions(), platform.machine(), platform.processor(), sorted(flags)])
+
+
+@cache
+def _source() -> str:
+    """The digest of pcbench's own text."""
+    out = hashlib.sha256(__version__.encode())
+    for path in sorted(BASE.rglob("*.py")):
+        out.update(f"{path.relative_to(BASE)} {path.stat().st_size}".encode() + path.read_bytes())
+    return out.hexdigest()

@@ -1,0 +1,28 @@
+"""Distribution functions: Student's and the binomial. SciPy is imported by the first who asks; quantiles are found once."""
+
+from functools import cache
+from typing import Any
+
+from numpy.typing import NDArray
+
+
+def student_below(df: int, t: NDArray[Any]) -> NDArray[Any]:
+    """Return P(T <= t) of Student's t with `df` degrees of freedom."""
+    from scipy.special import stdtr
+
+    return stdtr(df, t)
+
+
+@cache
+def student_quantile(df: int, p: float) -> float:
+    """Return the t below which Student's t lies with probability p."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(df, p))
+
+
+def binomial_above(k: Any, n: int, q: Any) -> NDArray[Any]:
+    """Return P(N > k) of N successes in n trials that succeed with probability q each."""
+    from scipy.special import bdtrc
+
+    return bdtrc(k, n, q)

@@ -1,0 +1,77 @@
+"""Programs that outlive their process: found again by what would be traced, and never by less."""
+
+from functools import partial
+
+import jax
+import numpy as np
+import pytest
+
+from pcbench.machine import process
+from pcbench.simulation import events_shared, kept_programs, metrics
+from pcbench.simulation.kept_programs import asked
+
+OPTIONS = {"xla_cpu_multi_thread_eigen": False}
+
+
+@pytest.fixture
+def where(tmp_path, monkeypatch):
+    """A cache of its own, as `setup` gives one."""
+    monkeypatch.setenv("PCBENCH_CACHE", str(tmp_path))
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    kept = {
+        name: getattr(jax.config, name)
+        for name in ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    }
+    process.setup()
+    yield kept_programs.folder()
+    for name, value in kept.items():
+        jax.config.update(name, value)
+
+
+def test_nothing_is_kept_unless_setup_says_where():
+    assert kept_programs.folder() is None
+
+
+def test_a_program_comes_back_with_its_bits(where):
+    device = jax.devices()[0]
+    made = jax.jit(lambda x: {"a": x * 1.1 + 0.3}).lower(np.arange(9.0)).compile(OPTIONS)
+    kept_programs.keep(where, "text", "asked", made)
+    assert kept_programs.known(where, "asked") == "text"
+    back = kept_programs.load(where, "text", device)
+    assert back(np.arange(9.0))["a"].tobytes() == made(np.arange(9.0))["a"].tobytes()
+    assert kept_programs.known(where, "other") is None
+    (where / "text.program").write_bytes(b"damaged")
+    assert kept_programs.load(where, "text", device) is None
+
+
+def test_what_is_asked_for_differs_with_functions_numbers_shapes_and_settings():
+    """Functions of `simulation`: those of observers are wrapped here, to have their shapes checked."""
+    name, a = partial(asked, device=None, options=OPTIONS), {"a": "float64(3,)"}
+    one = name((metrics.update, 3), a)
+    assert one == name((metrics.update, 3), {"a": "float64(3,)"})
+    seen = [events_shared.where_any(p, metrics.update) for p in (1, 2)]  # closures
+    others = [
+        name((metrics.update, 4), a),
+        name((metrics.look, 3), a),
+        name((metrics.update, 3), {"a": "float64(4,)"}),
+        name((metrics.update, 3), {"b": "float64(3,)"}),
+        name((metrics.update, 3), {"a": partial(metrics.update, 1)}),
+        *(name((each, 3), a) for each in seen),
+        asked((metrics.update, 3), a, None, {}),
+    ]
+    with jax.numpy_dtype_promotion("strict"):
+        others.append(name((metrics.update, 3), a))
+    assert None not in others
+    assert len({one, *others}) == len(others) + 1
+
+
+def test_a_function_that_is_not_ours_has_no_name():
+    """Its source is not in the digest, nor what it closes over."""
+
+    def mine(x):
+        return x
+
+    for what in (mine, partial(mine, 1), np.sin, np.zeros(3), events_shared.where_any(1, mine)):
+        assert asked((what,), {}, None, OPTIONS) is None
+    mine.__module__, mine.__qualname__ = "pcbench.simulation.metrics", "update"
+    assert asked((mine,), {}, None, OPTIONS) is None
