@@ -57,8 +57,16 @@ def shortened(scenario: str, observers: list[str]) -> dict[str, Any]:
 def without_files(work: task.Work, one: task.Task, hold: Callable[[], Any]) -> task.Report:
     """Simulate a task's seeds and leave it at that."""
     with hold() as device:
-        made = task.simulated(work, one, device)[2]
-    return task.Report(one.runs, ("", 0), made.compile_seconds, 0.0, provenance.versions())
+        p, _, made = task.simulated(work, one, device)
+    versions = provenance.versions()
+    return task.Report(
+        cell=p.cell.key,
+        runs=one.runs,
+        program=("", 0),
+        compile_seconds=made.compile_seconds,
+        writing_seconds=0.0,
+        versions=versions,
+    )
 
 
 def timed(study: dict[str, Any], execute: executors.Executor, block: int | None = None) -> tuple[float, float]:

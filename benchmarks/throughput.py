@@ -189,7 +189,7 @@ def main() -> None:
         ticks = 500 if options.small else planned.cell.times.ticks
         windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
         problems[random] = planned.problem._replace(windows=windows)
-        layout = planned.layout._replace(width=FEW) if options.small else planned.layout
+        layout = planned.layout._replace(width=FEW if options.small else batch.WIDTH)
     case = prepare(problems[False], ticks)
     every = list(dict.fromkeys((1, batch.cores())))
     rows, sums = pcbench_rows(layout, problems, every, ticks)

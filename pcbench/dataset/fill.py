@@ -1,13 +1,12 @@
 """From a study to its blocks: what is missing, and only that, is planned, cut into tasks and done.
 
-Gains are designed before anything is written; planned cells wait on disk, so that memory grows with none of a study's axes.
+Gains are designed before anything is written; cells are laid out as their tasks are drawn, while others compute, so that memory
+hardly grows with a study's axes.
 """
 
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -17,12 +16,12 @@ from pcbench.dataset.block_files import Block
 from pcbench.dataset.columns import SCHEMA
 from pcbench.dataset.executors import Executor
 from pcbench.dataset.ownership import Owned
-from pcbench.dataset.pickled import lay_aside, take_up, unpack
+from pcbench.dataset.pickled import pack
 from pcbench.dataset.seeds import Seeds, counted, gaps
 from pcbench.errors import UserError
 from pcbench.machine import provenance
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.planning import padding
+from pcbench.planning import once, padding
 from pcbench.planning.padding import Plan
 from pcbench.study.cells import Cell
 
@@ -30,6 +29,8 @@ CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest pla
 TASKS = 64  # to share among cores and workers
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
 SeedsOf = Callable[[Cell], Seeds]
+Heard = Callable[[tuple[str, int], int], None]  # (key of a cell, how many of its runs are there now)
+Close = Callable[[list[Block], dict[tuple[str, int], int]], Heard]
 Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
 
 
@@ -38,6 +39,7 @@ class Sizes(NamedTuple):
 
     block: int | None = None  # seeds a block
     memory: float = float("inf")  # bytes that results may take at a time
+    apart: bool = False  # whether tasks are done by other processes
 
 
 class Cost(NamedTuple):
@@ -145,27 +147,44 @@ def fill(
     wanted: SeedsOf,
     sizes: Sizes,
     progress: Progress = SILENT,
+    close: Close | None = None,
 ) -> Cost:
-    """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be."""
+    """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be.
+
+    `close` is told which blocks there will be and what cells lack of them, and returns who hears of runs that are there.
+    """
     todo = missing(owned, there, wanted, partial(_block, owned, wanted, sizes))
     if not todo:
         ownership.renew(target, owned)
         return Cost()
-    with tempfile.TemporaryDirectory(prefix="pcbench-") as shelf:
-        groups = _planned(owned, todo, Path(shelf))
-        ownership.begin(target, owned)
-        progress.begin("runs", runs_in(todo))
-        progress.note("compiling")
-        work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
-        compiled: dict[Any, float] = {}
-        runs, writing = 0, 0.0
-        for report in execute(work, _tasks(groups, todo)):
-            _alike(report)
-            compiled[report.program] = report.compile_seconds
-            runs, writing = runs + report.runs, writing + report.writing_seconds
-            progress.step(report.runs)
-            progress.note("simulating")
-        return Cost(runs, writing, compiled)
+    planned = _planned(owned, todo, wanted)
+    ownership.begin(target, owned)
+    progress.begin("runs", runs_in(todo))
+    progress.note("compiling")
+    work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
+    heard = close(*_expected(there, todo)) if close else None
+    compiled: dict[Any, float] = {}
+    runs, writing = 0, 0.0
+    for report in execute(work, planned.tasks(wanted, sizes.apart)):
+        _alike(report)
+        compiled[report.program] = report.compile_seconds
+        runs, writing = runs + report.runs, writing + report.writing_seconds
+        progress.step(report.runs)
+        if heard:
+            heard(report.cell, report.runs)
+        progress.note("simulating")
+    return Cost(runs, writing, compiled)
+
+
+def _expected(there: list[Block], todo: Gaps) -> tuple[list[Block], dict[tuple[str, int], int]]:
+    """The blocks that there will be, and how many runs cells lack."""
+    new = [
+        Block(scenario, label, cell, seeds)
+        for (scenario, cell), labels in todo.items()
+        for label, ranges in labels.items()
+        for seeds in ranges
+    ]
+    return [*there, *new], {key: runs_in({key: labels}) for key, labels in todo.items()}
 
 
 def _alike(report: task.Report) -> None:
@@ -197,33 +216,28 @@ def _block(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
     return size
 
 
-class WaitingCell(NamedTuple):
-    """A planned cell laid aside until its tasks are drawn."""
+class Planned(NamedTuple):
+    """What is to be done: designed and checked. Cells are laid out again as their tasks are drawn, so that none waits."""
 
-    aside: Path | Plan
-    width: int
-    cell: tuple[str, int]
-    labels: tuple[str, ...]
+    owned: Owned
+    todo: Gaps
+    room: padding.Capacity
+    ask: once.Once  # has the designs
 
+    def drafts(self, wanted: SeedsOf) -> Iterator[Plan]:
+        """Yield the cells' drafts."""
+        yield from planning.drafts(self.owned.cells, self.todo, self.ask, lambda cell: wanted(cell).many)
 
-def _planned(owned: Owned, todo: Gaps, shelf: Path) -> list[WaitingCell]:
-    """Plan what is to do and lay it aside, cells of one program together."""
-    room = padding.Capacity()
-    drafts: list[Path | Plan] = []
-    for p in padding.checked(planning.drafts(owned.cells, todo)):
-        room = padding.larger(room, padding.room_of(p))
-        if p.labels:
-            drafts.append(lay_aside(p, shelf / str(len(drafts))))
-    groups: dict[Any, list[WaitingCell]] = {}
-    for i, draft in enumerate(drafts):
-        p = padding.fitted(unpack(take_up(draft)), room)
-        mine = WaitingCell(lay_aside(p, shelf / str(i)), p.layout.width, p.cell.key, p.labels)
-        groups.setdefault(padding.key_of(p), []).append(mine)
-    return [each for group in groups.values() for each in group]
+    def tasks(self, wanted: SeedsOf, apart: bool) -> Iterator[task.Task]:
+        """Yield the tasks, cell by cell; as bytes where they go to other processes."""
+        for p in self.drafts(wanted):
+            ranges = {label: each for label, each in self.todo.get(p.cell.key, {}).items() if label in p.labels}
+            if ranges:
+                fitted = padding.fitted(p, self.room)
+                yield from task.tasks(pack(fitted) if apart else fitted, p.layout.width, ranges)
 
 
-def _tasks(planned: list[WaitingCell], todo: Gaps) -> Iterator[task.Task]:
-    for laid in planned:
-        ranges = {label: todo[laid.cell][label] for label in laid.labels if label in todo[laid.cell]}
-        if ranges:
-            yield from task.tasks(take_up(laid.aside), laid.width, ranges)
+def _planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
+    """Design what is to be done, and find the room that it takes; raise UserError where that cannot be."""
+    first = Planned(owned, todo, padding.Capacity(), once.once())
+    return first._replace(room=padding.needed(padding.checked(first.drafts(wanted))))

@@ -55,12 +55,19 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         owned = ownership.claim(target, grid, how.fresh)
         precision.check(goal, owned)
         share = executors.share(how.memory, how.dask, how.workers, how.devices)
-        sizes = fill.Sizes(how.block, share)
+        sizes = fill.Sizes(how.block, share, how.dask is not None)
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
         there = [] if owned.fresh else fill.whole(target, owned, say)
         wanted = fill.everything(owned, there, how.more)
-        cost = fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress)
+        closing: list[summary.Closing] = []
+
+        def beside(blocks: list[block_files.Block], lacking: dict[tuple[str, int], int]) -> fill.Heard:
+            closing.append(summary.Closing(target, owned, blocks, lacking))
+            return closing[0].done
+
+        once = None if goal else beside  # more seeds would make its tables anew
+        cost = fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress, once)
         for wanted in precision.rounds(goal, target, owned, say):
             there = block_files.settled(block_files.present(target))
             cost = fill.added(cost, fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress))
@@ -75,7 +82,7 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
                 "runs_added": cost.runs,
                 "until_se": how.until_se,
             }
-            summary.close(target, owned, there, about)
+            summary.close(target, owned, there, about, closing[0] if closing else None)
     where: str | Path | None = out
     if out is not None and target.local:
         where = Path(target.root if "://" in str(out) else out)

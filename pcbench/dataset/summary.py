@@ -19,16 +19,25 @@ from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, joined
 from pcbench.machine import provenance
 from pcbench.study.as_toml import digest
+from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import is_certified
 
 PROVENANCE = "provenance.json"
 ROWS = 20_000  # that are gathered before they are written
+GATHERED = 2_000  # that are gathered before they are a table
+Key = tuple[str, int]  # a cell's
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
 
 
-def close(target: store.Target, owned: Owned, there: list[Block], about: dict[str, Any]) -> None:
-    """Write stats.parquet and pairs.parquet of these blocks, and provenance.json with what is said `about` the run."""
-    stats, pairs, weakest = closing_tables(target, owned, there)
+def close(
+    target: store.Target, owned: Owned, there: list[Block], about: dict[str, Any], begun: "Closing | None" = None
+) -> None:
+    """Write stats.parquet and pairs.parquet of these blocks, and provenance.json with what is said `about` the run.
+
+    `begun` are tables that have grown while the blocks came, if they are of these.
+    """
+    mine = begun if begun and begun.made_of == {FROM: fingerprint(there)} else Closing(target, owned, there)
+    stats, pairs, weakest = mine.content()
     store.put(target, "stats.parquet", stats)
     store.put(target, "pairs.parquet", pairs)
     digests = {"stats.parquet": digest_of(stats), "pairs.parquet": digest_of(pairs)}
@@ -66,25 +75,51 @@ def closing_tables(
 
     Cells are taken in the order of the study, those without runs left out.
     """
-    made_of = {FROM: fingerprint(there)}
-    stats, pairs, there = GrowingTable(made_of), GrowingTable(made_of), block_files.settled(there)
-    weakest: dict[str, dict[str, Any]] = {}
-    blocks: dict[tuple[str, int, str], list[Block]] = {}
-    for b in sorted(there):
-        blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    for cell in owned.cells:
-        found = cell_rows.observed(target, cell, blocks)
+    return Closing(target, owned, there).content()
+
+
+class Closing:
+    """The closing tables as they grow, cell by cell in the order of the study: from whole cells while others are computed."""
+
+    def __init__(
+        self, target: store.Target, owned: Owned, there: list[Block], lacking: dict[Key, int] | None = None
+    ) -> None:
+        """Begin with the blocks that are, or will be, `there`; cells still lack so many runs."""
+        self.target, self.owned, self.lacking = target, owned, dict(lacking or {})
+        self.made_of = {FROM: fingerprint(there)}
+        self.stats, self.pairs = GrowingTable(self.made_of), GrowingTable(self.made_of)
+        self.weakest: dict[str, dict[str, Any]] = {}
+        self.left = iter(owned.cells)
+        self.next = next(self.left, None)
+        self.blocks: dict[tuple[str, int, str], list[Block]] = {}
+        for b in sorted(block_files.settled(there)):
+            self.blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+
+    def done(self, key: Key, runs: int) -> None:
+        """Take in every cell whose turn it is, once these runs of one are there."""
+        self.lacking[key] -= runs
+        while self.next is not None and not self.lacking.get(self.next.key):
+            self._add(self.next)
+
+    def content(self) -> tuple[pa.Buffer, pa.Buffer, dict[str, dict[str, Any]]]:
+        """Return the tables of all cells, and the weakest certificates."""
+        while self.next is not None:
+            self._add(self.next)
+        return self.stats.content(), adjusted(self.pairs.content(), self.made_of), self.weakest
+
+    def _add(self, cell: Cell) -> None:
+        self.next = next(self.left, None)
+        found = cell_rows.observed(self.target, cell, self.blocks)
         if not found:
-            continue
-        rows, compared = cell_rows.rows_of(target, owned.study.name, cell, found)
+            return
+        rows, compared = cell_rows.rows_of(self.target, self.owned.study.name, cell, found)
         axes = columns.axes_of(rows[0])
-        stats.add(columns.rows_table(rows, columns.stats_order(axes)))
-        pairs.add(columns.rows_table(compared, columns.pairs_order(axes)))
-        mine = weakest.setdefault(cell.scenario.name, {})
+        self.stats.add_rows(rows, columns.stats_order(axes))
+        self.pairs.add_rows(compared, columns.pairs_order(axes))
+        mine = self.weakest.setdefault(cell.scenario.name, {})
         for name, each in found.items():
             c = each.about["certificate"]
             mine[name] = min(mine.get(name, c), c, key=_strength)
-    return stats.content(), adjusted(pairs.content(), made_of), weakest
 
 
 def _strength(certificate: dict[str, Any]) -> float:
@@ -137,6 +172,8 @@ class GrowingTable:
     def __init__(self, about: dict[bytes, bytes]) -> None:
         self.about, self.sink = about, pa.BufferOutputStream()
         self.waiting: list[pa.Table] = []
+        self.rows: list[dict[str, Any]] = []  # that are to be a table of so ordered columns
+        self.order: list[str] = []
         self.writer: Any = None  # a pq.ParquetWriter, once there is a schema
 
     def add(self, table: pa.Table) -> None:
@@ -145,11 +182,26 @@ class GrowingTable:
         if sum(map(len, self.waiting)) >= ROWS:
             self._write()
 
+    def add_rows(self, rows: list[dict[str, Any]], order: list[str]) -> None:
+        """Add some rows that are no table yet: of many together one is made in the time of one of few."""
+        if order != self.order:
+            self._gather()
+        self.order = order
+        self.rows.extend(rows)
+        if len(self.rows) >= GATHERED:
+            self._gather()
+
     def content(self) -> pa.Buffer:
         """Return the file's bytes."""
+        self._gather()
         self._write()
         self.writer.close()
         return self.sink.getvalue()
+
+    def _gather(self) -> None:
+        if self.rows or (self.order and not (self.writer or self.waiting)):
+            self.add(columns.rows_table(self.rows, self.order))
+        self.rows = []
 
     def _write(self) -> None:
         if self.waiting:

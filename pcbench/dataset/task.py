@@ -52,6 +52,7 @@ class Task(NamedTuple):
 class Report(NamedTuple):
     """What a task reports once its files stand."""
 
+    cell: tuple[str, int]  # its key
     runs: int
     program: tuple[str, int]  # which one computed it, of which process
     compile_seconds: float  # that this program took to make
@@ -67,7 +68,12 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     for name, table in files(work, task, p, results):
         store.put_table(target, name, table)
     return Report(
-        task.runs, (process.name(), id(made)), made.compile_seconds, perf_counter() - start, provenance.versions()
+        cell=p.cell.key,
+        runs=task.runs,
+        program=(process.name(), id(made)),
+        compile_seconds=made.compile_seconds,
+        writing_seconds=perf_counter() - start,
+        versions=provenance.versions(),
     )
 
 

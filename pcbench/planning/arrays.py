@@ -1,6 +1,6 @@
 """From a study to what is simulated: gains, inputs, schedules and bounds as arrays, one draft a cell."""
 
-from collections.abc import Container, Iterator
+from collections.abc import Callable, Container, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +9,8 @@ from pydantic import BaseModel
 from pcbench import plants
 from pcbench.errors import UserError
 from pcbench.observers import base_of
-from pcbench.planning import controller, padding
-from pcbench.planning.design_setting import setting
-from pcbench.planning.designing import designed
+from pcbench.planning import controller, once, padding
+from pcbench.planning.design_setting import prepared, setting
 from pcbench.planning.least_error import bound
 from pcbench.planning.padding import Plan
 from pcbench.plants import lti
@@ -28,53 +27,64 @@ AnySchedule = shared.Schedule | per_lane.Times  # one for all runs, or numbers b
 
 def plan(study: Study) -> list[Plan]:
     """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
-    return padding.fit(list(drafts(cells_of(study))))
+    return padding.fit(list(drafts(cells_of(study), runs=lambda cell: study.seeds)))
 
 
-def drafts(every: list[Cell], wanted: Container[tuple[str, int]] | None = None) -> Iterator[Plan]:
+def drafts(
+    every: list[Cell],
+    wanted: Container[tuple[str, int]] | None = None,
+    ask: once.Once | None = None,
+    runs: Callable[[Cell], int] | None = None,
+) -> Iterator[Plan]:
     """Yield a draft of every cell; in a closed loop one for each observer, whose plant is its own.
 
     Cells whose key is not in `wanted` (None: all are) are drafted without gains: they say what room a program needs.
+    `ask` has what cells have in common; `runs` says how many a cell is to have, for its calls to be no wider.
     """
+    ask = ask or once.once()
     most: dict[str, tuple[int, int]] = {}
     for cell in every:
         if not cell.times.random:
-            known, plant = setting(cell), cell.scenario.plant
+            known, plant = setting(cell, ask), cell.scenario.plant
             overtaking, reach = most.get(plant, (0, 0))
             most[plant] = max(overtaking, known.overtaking), max(reach, known.reach)
     for cell in every:
-        known = setting(cell)
+        known = setting(cell, ask)
         if not cell.times.random:  # where sampling is random, room for more costs more than a program
             overtaking, reach = most[cell.scenario.plant]
             known = known._replace(overtaking=overtaking, reach=reach)
         groups = [{o: given} for o, given in cell.options.items()] if cell.scenario.loop.controller else [cell.options]
         for options in groups:
-            yield draft(cell, options if wanted is None or cell.key in wanted else {}, known)
+            p = draft(cell, options if wanted is None or cell.key in wanted else {}, known, ask)
+            yield p._replace(layout=p.layout._replace(width=width(cell, runs(cell)))) if runs else p
 
 
-def width(cell: Cell) -> int:
-    """Return the lanes of a call."""
-    return batch.HEAVY if plants.entry_of(cell.scenario).heavy else batch.WIDTH
+def width(cell: Cell, runs: int | None = None) -> int:
+    """Return the lanes of a call, fewer where the `runs` of a light cell do not fill them: bits are the same."""
+    most = batch.HEAVY if plants.entry_of(cell.scenario).heavy else batch.WIDTH
+    if runs is None or cell.scenario.loop.controller or cell.times.random:
+        return most
+    return next((lanes for lanes in batch.NARROW if runs <= lanes < most), most)
 
 
-def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None) -> Plan:
+def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None, ask: once.Once = once.anew) -> Plan:
     """Lay out one cell for the observers that `options` names; its shape is its own until `padding.fit`."""
-    s, known = cell.scenario, known or setting(cell)
+    s, known = cell.scenario, known or setting(cell, ask)
     true, belief, choices = s.truth, s.belief, cell.choices
     plant, n = plants.entry_of(s), cell.times.ticks
-    designs = {o: designed(o, cell.entry(o), known, given) for o, given in options.items()}
+    designs = {o: once.design(ask, cell.key, o, cell.entry(o), known, given) for o, given in options.items()}
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
     numbers = ({"drift": true.drift} if "drift" in plant.numbers._fields else {}) | cell.parameters
     numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
     drawn, around = choices.random_start and not belief.start_box, choices.random_start and bool(belief.start_box)
     spread = belief.prior_std if drawn else choices.start_spread * np.abs(true.x0)
     signals = len(true.x0) + len(belief.unknown_std)
-    schedule, room = schedule_of(cell)
+    schedule, room = _schedule(cell, ask)
     problem = Problem(
-        params=plant.prepare(plants.varied(plants.numbers_of(s), numbers), s.dt, n),
+        params=prepared(plant, plants.varied(plants.numbers_of(s), numbers), s.dt, n, ask),
         gains={names[o]: d.gains for o, d in designs.items()},
         schedule=schedule,
-        inputs=_inputs(cell, known),
+        inputs=_inputs(cell, known, ask),
         dt=np.asarray(s.dt),
         x0=np.array(belief.xhat0 if drawn else true.x0),
         xhat0=np.array(true.x0 if around else belief.xhat0),
@@ -107,7 +117,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         layout=layout,
         problem=problem,
         certificates={o: d.certificate for o, d in designs.items()},
-        bound=bound(cell, known) if options else None,
+        bound=bound(cell, known, ask) if options else None,
         carries_input={o: d.carries_input for o, d in designs.items()},
         labels=tuple(options),
         reach=controller.reach(cell, known.overtaking, n) if s.loop.controller else None,
@@ -120,7 +130,7 @@ def _strides(schedule: AnySchedule, heavy: bool) -> bool:
     return not (dense or heavy)
 
 
-def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
+def _inputs(cell: Cell, known: Setting, ask: once.Once) -> NDArray[np.float64]:
     """The input of an open loop, [N+1, m]; where a controller gives it, one row of NaN: nothing may read it.
 
     Zeros where the output of a plant is C x + D u: D is 0 in a closed loop.
@@ -128,13 +138,22 @@ def _inputs(cell: Cell, known: Setting) -> NDArray[np.float64]:
     s, m = cell.scenario, known.model.B.shape[1]
     if s.loop.controller:
         return np.full((1, m), 0.0 if plants.entry_of(s).plant is lti.PLANT else np.nan)
-    u = inputs(s.loop.input, s.dt * np.arange(cell.times.ticks + 1, dtype=float), m)
+    n = cell.times.ticks
+    u: NDArray[np.float64] = ask(
+        "inputs", (s.loop.input, s.dt, n, m), lambda: inputs(s.loop.input, s.dt * np.arange(n + 1, dtype=float), m)
+    )
     if u.shape[1] != m:
         raise UserError(
             f"{s.name}: got the input '{s.loop.input}', which has {u.shape[1]} columns, expected one signal, or one for each "
             f"of the plant's {m} inputs with commas between; take one of {', '.join(SINGLE)}."
         )
     return u
+
+
+def _schedule(cell: Cell, ask: once.Once) -> tuple[AnySchedule, int]:
+    """The same for all runs of a cell."""
+    key = tuple(cell.times.clocks), cell.times.ticks, cell.times.error, cell.scenario.sampling.continuous
+    return ask("schedule", (*key, len(cell.scenario.sampling.delay)), lambda: schedule_of(cell))
 
 
 def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySchedule, int]:

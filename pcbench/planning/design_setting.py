@@ -1,27 +1,44 @@
 """What a designer is told of a cell: the model, the times, the noise."""
 
 from functools import partial
+from typing import Any
 
+import jax
 import numpy as np
 from jax.tree_util import Partial
 
 from pcbench.dynamics import linear
 from pcbench.errors import unknown
-from pcbench.plants import entry_of, numbers_of, parameters_in, varied
+from pcbench.planning import once
+from pcbench.plants import PlantEntry, entry_of, numbers_of, parameters_in, varied
 from pcbench.scenarios import Scenario
 from pcbench.simulation.schedule import per_lane, sampling, shared
 from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import Setting
 
 
-def setting(cell: Cell) -> Setting:
+def prepared(plant: PlantEntry, numbers: Any, dt: float, ticks: int, ask: once.Once) -> Any:
+    """Return a plant's numbers for the ticks of a horizon."""
+    try:
+        key = plant.prepare, once.key_of(numbers), dt, ticks
+    except TypeError:
+        return plant.prepare(numbers, dt, ticks)
+    return ask("params", key, lambda: jax.tree.map(_here, plant.prepare(numbers, dt, ticks)))
+
+
+def _here(leaf: Any) -> Any:
+    """A leaf as NumPy's: jax's own are fetched once, not for every cell."""
+    return np.asarray(leaf) if isinstance(leaf, jax.Array) else leaf
+
+
+def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
     """Return what a designer is told: the nominal model and the believed delay, whatever is true of the plant."""
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     belief, noise = s.belief, s.sampling.noise_std
     period, delay = [0] * len(noise), [0] * len(noise)
     plant, many = entry_of(s), len(belief.unknown_std)
     told = (plant.model, plant.successor, plant.sensor, plant.parts)
-    params = plant.prepare(numbers_of(s), s.dt, n) if any(told) else None
+    params = prepared(plant, numbers_of(s), s.dt, n, ask) if any(told) else None
     field, successor, sensor, parts = (Partial(each, params) if each else None for each in told)
     for clock in clocks:
         for j in clock.channels:
@@ -41,7 +58,7 @@ def setting(cell: Cell) -> Setting:
         noise_std=tuple(std or spare for std, spare in zip(noise, belief.assumed_noise_std or noise, strict=True)),
         P0=np.diag(np.square(belief.prior_std)),
         input_intensity=belief.drift_intensity if s.truth.drift else 0.0,
-        overtaking=_overtaking(clocks, n),
+        overtaking=ask("overtaking", (tuple(clocks), n), lambda: _overtaking(clocks, n)),
         process_std=belief.assumed_process_std or s.truth.process_std,
         error=cell.times.error,
         reach=max(-(-late // every) for late, every in zip(delay, period, strict=True)),
@@ -53,7 +70,9 @@ def setting(cell: Cell) -> Setting:
         sensor=sensor,
         parts=parts,
         variant=partial(_variant, s),
-        intervals=tuple(sampling.intervals(clocks[0], n)) if len(clocks) == 1 else (),
+        intervals=ask("intervals", (clocks[0], n), lambda: tuple(sampling.intervals(clocks[0], n)))
+        if len(clocks) == 1
+        else (),
     )
 
 

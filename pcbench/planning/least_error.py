@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.dynamics import linear
+from pcbench.planning import once
 from pcbench.plants import differs, nonlinear, numbers_of
 from pcbench.simulation.schedule import shared
 from pcbench.study.cells import Cell
@@ -11,7 +12,7 @@ from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Setting
 
 
-def bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
+def bound(cell: Cell, known: Setting, ask: once.Once = once.anew) -> NDArray[np.float64] | None:
     """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
     s = cell.scenario
     other = differs(numbers_of(s), cell.parameters)
@@ -20,6 +21,14 @@ def bound(cell: Cell, known: Setting) -> NDArray[np.float64] | None:
     clocks = cell.times.clocks
     if not exact or cell.times.random:
         return None
+    sees = known.model, known.dt, known.ticks, known.noise_std, known.P0, s.truth.process_std
+    key = once.key_of((*sees, cell.times.tail)), tuple(clocks)
+    found: NDArray[np.float64] = ask("bound", key, lambda: _bound(cell, known))
+    return found
+
+
+def _bound(cell: Cell, known: Setting) -> NDArray[np.float64]:
+    s, clocks = cell.scenario, cell.times.clocks
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     samples = [(s.arrives, s.taken, s.channel) for s in shared.samples(clocks, known.ticks)]
     added = known._replace(process_std=s.truth.process_std).process_noise  # what is, not what designers assume

@@ -23,6 +23,7 @@ from pcbench.simulation import kept_programs, loop
 from pcbench.simulation.problem import Layout, Outcome, Problem
 
 WIDTH = 1024  # lanes a call
+NARROW = (64, 256)  # of cells with few runs: 64 lanes take a quarter of the time of 1024
 HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
 ONE_THREAD: dict[str, str | bool] = {
     "xla_cpu_multi_thread_eigen": False

@@ -7,13 +7,15 @@ noise enters through the input, Q = 0.002 B B'. Source: Mohammed et al. 2017, se
 """
 
 from bisect import bisect
+from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_continuous_are, solve_discrete_are
 
-from pcbench.dynamics.linear import Matrix, Model, noise_over, over
+from pcbench.dynamics import linear
+from pcbench.dynamics.linear import Matrix, Model
 from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
@@ -65,6 +67,11 @@ def update(P: Matrix, C: Matrix, R: Matrix) -> Matrix:
     return keep @ P @ keep.T + K @ R @ K.T
 
 
+def _over(doubled: Matrix, noise: Matrix, ticks: int) -> tuple[Matrix, Matrix]:
+    """The map over some ticks, and the covariance that process noise adds."""
+    return linear.over(doubled, ticks), linear.noise_over(doubled, noise, ticks)
+
+
 class CovarianceRun(NamedTuple):
     """What a covariance recursion over a horizon leaves."""
 
@@ -79,10 +86,11 @@ def multirate(
 ) -> CovarianceRun:
     """Run the covariance over a horizon: channel j with noise variance R[j] is sampled every period[j] ticks from 0 on."""
     P, at, K = P0, 0, np.zeros((len(P0), len(C)))
+    over = cache(lambda gap: _over(doubled, noise, gap))  # the same gaps come again and again
     innovation, least = np.inf, np.inf
     for tick in sorted({t for every in period for t in range(0, ticks + 1, every)}):
-        E = over(doubled, tick - at)
-        P, at = E @ P @ E.T + noise_over(doubled, noise, tick - at), tick
+        E, Q = over(tick - at)
+        P, at = E @ P @ E.T + Q, tick
         for j in [j for j, every in enumerate(period) if tick % every == 0]:
             c, r = C[j : j + 1], R[j : j + 1, None]
             innovation = min(innovation, float((c @ P @ c.T + r)[0, 0]) / R.min())
@@ -103,6 +111,7 @@ def posterior_variance(
     arrived. `samples` are (arrival, taken, channel) in ticks, in any order; R[q] variances. Source: Kalman; Van Trees. It
     exists only where R > 0.
     """
+    over = cache(lambda gap: _over(doubled, noise, gap))
     arriving: dict[int, list[tuple[int, int]]] = {}
     for arrival, taken, channel in samples:
         arriving.setdefault(arrival, []).append((taken, channel))
@@ -116,7 +125,7 @@ def posterior_variance(
             del stages[place + 1 :]
             for taken, channel in known[place:]:
                 gap = taken - stages[-1][0]
-                E, Q = over(doubled, gap), noise_over(doubled, noise, gap)
+                E, Q = over(gap)
                 P = update(E @ stages[-1][1] @ E.T + Q, C[channel : channel + 1], R[channel : channel + 1, None])
                 stages.append((taken, P))
         since[tick] = stages[-1]

@@ -18,6 +18,7 @@ SEVEN = np.array([7])
 
 def results(seeds, observers=EVERYONE, scenarios=("cart/gaussian-fast",), devices=2, random_start=True, axes=None):
     raw = {"name": "bits", "scenarios": list(scenarios), "observers": observers, "axes": axes or {}}
+    raw |= {"seeds": len(seeds)}  # calls are as wide as they ask for
     chosen = read.parse(raw | {"options": {"scenario": {"random_start": random_start}}}, "bits")
     done = list(in_memory.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
     return {d.planned.cell.scenario.name + str(d.planned.cell.number): d.results for d in done}
@@ -42,6 +43,7 @@ def test_alone_equals_in_a_block(alone):
 
 
 def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
+    """Alone in a call of 64 lanes."""
     block = results(np.concatenate([np.arange(100, 100 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"]
     same(alone, block, batch.WIDTH)
     same(alone, results(np.concatenate([np.arange(100, 99 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"], -1)

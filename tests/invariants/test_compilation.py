@@ -47,7 +47,7 @@ def test_gains_are_traced():
 def loops(request):
     """The text of every computation that the compiled loops run."""
     _, (cell,) = planned()
-    layout = cell.layout._replace(random_start=request.param)
+    layout = cell.layout._replace(random_start=request.param, width=batch.WIDTH)
     made = batch.program(layout, batch.Job(cell.problem, 0, np.arange(2)))
     text = made.compiled.as_text()
     bodies = set(re.findall(r"body=%?([\w.]+)", text))
