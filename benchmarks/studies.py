@@ -2,6 +2,7 @@
 
     python benchmarks/studies.py              # a few minutes
     python benchmarks/studies.py --only memory
+    python benchmarks/studies.py --only maps --against ../older   # two studies in full, beside an older checkout in turn
     python benchmarks/studies.py --small      # every row and check, a few short runs each: its figures mean nothing then
 
 writing: the time that tasks spend on their files, of the time that all devices have; and what the same tasks take longer
@@ -9,12 +10,16 @@ writing: the time that tasks spend on their files, of the time that all devices 
 workers: the same study on one and on two local Dask workers, warm; time on one / (2 x time on two). The same of bare
          processes that only simulate, in turn: what the machine gives where both cores are busy.
 memory:  peak resident memory of studies with more and more seeds, and with more and more cells, one program each.
+maps:    two studies of many cells in full, each in a process of its own: 300 cells of 1000 seeds, and 10,000 of 64; where the
+         time goes, and beside another checkout (--against) the ratio of both, in turn. Programs are in the cache by then.
 
 Checked: files or not, workers or not, the same number of runs is done; a study with 256 times the seeds takes less than twice
 the memory. Exit code 1 where that does not hold.
 """
 
 import argparse
+import json
+import os
 import resource
 import statistics
 import subprocess
@@ -39,6 +44,32 @@ from pcbench.study import read
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
 FEW = ["pccebo"]  # of a small form: every program is one observer's
+MAPS: dict[str, dict[str, Any]] = {
+    "300 cells of 1000 seeds": {
+        "name": "map",
+        "scenarios": ["cart/gaussian"],
+        "observers": ["pccebo", "kfbo", "dkf"],
+        "seeds": 1000,
+        "axes": {
+            "sampling_period": [0.1, 0.15, 0.2, 0.25, 0.3],
+            "delay": [0.1, 0.15, 0.2, 0.25, 0.3],
+            "noise_std": [0.1, 0.3, 0.6, 1.0],
+            "drift": [0.0, 0.5, 1.0],
+        },
+    },
+    "10,000 cells of 64 seeds": {
+        "name": "map",
+        "scenarios": ["cart/gaussian"],
+        "observers": ["pccebo", "kfbo", "dkf"],
+        "seeds": 64,
+        "axes": {
+            "sampling_period": [0.05 * i for i in range(1, 11)],
+            "delay": [0.05 * i for i in range(1, 11)],
+            "noise_std": [0.1 * i for i in range(1, 11)],
+            "drift": [0.1 * i for i in range(10)],
+        },
+    },
+}
 WRITTEN = {  # a third of a minute on two cores, in the blocks of a minute's study; from the cheapest runs to dear ones
     "cart/white": (200_000, 4096, ["pccebo", "kfbo", "dkf"]),
     "csth/10s-noise": (120_000, 4096, ["chain", "equal-delay", "dkf"]),
@@ -65,6 +96,7 @@ def without_files(work: task.Work, one: task.Task, hold: Callable[[], Any]) -> t
         program=("", 0),
         compile_seconds=made.compile_seconds,
         writing_seconds=0.0,
+        computing_seconds=0.0,
         versions=versions,
     )
 
@@ -167,6 +199,39 @@ def memory(turns: int, small: bool) -> None:
         raise SystemExit(f"studies: got a peak of {max(found)} MiB, expected less than twice {found[0]} MiB.")
 
 
+def maps(turns: int, small: bool, against: str | None = None) -> None:
+    """Print what whole studies take, and where the time goes."""
+    here = str(Path(__file__).parent.parent)
+    for name, study in list(MAPS.items())[: 1 if small else None]:
+        given = shortened("cart/white", FEW) | {"seeds": 16, "axes": {"noise_std": [0.1, 0.2]}} if small else study
+        seconds: dict[str, list[float]] = {}
+        for turn in range(turns if small else turns + 1):
+            for place in (here, against) if against else (here,):
+                found = json.loads(_child(f"import map_study; map_study.say({given!r})", place))
+                if turn or small:  # before, programs were made
+                    seconds.setdefault(place, []).append(found["seconds"])
+                    print(f"maps: {name}: {place if against else 'here'}: {_parts(found)}", flush=True)
+        if against:
+            ratio = statistics.median(a / b for a, b in zip(*seconds.values(), strict=True))
+            print(f"maps: {name}: takes {ratio:.3f} of what the other takes", flush=True)
+
+
+def _parts(found: dict[str, float]) -> str:
+    each = ", ".join(
+        f"{what.removesuffix('_seconds')} {found[what]:.1f}" for what in found if what.endswith("_seconds")
+    )
+    rest = f"{found['cpu']:.1f} s of CPU, {found['runs']:,.0f} runs, peak {found['peak']:.0f} MiB"
+    return f"{found['seconds']:.1f} s ({each}), {rest}"
+
+
+def _child(code: str, place: str) -> str:
+    """What a process with the checkout of a place says last."""
+    paths = os.pathsep.join([place, str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    environment = os.environ | {"PYTHONPATH": paths}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    return done.stdout.splitlines()[-1]
+
+
 def peak(study: dict[str, Any]) -> None:
     """Run a study and print the most memory that this process held."""
     process.setup()
@@ -182,10 +247,16 @@ def peak(study: dict[str, Any]) -> None:
 def main() -> None:
     """Print the figures."""
     process.setup()
-    parts: dict[str, Callable[[int, bool], None]] = {"writing": writing, "workers": workers, "memory": memory}
+    parts: dict[str, Callable[[int, bool], None]] = {
+        "writing": writing,
+        "workers": workers,
+        "memory": memory,
+        "maps": lambda turns, small: maps(1, small, options.against),
+    }
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", choices=parts)
     parser.add_argument("--small", action="store_true", help="a few runs, one turn; every row and check")
+    parser.add_argument("--against", metavar="FOLDER", help="another checkout, whose maps are made in turn")
     options = parser.parse_args()
     for name, part in parts.items():
         if options.only in (None, name):

@@ -2,6 +2,7 @@
 
 import json
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated
 
 import typer
@@ -36,6 +37,7 @@ def run(
     block: Annotated[int | None, typer.Option(help="seeds a file; of no influence on any number")] = None,
     metric: Metric = RANKS,
     signal: Signals = None,
+    timings: Annotated[bool, typer.Option("--timings", help="say where the time went")] = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
@@ -43,6 +45,7 @@ def run(
 
     Example: pcbench run quick --seeds 512 --out first-look
     """
+    began = perf_counter()
     setup()
     from pcbench import api, statistics
     from pcbench.cli import ahead
@@ -96,6 +99,8 @@ def run(
 
             gains.fair(result.fair, screen)
         screen.print(results.took(result, into), highlight=False, markup=False, soft_wrap=True)
+        for line in results.timings(result, perf_counter() - began) if timings else []:
+            screen.print(line, highlight=False, markup=False, soft_wrap=True)
         screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)
 
 

@@ -14,6 +14,7 @@ from pcbench import planning
 from pcbench.dataset import block_files, ownership, store, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.columns import SCHEMA
+from pcbench.dataset.cost import Cost, added
 from pcbench.dataset.executors import Executor
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.pickled import pack
@@ -21,6 +22,7 @@ from pcbench.dataset.seeds import Seeds, counted, gaps
 from pcbench.errors import UserError
 from pcbench.machine import provenance
 from pcbench.machine.progress import SILENT, Progress
+from pcbench.machine.stopwatch import Stopwatch
 from pcbench.planning import once, padding
 from pcbench.planning.padding import Plan
 from pcbench.study.cells import Cell
@@ -40,24 +42,6 @@ class Sizes(NamedTuple):
     block: int | None = None  # seeds a block
     memory: float = float("inf")  # bytes that results may take at a time
     apart: bool = False  # whether tasks are done by other processes
-
-
-class Cost(NamedTuple):
-    """What a run of a study took."""
-
-    runs: int = 0
-    writing_seconds: float = 0.0
-    compiled: Mapping[Any, float] = MappingProxyType({})  # seconds by program
-
-    @property
-    def compile_seconds(self) -> float:
-        """Return the seconds that programs took to make."""
-        return sum(self.compiled.values())
-
-
-def added(a: Cost, b: Cost) -> Cost:
-    """Return what two runs took together."""
-    return Cost(a.runs + b.runs, a.writing_seconds + b.writing_seconds, {**a.compiled, **b.compiled})
 
 
 def everything(owned: Owned, there: list[Block], more: Mapping[str, int] = MappingProxyType({})) -> SeedsOf:
@@ -157,23 +141,27 @@ def fill(
     if not todo:
         ownership.renew(target, owned)
         return Cost()
-    planned = _planned(owned, todo, wanted)
+    cost, took = Cost(), Stopwatch()
+    with took("planning"):
+        planned = _planned(owned, todo, wanted)
     ownership.begin(target, owned)
     progress.begin("runs", runs_in(todo))
     progress.note("compiling")
     work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
     heard = close(*_expected(there, todo)) if close else None
     compiled: dict[Any, float] = {}
-    runs, writing = 0, 0.0
-    for report in execute(work, planned.tasks(wanted, sizes.apart)):
+    for report in execute(work, took.each("planning", planned.tasks(wanted, sizes.apart))):
         _alike(report)
         compiled[report.program] = report.compile_seconds
-        runs, writing = runs + report.runs, writing + report.writing_seconds
+        spent = Cost(report.runs, {}, 0.0, report.computing_seconds, report.writing_seconds)
+        cost = added(cost, spent)
         progress.step(report.runs)
         if heard:
-            heard(report.cell, report.runs)
+            with took("closing"):
+                heard(report.cell, report.runs)
         progress.note("simulating")
-    return Cost(runs, writing, compiled)
+    seconds = took.seconds
+    return cost._replace(compiled=compiled, planning_seconds=seconds["planning"], closing_seconds=seconds["closing"])
 
 
 def _expected(there: list[Block], todo: Gaps) -> tuple[list[Block], dict[tuple[str, int], int]]:

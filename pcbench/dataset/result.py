@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, columns, earlier, fill, ownership, parquet, store, summary
+from pcbench.dataset import block_files, columns, earlier, ownership, parquet, store, summary
+from pcbench.dataset.cost import Cost
 from pcbench.dataset.verify import FAIR
 from pcbench.errors import UserError, said
 from pcbench.statistics.wording import UNPROVEN
@@ -29,7 +30,7 @@ def opened(out: str | Path) -> "Result":
             f"{target.name}: got a study without closing tables of its runs, expected a finished one; go on with pcbench run "
             f"{target.name}/study.toml --out {target.name}."
         )
-    result = Result(owned.study, target, out, fill.Cost())
+    result = Result(owned.study, target, out, Cost())
     if (found := store.get(target, FAIR)) is not None:
         if (table := parquet.whole(found)) is None:
             raise UserError(
@@ -51,7 +52,7 @@ class Result:
         study: Study,
         target: store.Target,
         out: Path | str | None,
-        cost: fill.Cost,
+        cost: Cost,
         keep: TemporaryDirectory[str] | None = None,
     ):
         self.study, self.out, self.cost, self._target, self._keep = study, out, cost, target, keep

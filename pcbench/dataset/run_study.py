@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from pcbench.dataset import block_files, executors, fill, ownership, precision, store, summary
+from pcbench.dataset.cost import added
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.machine import process
@@ -70,7 +71,7 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         cost = fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress, once)
         for wanted in precision.rounds(goal, target, owned, say):
             there = block_files.settled(block_files.present(target))
-            cost = fill.added(cost, fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress))
+            cost = added(cost, fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress))
         there = block_files.settled(block_files.present(target))
         if cost.runs or not summary.is_closed(target, there):
             how.progress.note("statistics")
@@ -78,7 +79,10 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
                 "started": began.isoformat(timespec="seconds"),
                 "wall_seconds": round(perf_counter() - start, 3),
                 "compile_seconds": round(cost.compile_seconds, 3),
+                "planning_seconds": round(cost.planning_seconds, 3),
+                "computing_seconds": round(cost.computing_seconds, 3),
                 "writing_seconds": round(cost.writing_seconds, 3),
+                "closing_seconds": round(cost.closing_seconds, 3),
                 "runs_added": cost.runs,
                 "until_se": how.until_se,
             }

@@ -57,13 +57,16 @@ class Report(NamedTuple):
     program: tuple[str, int]  # which one computed it, of which process
     compile_seconds: float  # that this program took to make
     writing_seconds: float
+    computing_seconds: float  # while it held its device, the making of the program included
     versions: dict[str, str]  # of what computed it
 
 
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     """Do a task: simulate its seeds while holding a device, then write its blocks; raise UserError where that fails."""
     with hold() as device:
+        began = perf_counter()
         p, results, made = simulated(work, task, device)
+        computing = perf_counter() - began
     start, target = perf_counter(), store.target(work.out)
     for name, table in files(work, task, p, results):
         store.put_table(target, name, table)
@@ -73,6 +76,7 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         program=(process.name(), id(made)),
         compile_seconds=made.compile_seconds,
         writing_seconds=perf_counter() - start,
+        computing_seconds=computing,
         versions=provenance.versions(),
     )
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 FOLDER = Path(__file__).parents[2] / "benchmarks"
-HELPERS = {"baselines", "turns"}  # imported by the others
+HELPERS = {"baselines", "map_study", "turns"}  # imported by the others
 ROWS = {  # what each prints, and how often
     "throughput": {"(a)": 1, "(b)": 1, "(c)": 1, "pcbench, streams": 2, "pcbench, full product": 2, "random start": 2},
     "random_schedules": {
@@ -22,7 +22,7 @@ ROWS = {  # what each prints, and how often
         "overtaking": 1,
     },
     "tuning": {"cart/white": 1, "cart/variable": 1},
-    "studies": {"writing: ": 3, "workers: efficiency": 2, "workers: two workers do": 1, "memory: ": 2},
+    "studies": {"writing: ": 3, "workers: efficiency": 2, "workers: two workers do": 1, "memory: ": 2, "maps: ": 1},
     "survival": {
         "undisturbed: ": 1,
         "each byte for byte as undisturbed": 1,

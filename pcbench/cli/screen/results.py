@@ -210,3 +210,22 @@ def took(result: Result, folder: str) -> str:
         return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
     spent = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
     return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {spent}."
+
+
+def timings(result: Result, seconds: float) -> list[str]:
+    """Return where the time of a run went, a line each; `seconds` since the command began."""
+    p = result.provenance
+    if not result.cost.runs:
+        return []
+    rows = {
+        "from the command to the study": (
+            max(seconds - p["wall_seconds"], 0.0),
+            "imports, reading, designs that are tuned",
+        ),
+        "planning": (p["planning_seconds"], "designs, schedules, bounds"),
+        "computing": (p["computing_seconds"], f"on all threads, {p['compile_seconds']:.1f} s of it making programs"),
+        "writing": (p["writing_seconds"], "on all threads"),
+        "closing tables, beside": (p["closing_seconds"], "while others compute"),
+        "the study in all": (p["wall_seconds"], f"{p['runs_added']:,} runs"),
+    }
+    return [f"{what:<30}{took:9.2f} s   {how}" for what, (took, how) in rows.items()]
