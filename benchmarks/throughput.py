@@ -1,6 +1,6 @@
 """Lane-ticks a second: pcbench beside a NumPy loop, NumPy over runs and numba, all in one process.
 
-    python benchmarks/throughput.py [--small] [--json]
+    python benchmarks/throughput.py [--small] [--json] [--history benchmarks/history.csv]
 
 With --small it has few lanes, few ticks and one turn, with every row and every check: its figures mean nothing then.
 
@@ -13,12 +13,15 @@ core is held to it. pcbench on one device computes on one thread, but the runtim
 and held to the same core it would take half of it: so that row is not held. `taskset -c 0 python benchmarks/throughput.py`
 gives the whole process one core.
 A turn of pcbench is what a user gets: jobs stacked, sent, simulated and read. All draw their noise inside the time.
+With --history a table of ratios on one core gets a line, one a release: they are of one process, whatever the machine.
 Not claimed: that the baselines could not be faster; only that they are what a person would write.
 """
 
 import argparse
+import csv
 import json
 import sys
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -30,8 +33,9 @@ from rich.console import Console
 from rich.table import Table
 from turns import Row, Timed, take
 
+import pcbench
 from pcbench import planning
-from pcbench.machine import process
+from pcbench.machine import process, provenance
 from pcbench.simulation import batch, draws
 from pcbench.simulation.problem import Layout, Outcome, Problem
 from pcbench.study import read
@@ -172,11 +176,26 @@ def show(found: list[dict[str, Any]], console: Console) -> None:
     console.print(table)
 
 
+def remember(found: list[dict[str, Any]], path: Path) -> None:
+    """Add a line with pcbench's rates on one core over those of numba and of NumPy over runs."""
+    alone = {row["what"]: row["best"] for row in found if row["cores"] == 1}
+    line = {"release": pcbench.__version__, "commit": (provenance.describe()["git"] or {}).get("commit", "")[:10]}
+    for other, what in (("numba", "(c) numba, a loop per run"), ("NumPy", "(b) NumPy over runs")):
+        line |= {f"{kind} / {other}": f"{alone[kind] / alone[what]:.2f}" for kind in KINDS}
+    new = not path.exists()
+    with path.open("a", newline="") as file:
+        table = csv.DictWriter(file, line)
+        if new:
+            table.writeheader()
+        table.writerow(line)
+
+
 def main() -> None:
     """Parse, check, time, print."""
     parser = argparse.ArgumentParser(description="Lane-ticks a second of pcbench, NumPy and numba on cart/white.")
     parser.add_argument("--small", action="store_true", help="few ticks and one turn; every row and check")
     parser.add_argument("--json", action="store_true", help="print JSON for a program instead of the table")
+    parser.add_argument("--history", type=Path, help="a table of ratios that gets a line")
     options = parser.parse_args()
     process.setup()
     jax.config.update("jax_platforms", "cpu")
@@ -197,6 +216,8 @@ def main() -> None:
     check_baselines(case, problems, sums)
     rows = others + rows
     found = report(rows, take(rows, 1 if options.small else 5), ticks)
+    if options.history:
+        remember(found, options.history)
     if options.json:
         print(json.dumps({"scenario": SCENARIO, "unit": "million lane-ticks a second", "rows": found}, indent=2))
     else:
