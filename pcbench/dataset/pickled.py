@@ -1,11 +1,10 @@
-"""A planned cell as bytes, to be laid aside or sent to another process, and back.
+"""A planned cell as bytes, to be sent to another process, and back.
 
 Numbers travel; functions do not: they are found again by name, so that a program compiled for one cell serves the next, and
 the gains are those that were designed and certified once, in one place.
 """
 
 import pickle
-from pathlib import Path
 from types import MappingProxyType
 
 from pcbench import plants
@@ -48,17 +47,3 @@ def unpack(parcel: bytes | Plan) -> Plan:
     each = tuple((name, cell.entry(o).observer) for name, o in zip(names, p.labels, strict=True))
     plant, law = plants.entry_of(s).plant, controller.controller(cell)
     return p._replace(cell=cell, layout=p.layout._replace(plant=plant, observers=each, controller=law))
-
-
-def lay_aside(p: Plan, path: Path) -> Path | Plan:
-    """Write a planned cell to a file and return its path; return the cell itself where it cannot be written."""
-    parcel = pack(p)
-    if isinstance(parcel, Plan):
-        return parcel
-    path.write_bytes(parcel)
-    return path
-
-
-def take_up(laid: Path | Plan) -> bytes | Plan:
-    """Return what was laid aside: bytes, or a planned cell."""
-    return laid.read_bytes() if isinstance(laid, Path) else laid

@@ -47,7 +47,7 @@ def asked(layout: Any, problem: Any, device: Any, options: Any) -> str | None:
     `problem` has the kind of each array as a text in its place.
     """
     try:
-        said = [_said(layout), _said(problem), repr(device), repr(options), _settings(), _machine(), _source()]
+        said = [_said(layout), _said(problem), _device(device), repr(options), _settings(), _machine(), _source()]
     except LookupError:
         return None
     return _digest(said)
@@ -60,7 +60,7 @@ def kind(array: Any) -> str:
 
 def of_text(text: str, device: Any, options: Any) -> str:
     """Return what tells a lowered program from all others."""
-    return _digest([text, repr(device), repr(options), _settings(), _machine()])
+    return _digest([text, _device(device), repr(options), _settings(), _machine()])
 
 
 def known(where: Path, asked: str) -> str | None:
@@ -144,6 +144,11 @@ def _said(what: Any) -> Any:
 
 def _digest(said: Any) -> str:
     return hashlib.sha256(repr(said).encode()).hexdigest()[:40]
+
+
+def _device(device: Any) -> str:
+    """Return what decides how a text is compiled for a device."""
+    return repr(device and [device, device.device_kind, device.client.platform_version])
 
 
 def _settings() -> list[str]:
