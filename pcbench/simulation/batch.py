@@ -98,13 +98,16 @@ def _made(layout: Layout, device: Any, given: Any, options: Any, asked: str | No
     if where and text and (found := kept_programs.load(where, text, device)) is not None:
         return found
 
-    def simulate(*a: Any) -> Outcome:  # its name is the program's
+    def simulate(*a: Any) -> Outcome:
         return loop.simulate(layout, *a)
 
+    simulate.__name__ = name = (
+        f"simulate_{asked[:16]}" if asked else "simulate"
+    )  # jax's cache is not to know it by another
     lowered = jax.jit(simulate).lower(*given)
     if where is None:
         return lowered.compile(options)
-    text = kept_programs.of_text(lowered.as_text(), device, options)
+    text = kept_programs.of_text(lowered.as_text().replace(name, "simulate"), device, options)
     made = kept_programs.load(where, text, device)
     if made is not None:
         kept_programs.keep(where, text, asked)
