@@ -1,4 +1,4 @@
-"""The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
+"""The Python face of pcbench: `run`, `exact`, `trace` and `design`."""
 
 import warnings
 from pathlib import Path
@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from pcbench.dataset import run_study
+from pcbench.dataset.exact import Exact
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
@@ -77,6 +78,33 @@ def run(
             (say or warnings.warn)(sentence)
         made = versions.prepare(grid, out, fresh, progress)
         return fair_table.report(made, run_study.execute(made.grid, out, how), out, how)
+
+
+def exact(
+    study: Described,
+    *,
+    observers: str | list[str] | None = None,
+    axes: dict[str, list[Any]] | None = None,
+    options: dict[str, dict[str, Any]] | None = None,
+    root_seed: int | None = None,
+    overrides: list[str] | None = None,
+    schedules: int = 64,
+    progress: Progress = SILENT,
+) -> Exact:
+    """Return what a study's numbers are over infinitely many seeds, where they have an exact answer: no seed is simulated.
+
+    Arguments are those of `run`. The answer is exact where plant, observer and controller are affine in the noise, given the
+    schedule; that is tried in every cell, and where it fails `stats` says so and by how much. `schedules` is over how many of
+    its runs' schedules a random cell is averaged. `.stats` is like a result's, `.moments()` are mean and standard deviation of
+    the errors over time, `.covariance()` is of all errors of a cell together.
+    """
+    if schedules < 2:
+        raise UserError(f"schedules: got {schedules}, expected 2 or more.")
+    observers = [observers] if isinstance(observers, str) else observers
+    changes = {"observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
+    with process.float64():
+        grid = grid_of(study, changes, overrides or [])
+        return Exact(versions.prepare(grid, None, False, progress).grid, schedules)
 
 
 def trace(

@@ -46,7 +46,7 @@ def rows_of(
         name: {"carries_input": each.about["carries_input"], "certified": is_certified(each.about["certificate"])}
         for name, each in found.items()
     }
-    bounds = {name: _seen(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
+    bounds = {name: seen_bound(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
     described, compared = statistics.summarise(
         lambda: chunks(target, found, within), bounds, names, s.belief.prior_std + s.belief.unknown_std
     )
@@ -64,8 +64,8 @@ def rows_of(
     return stats, pairs
 
 
-def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
-    """The bound, NaN where it is so small a part of the prior that it is zero for every purpose."""
+def seen_bound(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
+    """Return the bound, NaN where it is so small a part of the prior that it is zero for every purpose."""
     if bound is None:
         return None
     return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])

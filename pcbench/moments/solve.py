@@ -1,0 +1,142 @@
+"""From cells to their moments: cells that share a program and their long tables go through it together, some at a time.
+
+Cells are planned while others are computed, so that what is held does not grow with their number.
+"""
+
+from collections.abc import Hashable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from pcbench.moments.compiled import MANY, compute
+from pcbench.moments.given import shared_of
+from pcbench.moments.program import Found
+from pcbench.moments.realised import Realised, random, realised
+from pcbench.moments.sums import Sums
+from pcbench.planning import drafts, padding
+from pcbench.planning.padding import Plan
+from pcbench.simulation import batch
+from pcbench.simulation.problem import Problem
+from pcbench.simulation.schedule import per_lane
+from pcbench.study.cells import Cell
+
+WAITING = 8 * MANY  # realisations that wait for others to share a call with, at most
+
+
+class CellMoments(NamedTuple):
+    """Of one planned cell; S realisations of what is random besides the noise (1: nothing is)."""
+
+    planned: Plan  # without its long tables
+    random: bool  # other runs have other schedules
+    signals: dict[str, slice]  # by observer label, its place among the Z signals
+    sums: Sums  # arrays [..., S]
+    rows: Any = ()  # Recorded [..., S]
+
+
+class Asked(NamedTuple):
+    """What is asked of all cells of a study."""
+
+    root_seed: int
+    schedules: int  # realisations of a random cell: those of the first seeds
+    recorded: str = ""  # nothing, "std" or "covariance" at every tick
+
+
+def planned(cells: list[Cell]) -> Iterator[Plan]:
+    """Yield the cells ready to run, with one room for packets: few shapes, few programs."""
+    ring = max(per_lane.room(c.times.clocks, c.times.ticks, c.times.error) for c in cells)
+    for p in padding.checked(drafts(cells)):
+        room = padding.room_of(p)
+        yield padding.fitted(p, room._replace(ring=max(room.ring, padding.rounded(ring))))
+
+
+def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
+    """Yield the moments of each planned cell, in their order."""
+    parts: dict[int, list[Part]] = {}
+    done = 0
+    with ThreadPoolExecutor(batch.cores()) as pool:
+        for items, found in _computed(pool, _batches(plans, asked), asked.recorded):
+            for at, item in enumerate(items):
+                parts.setdefault(item.cell, []).append(Part(item, jax.tree.map(lambda a, at=at: a[..., at], found)))
+            while done in parts and len(parts[done]) == parts[done][0].item.many:
+                yield _gathered(parts.pop(done))
+                done += 1
+
+
+class Item(NamedTuple):
+    """One realisation of one cell."""
+
+    planned: Plan  # without its long tables
+    cell: int
+    place: int  # which realisation, of
+    many: int
+    random: bool
+    sizes: dict[str, int]  # by observer, what it estimates
+    one: Realised
+
+
+def _signals(p: Plan) -> dict[str, int]:
+    """How many signals each observer of a planned cell estimates."""
+    n = len(p.problem.x0)
+    if n == len(p.problem.band):
+        return {label: n for label, _ in p.layout.observers}
+
+    def estimates(problem: Problem) -> dict[str, Any]:
+        gains, xhat0 = problem.gains, problem.xhat0
+        return {label: o.estimate(gains[label], o.init(gains[label], xhat0)) for label, o in p.layout.observers}
+
+    return {label: e.shape[0] for label, e in jax.eval_shape(estimates, p.problem).items()}
+
+
+class Part(NamedTuple):
+    """What it left."""
+
+    item: Item
+    found: Found
+
+
+def _batches(plans: Iterable[Plan], asked: Asked) -> Iterator[list[Item]]:
+    """Yield the cells of each call."""
+    groups: dict[Hashable, list[Item]] = {}
+    for number, p in enumerate(plans):
+        many = asked.schedules if random(p) else 1
+        light = p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={}))
+        for seed in range(many):
+            one = realised(p, asked.root_seed, seed)
+            group = groups.setdefault((one.layout, shared_of(one.problem)), [])
+            group.append(Item(light, number, seed, many, random(p), _signals(p), one))
+            if len(group) == MANY:
+                yield group[:]
+                group.clear()
+        if sum(map(len, groups.values())) > WAITING:
+            yield from filter(None, groups.values())
+            groups = {}
+    yield from filter(None, groups.values())
+
+
+def _computed(
+    pool: ThreadPoolExecutor, batches: Iterable[list[Item]], recorded: str
+) -> Iterator[tuple[list[Item], Found]]:
+    """Yield batches in their order with what they left, some under way at a time."""
+    waiting: list[tuple[list[Item], Future[Found]]] = []
+    for items in batches:
+        waiting.append((items, pool.submit(batch.in_float64, compute, [item.one for item in items], recorded)))
+        if len(waiting) > 2 * batch.cores():
+            first, future = waiting.pop(0)
+            yield first, future.result()
+    for items, future in waiting:
+        yield items, future.result()
+
+
+def _gathered(parts: list[Part]) -> CellMoments:
+    """Put the realisations of one cell together."""
+    parts = sorted(parts, key=lambda part: part.item.place)
+    p = parts[0].item.planned
+    whole = jax.tree.map(lambda *a: np.stack(a, -1), *(part.found for part in parts))
+    called = dict(zip((name for name, _ in p.layout.observers), p.labels, strict=True))
+    at, places = 0, {}
+    for name, many in sorted(parts[0].item.sizes.items()):
+        places[called[name]] = slice(at, at + many)
+        at += many
+    return CellMoments(p, parts[0].item.random, places, whole.sums, whole.rows)
