@@ -1,7 +1,7 @@
 """Is a cell's answer exact? Found by trying, cell by cell and observer by observer, for ours and a user's alike.
 
-Runs with noise, of its own size and eight times that with the other sign, must be where the run without noise and the
-derivative along that noise put them, at every tick, to rounding. That is more than e(v) + e(-v) = 2 e(0), which a sign
+A run with noise, eight times its own size, must be where the run without noise and the linear maps of its ticks and events put
+it, at every tick, to rounding. That is more than e(v) + e(-v) = 2 e(0), which a sign
 satisfies too. A run that may leave the scenario's bound counts as diverged and enters no average, so there the moments of all
 runs are no answer.
 """

@@ -1,142 +1,137 @@
-"""Samples and arrivals of many cells: the protocol functions at an event, and packets on their way with their directions.
+"""Samples and arrivals of many cells: the protocol functions at an event, and what they make of a covariance.
 
 Cells have events at ticks of their own: at a tick where some cell has one, all go through it, and what is not there changes
-nothing.
+nothing. A sample's noise joins it when it arrives, as nothing sees it before: what is on the network needs no room for noise,
+and none at all where the plant has no noise of its own.
 """
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
+from jaxtyping import Float
 
-from pcbench.moments.bundle import Bundle, Carry, through
+from pcbench.moments.covariance import both, product, squared
 from pcbench.moments.given import Plan
+from pcbench.moments.vector import Form, slope, vector
 from pcbench.simulation import steps
 from pcbench.simulation.problem import Layout, Packet, State
 from pcbench.simulation.steps import Row
 
 
-class Flight(NamedTuple):
-    """Packets on the network, in rings: bundles of arrays [..., rows, numbers, C]."""
+class Moving(NamedTuple):
+    """What moves, of C cells: the run without noise and runs with noise; D numbers that noise reaches, packets after the state."""
 
-    values: Bundle
-    notes: Bundle  # of all observers, one after another
-
-
-class Size(NamedTuple):
-    """Of a batch."""
-
-    cells: int
-    directions: int  # that are compressed when they are full
-    probes: int  # runs with noise
-
-    @property
-    def lead(self) -> tuple[int, int]:
-        """Return the runs, and all directions: those that are compressed, and those of the runs with noise."""
-        return 1 + self.probes, self.directions + self.probes
+    runs: State  # [1 + P, ..., C]
+    flight: Float[Array, "1+P rows f C"]  # packets on the network by number: what was measured, what was noted
+    P: Float[Array, "D D C"]  # covariance
+    apart: Float[Array, "P D C"]  # where linear maps put the runs with noise, less the run without
 
 
-def sense(layout: Layout, p: Any, k: Array, state: State, noise: Array, fixed: Any) -> tuple[Array, Array]:
-    """Return what is measured [q] and what is noted, of all observers."""
-    y = steps.measure(layout, p, k, state, noise)
+class Means(NamedTuple):
+    """What events of a batch go by."""
+
+    layout: Layout
+    form: Form
+    over: Any  # over_cells
+    plan: Plan
+    std: Array  # [q, C] of a sample
+
+
+def sense(layout: Layout, p: Any, k: Array, state: State, nothing: Any, rest: Any) -> Array:
+    """Return what is measured, without its noise, and what is noted, of all observers: [f]."""
+    y = steps.measure(layout, p, k, state, jnp.zeros(p.noise_std.shape[0]))
     notes = steps.note(layout, p, k, state)
-    return y, jnp.concatenate([notes[label] for label, _ in layout.observers])
+    return jnp.concatenate([y, *(notes[label] for label, _ in layout.observers)])
 
 
-def jump(layout: Layout, p: Any, k: Array, state: State, packet: tuple[Array, Array], row: Any) -> Any:
-    """Return the memories after a packet, where one arrives: `row` is (whether, Row)."""
-    there, about = row
+def jump(layout: Layout, p: Any, k: Array, state: State, packet: Array, rest: Any) -> State:
+    """Return the state after a packet [f], where one arrives: `rest` is (whether, Row)."""
+    there, about = rest
     found = jax.eval_shape(lambda state: steps.note(layout, p, k, state), state)
-    each, at = {}, 0
+    each, at = {}, p.noise_std.shape[0]
     for label, _ in layout.observers:
-        each[label] = packet[1][at : at + found[label].shape[0]]
+        each[label] = packet[at : at + found[label].shape[0]]
         at += found[label].shape[0]
-    after = steps.jump(layout, p, k, state, about, Packet(packet[0], each))
-    return jax.tree.map(lambda a, b: jnp.where(there, a, b).astype(b.dtype), after, state.memories)
+    after = steps.jump(layout, p, k, state, about, Packet(packet[: p.noise_std.shape[0]], each))
+    new = jax.tree.map(lambda a, b: jnp.where(there, a, b).astype(b.dtype), after, state.memories)
+    return state._replace(memories=new)
 
 
-def happen(
-    layout: Layout, carry: Carry, plan: Plan, k: Array, state: Bundle, flight: Flight, noise: Bundle
-) -> tuple[Bundle, Flight]:
-    """Let everything that the schedules have for tick k happen: sense and note, then deliver, the oldest packet first."""
-    y, notes = _sensed(layout, carry, k, state, noise)
-    measured = plan.useful[k][None] & (plan.number[k] >= 0)
-    flight = Flight(
-        _put(flight.values, plan.sense[k], y, measured, layout.ring),
-        _put(flight.notes, plan.note[k], notes, plan.noted[k][None], layout.ring),
-    )
+def happen(by: Means, k: Array, m: Moving, noise: Array) -> Moving:
+    """Let everything that the schedules have for tick k happen: sense and note, then deliver, the oldest packet first.
 
-    def deliver(slot: Array, carried: tuple[Bundle, Flight]) -> tuple[Bundle, Flight]:
-        state, flight = carried
-        number = plan.arrive[k, slot]
-        place = jnp.where(number >= 0, number % layout.ring, layout.ring)
-        runs, along = (tuple(_take(part, place) for part in parts) for parts in zip(*flight, strict=True))
-        packet = Bundle(runs, tuple(x if x.size else None for x in along))
-        row = Row(plan.fresh[k, slot], k - plan.believed[k, slot], plan.index[k, slot], plan.since[k, slot])
-        row = row._replace(age=jnp.broadcast_to(row.age[None], row.fresh.shape))
-        memories = through(partial(jump, layout), carry, k, state, packet, (number >= 0, row))
-        state = Bundle(*(s._replace(memories=m) for s, m in zip(state, memories, strict=True)))
-        return state, Flight(*(_faded(kind, place, plan.done[k, slot]) for kind in flight))
-
-    return lax.fori_loop(0, plan.arrive.shape[1], deliver, (state, flight))
-
-
-def launched(layout: Layout, carry: Carry, plan: Plan, state: Bundle, silent: Bundle, noises: list[Bundle]) -> Flight:
-    """Return the rings before tick 0: packets taken before it have measured the start, and the start's note is in every place.
-
-    `noises` are those of the packets taken before tick 0, in their order; `silent` is none.
+    `noise` [P, S, q] is that of the runs with noise, by arrival.
     """
-    zero = jnp.asarray(0)
+    q = by.std.shape[0]
+    number = jnp.stack([by.plan.sense[k]] * q + [by.plan.note[k]] * (m.flight.shape[2] - q))
+    m = taken(by, k, m, jnp.arange(m.flight.shape[1] - 1)[:, None, None] == _place(number, m)[None])
 
-    def ring(x: Array, times: float) -> Array:
-        return jnp.repeat(x[..., None, :, :], layout.ring + 1, -3) * times
+    def deliver(slot: Array, m: Moving) -> Moving:
+        return _delivered(by, k, slot, m, noise[:, slot])
 
-    y, notes = _sensed(layout, carry, zero, state, silent)
-    values = Bundle(*(ring(x, 0.0) for x in y))
-    for place, noise in enumerate(noises):
-        there = jnp.where(jnp.any(plan.early[place] >= 0, 0), place, layout.ring)
-        y, _ = _sensed(layout, carry, zero, state, noise)
-        values = Bundle(*(_write(each, there, x) for each, x in zip(values, y, strict=True)))
-    return Flight(values, Bundle(*(ring(x, 1.0) for x in notes)))
+    return lax.fori_loop(0, by.plan.arrive.shape[1], deliver, m)
 
 
-def _sensed(layout: Layout, carry: Carry, k: Array, state: Bundle, noise: Bundle) -> tuple[Bundle, Bundle]:
-    """What is measured and what is noted, as arrays [..., numbers, C]."""
-    found = through(partial(sense, layout), carry, k, state, noise)
-    (y, notes), (along, noted) = found
-    if noted is None:  # nothing is noted
-        noted = jnp.zeros((along.shape[0], *notes.shape[1:]))
-    return Bundle(y, along), Bundle(notes, noted)
+def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
+    """Put what is measured and noted now in the places [rows, f, C] that are `here`."""
+    here = jnp.concatenate([here, jnp.zeros_like(here[:1])])
+    nothing = jnp.zeros((0, by.std.shape[1]))
+    new = jax.vmap(lambda state: by.over(partial(sense, by.layout))(k, state, nothing, ()))(m.runs)
+    flight = jnp.where(here[None], new[:, None], m.flight)
+    if not by.form.flight:
+        return m._replace(flight=flight)
+    M = by.over(slope(by.form, partial(sense, by.layout), lambda y: y))(k, _mean(m), nothing, ())
+    A, shape = M.shape[1], here.shape[:2]
+
+    def rows(P: Array) -> Array:
+        packets = P[A:].reshape(*shape, *P.shape[1:])
+        put = jnp.where(here[:, :, None], product(M, P[:A])[None], packets)
+        return jnp.concatenate([P[:A], put.reshape(P[A:].shape)])
+
+    return m._replace(flight=flight, P=both(rows, m.P), apart=_each(rows, m.apart))
 
 
-def _put(flight: Bundle, number: Array, new: Bundle, used: Array, rows: int) -> Bundle:
-    """Write a packet of each cell into its ring; directions of what nobody will use are left out."""
-    place = jnp.where(number >= 0, number % rows, rows)
-    return Bundle(
-        _write(flight.runs, place, new.runs),
-        _write(flight.directions, place, jnp.where(used[None], new.directions, 0.0)),
-    )
+def _delivered(by: Means, k: Array, slot: Array, m: Moving, noise: Array) -> Moving:
+    """Hand one packet of each cell over."""
+    plan, q, form = by.plan, by.std.shape[0], by.form
+    number = plan.arrive[k, slot]
+    row = Row(plan.fresh[k, slot], k - plan.believed[k, slot], plan.index[k, slot], plan.since[k, slot])
+    row = row._replace(age=jnp.broadcast_to(row.age[None], row.fresh.shape))
+    rest = number >= 0, row
+    here = (jnp.arange(m.flight.shape[1])[:, None] == _place(number, m)[None])[:, None]
+    packets = jnp.sum(jnp.where(here[None], m.flight, 0.0), 1)
+    M = by.over(slope(form, partial(jump, by.layout), partial(vector, form)))(k, _mean(m), packets[0], rest)
+    A, scaled = M.shape[0], noise[:, :, None] * by.std[None]
+    packets = packets.at[1:, :q].add(scaled)
+    runs = jax.vmap(lambda state, packet: by.over(partial(jump, by.layout))(k, state, packet, rest))(m.runs, packets)
+    G = M[:, A : A + q] * by.std[None]
+
+    def rows(P: Array) -> Array:
+        found = product(M[:, :A], P[:A])
+        if form.flight:
+            packets = P[A:].reshape(*m.flight.shape[1:3], *P.shape[1:])
+            found = found + product(M[:, A:], jnp.sum(jnp.where(here[:, :, None], packets, 0.0), 0))
+        return jnp.concatenate([found, P[A:]])
+
+    moved = _each(rows, m.apart)
+    pushed = jnp.sum(M[None, :, A : A + q] * scaled[:, None], 2)
+    return m._replace(runs=runs, P=both(rows, m.P).at[:A, :A].add(squared(G)), apart=moved.at[:, :A].add(pushed))
 
 
-def _write(ring: Array, place: Array, x: Array) -> Array:
-    return jnp.where(_here(ring, place), x[..., None, :, :], ring)
+def _place(number: Array, m: Moving) -> Array:
+    """The row of a packet; the last one, which nothing reads, of none."""
+    rows = m.flight.shape[1] - 1
+    return jnp.where(number >= 0, number % rows, rows)
 
 
-def _take(ring: Array, place: Array) -> Array:
-    at = jnp.broadcast_to(place, (*ring.shape[:-3], 1, *ring.shape[-2:]))
-    return jnp.take_along_axis(ring, at, -3)[..., 0, :, :]
+def _each(rows: Callable[[Array], Array], apart: Array) -> Array:
+    """Carry vectors [P, D, C] by what moves rows."""
+    return jax.vmap(lambda d: rows(d[:, None])[:, 0])(apart)
 
 
-def _faded(ring: Bundle, place: Array, done: Array) -> Bundle:
-    """Forget the directions of a packet of which nothing more will arrive: they would take up room."""
-    return ring._replace(
-        directions=jnp.where(_here(ring.directions, place) & done[None, None, None], 0.0, ring.directions)
-    )
-
-
-def _here(ring: Array, place: Array) -> Array:
-    """Which rows are meant, [..., rows, 1, C] as the ring has axes."""
-    here = jnp.arange(ring.shape[-3])[:, None, None] == place[None, None]
-    return here.reshape(*(1 for _ in ring.shape[:-3]), *here.shape)
+def _mean(m: Moving) -> State:
+    return jax.tree.map(lambda a: a[0], m.runs)

@@ -14,23 +14,20 @@ from pcbench.simulation.problem import Problem
 from pcbench.simulation.schedule.shared import Schedule
 
 KEY = 20170607  # of the noise in runs that test whether a cell is affine: no result depends on it
-SMALL = 64  # numbers of an array that each cell may have its own of
+SCALES = (-8.0,)  # of the noise in the runs that test whether a cell is affine
+SMALL = 256  # numbers of an array that each cell may have its own of
 
 
 class Plan(NamedTuple):
     """Schedules of C cells, by tick; q channels, S arrivals a tick, N + 1 ticks."""
 
     sense: Any  # [N+1, C] the packet taken; -1: none
-    number: Any  # [N+1, q, C] which sample of its channel; -1: not in the packet
-    useful: Any  # [N+1, C] some of the packet taken will arrive
     note: Any  # [N+1, C]
-    noted: Any  # [N+1, C] what is noted will be used
     arrive: Any  # [N+1, S, C]
     believed: Any  # [N+1, S, C]
     fresh: Any  # [N+1, S, q, C]
     index: Any  # [N+1, S, q, C]
     since: Any  # [N+1, S, C]
-    done: Any  # [N+1, S, C] nothing more of this packet will arrive
     next_event: Any  # [N+1, C]
     early: Any  # [E, q, C] samples of packets taken before tick 0
 
@@ -40,8 +37,9 @@ class Given(NamedTuple):
 
     problem: Problem  # own arrays of each cell are [..., C]; its schedule stands in `plan`
     plan: Plan
-    noise: Any  # [N+1, q + n + m] of runs that test whether a cell is affine: of samples, of the process, of commands
-    start: Any  # [2, n] likewise
+    arrivals: Any  # [N+1, P, S, q] noise of the runs that test whether a cell is affine: of what arrives
+    ticks: Any  # [N+1, P, w] of the process and of commands
+    start: Any  # [P, 2 n] of the start
     network: Any  # (late, lost) [J, 1, C] uniform numbers of every decision of a network to the plant; (): none
 
 
@@ -52,32 +50,24 @@ def plan_of(schedules: list[Schedule]) -> Plan:
 
 
 def _plan(s: Schedule) -> Plan:
-    last = np.full(max(int(s.sense.max(initial=0)), len(s.early)) + 1, -1)  # tick of a packet's last arrival
-    ticks = np.arange(len(s.sense))
-    for slot in s.arrive.T:
-        there = slot >= 0
-        np.maximum.at(last, slot[there], ticks[there])
     return Plan(
         sense=s.sense,
-        number=s.sample,
-        useful=(s.sense >= 0) & (last[s.sense] >= 0),
         note=s.note,
-        noted=(s.note >= 0) & (last[s.note] >= ticks),
         arrive=s.arrive,
         believed=s.believed,
         fresh=s.fresh,
         index=s.number,
         since=s.since,
-        done=(s.arrive >= 0) & (last[s.arrive] == ticks[:, None]),
         next_event=s.next_event,
         early=s.early,
     )
 
 
 def own_of(problem: Problem) -> tuple[bool, ...]:
-    """Return for each array of a problem without its schedule whether each cell may have its own."""
-    leaves = jax.tree.leaves(problem._replace(schedule=()))
-    return tuple(0 < np.size(a) <= SMALL and np.issubdtype(np.asarray(a).dtype, np.inexact) for a in leaves)
+    """Return for each array of a problem without its schedule whether each cell may have its own: of all but times, if small."""
+    times = problem._replace(schedule=(), windows=np.zeros(0), jumps=np.zeros(0), network=())
+    own = jax.tree.map(lambda a: 0 < np.size(a) <= SMALL, times)
+    return tuple(jax.tree.leaves(own._replace(network=jax.tree.map(lambda a: False, problem.network))))
 
 
 def shared_of(problem: Problem) -> tuple[Any, ...]:
@@ -96,12 +86,14 @@ def together(problems: list[Problem], network: list[tuple[NDArray[np.float64], .
         for mine, each in zip(own, zip(*flat, strict=True), strict=True)
     ]
     p, draw = problems[0], np.random.default_rng(KEY).normal
-    sent = len(p.network.std) if p.network else 0
-    many = len(p.noise_std) + len(p.process_std) + sent
+    every = len(p.process_std) + (len(p.network.std) if p.network else 0)
+    ticks, slots = p.schedule.arrive.shape
+    size = np.asarray(SCALES)
     return Given(
         problem=jax.tree.unflatten(tree, leaves),
         plan=plan_of([p.schedule for p in problems]),
-        noise=draw(size=(len(p.schedule.event), many)),
-        start=draw(size=(2, len(p.x0))),
+        arrivals=draw(size=(ticks, len(size), slots, len(p.noise_std))) * size[:, None, None],
+        ticks=draw(size=(ticks, len(size), every)) * size[:, None],
+        start=draw(size=(len(size), 2 * len(p.x0))) * size[:, None],
         network=tuple(np.stack(each, -1) for each in zip(*network, strict=True)),
     )

@@ -6,16 +6,13 @@ import jax.numpy as jnp
 from jax import Array
 from jax.scipy.special import erf
 
-from pcbench.moments.bundle import Bundle
-from pcbench.moments.events import Size
-from pcbench.moments.given import Given
 from pcbench.simulation.metrics import Weights
 
 FAR = 6.0  # standard deviations: a run is taken to stay within so many of the mean
 
 
 class Seen(NamedTuple):
-    """What is read of a run at a tick, for one lane."""
+    """What is read of a run at a tick: of one lane, or of many arrays [..., C]."""
 
     errors: Any  # [Z] of all observers, in the order of their labels
     off: Any  # [r] set point less state, of a closed loop
@@ -31,11 +28,19 @@ class Sums(NamedTuple):
     mean: Array  # [Z, C] at the last tick
     std: Array
     reach: Array  # [Z, C] the largest |m| + FAR s
-    apart: Array  # [Z, C] how far a run with noise was from where its direction says
+    apart: Array  # [Z, C] how far a run with noise was from where linear maps put it
     size: Array  # [Z, C] the largest number in that comparison
     off: Any = ()  # [2, r, C] of a closed loop
     cost: Any = ()  # [2, C]
     input: Any = ()  # [2, C]
+
+
+class Read(NamedTuple):
+    """What a tick gives to the sums; V numbers that are read, in the order of `Seen`."""
+
+    runs: Seen  # [1 + P, ..., C]
+    covariance: Array  # [V, V, C]; of an open loop [V, 1, C], the variances
+    moved: Array  # [P, V, C] where linear maps put the runs with noise, less the run without
 
 
 def nothing(signals: int, targets: int | None, cells: int) -> Sums:
@@ -48,45 +53,45 @@ def nothing(signals: int, targets: int | None, cells: int) -> Sums:
     return sums._replace(off=jnp.zeros((2, targets, cells)), cost=both, input=both)
 
 
-def moments(seen: Bundle, name: str, size: Size) -> tuple[Array, Array]:
-    """Return mean [numbers, C] and directions [r, numbers, C] of what was read."""
-    runs, along = (getattr(part, name) for part in seen)
-    if along is None:
-        return runs[0], jnp.zeros((size.directions, *runs.shape[1:]))
-    return runs[0], along[: size.directions]
+def variances(read: Read) -> Array:
+    """Return the variances [V, C] of what was read."""
+    c = read.covariance
+    return c[:, 0] if c.shape[1] == 1 else jnp.stack([c[i, i] for i in range(len(c))])
 
 
-def added(s: Sums, seen: Bundle, weight: Array, given: Given, size: Size) -> Sums:
+def added(s: Sums, read: Read, weight: Array, weights: Any) -> Sums:
     """Take a tick into the sums; weight [2] says into which."""
-    s = _errors(s, seen, weight, size)
+    s = _errors(s, read, weight)
     if isinstance(s.input, tuple):
         return s
-    x, u, off = (moments(seen, name, size) for name in ("x", "u", "off"))
-    weights = given.problem.weights
+    z, r = read.runs.errors.shape[1], read.runs.off.shape[1]
+    first, n = z + r, read.runs.x.shape[1]
+    square = variances(read)
+    mean_off, x, u = read.runs.off[0], read.runs.x[0], read.runs.u[0]
     if isinstance(weights, Weights) and weights.Q1.size:
-        square = _form(weights.Q1, *x) + _form(weights.Q2, *u)
-        s = s._replace(cost=s.cost + weight[:, None] * square[None])
-    squares = jnp.sum(_square(*u), 0)
-    late = s.off + weight[:, None, None] * _square(*off)[None]
+        state, pushed = slice(first, first + n), slice(first + n, None)
+        cost = _form(weights.Q1, x, read.covariance[state, state]) + _form(
+            weights.Q2, u, read.covariance[pushed, pushed]
+        )
+        s = s._replace(cost=s.cost + weight[:, None] * cost[None])
+    squares = jnp.sum(u * u + square[first + n :], 0)
+    late = s.off + weight[:, None, None] * (mean_off * mean_off + square[z:first])[None]
     return s._replace(off=late, input=s.input + weight[:, None] * squares[None])
 
 
-def _square(mean: Array, along: Array) -> Array:
-    return mean * mean + jnp.sum(along * along, 0)
-
-
-def _form(Q: Array, mean: Array, along: Array) -> Array:
+def _form(Q: Array, mean: Array, covariance: Array) -> Array:
     """E z'Q z [C], of Q [n, n, C], or [n, n] of all cells."""
-    each = jnp.concatenate([mean[None], along])
-    return jnp.einsum("ric,ijc,rjc->c" if Q.ndim == 3 else "ric,ij,rjc->c", each, Q, each)
+    second = covariance + mean[:, None] * mean[None]
+    return jnp.sum((Q if Q.ndim == 3 else Q[:, :, None]) * second, (0, 1))
 
 
-def _errors(s: Sums, seen: Bundle, weight: Array, size: Size) -> Sums:
-    runs, along = seen.runs.errors, seen.directions.errors
-    mean, variance, twins = runs[0], jnp.sum(along[: size.directions] ** 2, 0), along[size.directions :]
-    std = jnp.sqrt(variance)
-    apart = jnp.abs(runs[1:] - (mean[None] + twins))
-    large = jnp.max(jnp.abs(runs), 0) + jnp.max(jnp.abs(twins), 0)
+def _errors(s: Sums, read: Read, weight: Array) -> Sums:
+    runs = read.runs.errors
+    mean, z = runs[0], runs.shape[1]
+    variance, moved = variances(read)[:z], read.moved[:, :z]
+    std = jnp.sqrt(jnp.maximum(variance, 0.0))
+    apart = jnp.abs(runs[1:] - (mean[None] + moved))
+    large = jnp.max(jnp.abs(runs), 0) + jnp.max(jnp.abs(moved), 0)
     scored, weight = weight[0] > 0, weight[:, None, None]
     return s._replace(
         square=s.square + weight * (mean * mean + variance)[None],
