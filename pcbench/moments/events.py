@@ -23,9 +23,9 @@ from pcbench.simulation.steps import Row
 
 
 class Moving(NamedTuple):
-    """What moves, of C cells: the run without noise and runs with noise; D numbers that noise reaches, packets after the state."""
+    """What moves, of C cells; D numbers that noise reaches, those of the state first, then those of packets."""
 
-    runs: State  # [1 + P, ..., C]
+    runs: State  # [1 + P, ..., C] the run without noise, and runs with noise
     flight: Float[Array, "1+P rows f C"]  # packets on the network by number: what was measured, what was noted
     P: Float[Array, "D D C"]  # covariance
     apart: Float[Array, "P D C"]  # where linear maps put the runs with noise, less the run without

@@ -64,7 +64,7 @@ def _plan(s: Schedule) -> Plan:
 
 
 def own_of(problem: Problem) -> tuple[bool, ...]:
-    """Return for each array of a problem without its schedule whether each cell may have its own: of all but times, if small."""
+    """Return for each array of a problem without its schedule whether each cell may have its own: if small, but for times."""
     times = problem._replace(schedule=(), windows=np.zeros(0), jumps=np.zeros(0), network=())
     own = jax.tree.map(lambda a: 0 < np.size(a) <= SMALL, times)
     return tuple(jax.tree.leaves(own._replace(network=jax.tree.map(lambda a: False, problem.network))))

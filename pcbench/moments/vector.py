@@ -82,7 +82,7 @@ def slope(form: Form, f: OneCell, flat: Callable[[Any], Array]) -> OneCell:
 
 
 def over_cells(p: Any, own: tuple[bool, ...]) -> Callable[[OneCell], Callable[..., Any]]:
-    """Return what carries a function of one cell over cells, on the last axis; `own` are the arrays of p that each has its own of."""
+    """Return what carries a function of one cell over cells, on the last axis; each has its own of the arrays `own` of p."""
     axes = jax.tree.unflatten(jax.tree.structure(p), [-1 if mine else None for mine in own])
 
     def over(f: OneCell) -> Callable[..., Any]:

@@ -46,6 +46,7 @@ def programs():
     from pcbench.simulation import batch
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exact, "_MADE", _kept_exact() if kept else {})
         patch.setattr(batch, "WIDTH", LANES)
         patch.setattr(batch, "HEAVY", LANES)
         patch.setattr(batch, "ONE_THREAD", batch.ONE_THREAD | options())
