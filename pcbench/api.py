@@ -33,6 +33,7 @@ def run(
     axes: dict[str, list[Any]] | None = None,
     options: dict[str, dict[str, Any]] | None = None,
     root_seed: int | None = None,
+    method: str | None = None,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
     fresh: bool = False,
@@ -49,7 +50,7 @@ def run(
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there: run again, it goes on.
 
     `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study; the arguments up to
-    `root_seed` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in `out` is not done
+    `method` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in `out` is not done
     again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of every observer is
     that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a scheduler's address,
     or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
@@ -60,7 +61,7 @@ def run(
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
-    grid = grid_of(study, changes | {"first_seed": first_seed}, overrides or [])
+    grid = grid_of(study, changes | {"first_seed": first_seed, "method": method}, overrides or [])
     with process.float64():
         how = run_study.How(
             fresh=fresh,

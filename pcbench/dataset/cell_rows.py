@@ -56,11 +56,11 @@ def rows_of(
         for row in rows:
             signal, unit = signals[row["signal"]]
             about = {"observer": name, "unit": columns.unit_of(row["metric"], unit), "signal": signal}
-            stats.append(head | row | known[name] | about)
+            stats.append(head | row | known[name] | about | {"method": "runs", "reason": None})
     for row in compared:
         of_both = {f"{what}_{side}": said for side in "ab" for what, said in known[row[f"observer_{side}"]].items()}
         unit = columns.unit_of(row["metric"], units[row["signal"]])
-        pairs.append(head | of_both | {"unit": unit, "p_holm": np.nan} | row)
+        pairs.append(head | of_both | {"unit": unit, "method": "runs", "p_holm": np.nan} | row)
     return stats, pairs
 
 

@@ -19,6 +19,8 @@ from pcbench.plants import signals_of
 from pcbench.study.cells import Cell, Grid
 from pcbench.synthesis.certificate import is_certified
 
+OVER_TIME = ("observer", "signal", "t", "mean", "std")
+
 
 class Joint(NamedTuple):
     """Mean and covariance of all errors of one cell together, at ticks 0 .. N; Z errors."""
@@ -37,16 +39,13 @@ class Exact:
 
     @cached_property
     def stats(self) -> pd.DataFrame:
-        """One row per cell, observer, signal and metric, like a result's `stats`, with `method` and `reason`.
+        """One row per cell, observer, signal and metric, like a result's `stats`: see its `method` and `reason`.
 
         A mean is the expected value and its se 0. Where runs have schedules of their own, a mean is over the first `schedules`
         of them, n says how many, and se is of schedules alone.
         """
-        rows = [row for m in self._solved(self.grid.cells) for row in self._rows(m)]
-        axes = columns.axes_of(rows[0])
-        order = columns.stats_order(axes)
-        at = order.index("metric") + 1
-        return pd.DataFrame(rows)[[*order[:at], "method", *order[at:], "reason"]]
+        rows = [row for m in self.solved(self.grid.cells) for row in self.rows(m)]
+        return pd.DataFrame(rows)[columns.stats_order(columns.axes_of(rows[0]))]
 
     def moments(self, scenario: str | None = None, cell: int | None = None) -> pd.DataFrame:
         """Return mean and standard deviation of e at ticks 0 .. N: of all cells, or of one.
@@ -54,19 +53,27 @@ class Exact:
         Where runs have schedules of their own they are over noise and schedules. Observers without an exact answer are missing.
         """
         frames = []
-        for m in self._solved(self._chosen(scenario, cell), "std"):
-            names = [name for name, _ in signals_of(m.planned.cell.scenario)]
+        for m in self.solved(self._chosen(scenario, cell), "std"):
             head = columns.keys(self.grid.study.name, m.planned.cell)
-            t = m.planned.cell.scenario.dt * np.arange(len(m.rows.mean))
-            for label, place in m.signals.items():
-                if affine.refusal(m, label):
-                    continue
-                for i, z in enumerate(range(place.start, place.stop)):
-                    mean = m.rows.mean[:, z]
-                    std = np.sqrt(m.rows.covariance[:, z, 0].mean(-1) + mean.var(-1))
-                    said = {"observer": label, "signal": names[i], "t": t, "mean": mean.mean(-1), "std": std}
-                    frames.append(pd.DataFrame({k: [v] * len(t) for k, v in head.items()} | said))
-        return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame()
+            frames += [each.assign(**{k: [v] * len(each) for k, v in head.items()}) for each in self.over_time(m)]
+        if not frames:
+            return pd.DataFrame()
+        whole = pd.concat(frames, ignore_index=True)
+        last = list(OVER_TIME)
+        return whole[[c for c in whole if c not in last] + last]
+
+    def over_time(self, m: CellMoments, every: int = 1) -> Iterator[pd.DataFrame]:
+        """Yield for each observer and signal of a cell that has an exact answer its moments at every so many ticks."""
+        names = [name for name, _ in signals_of(m.planned.cell.scenario)]
+        t = m.planned.cell.scenario.dt * np.arange(0, len(m.rows.mean), every)
+        for label, place in m.signals.items():
+            if affine.refusal(m, label):
+                continue
+            for i, z in enumerate(range(place.start, place.stop)):
+                mean = m.rows.mean[::every, z]
+                std = np.sqrt(np.maximum(m.rows.covariance[::every, z, 0].mean(-1) + mean.var(-1), 0.0))
+                each = (label, names[i], t, mean.mean(-1), std)
+                yield pd.DataFrame(dict(zip(OVER_TIME, each, strict=True)))
 
     def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
         """Return the joint covariance of all errors of one cell, whose observers see the same noise.
@@ -76,7 +83,7 @@ class Exact:
         chosen = self._chosen(scenario, cell)
         if len(chosen) > 1:
             raise UserError(f"covariance: got {len(chosen)} cells, expected one; give scenario and cell.")
-        each = list(self._solved(chosen, COVARIANCE))
+        each = list(self.solved(chosen, COVARIANCE))
         if len(each) > 1:
             raise UserError(
                 f"covariance: got {len(chosen[0].options)} observers in a closed loop, expected one: each drives a plant of "
@@ -94,12 +101,14 @@ class Exact:
         total = m.rows.covariance[:, order][:, :, order].mean(-1) + between
         return Joint(chosen[0].scenario.dt * np.arange(len(mean)), errors, mean.mean(-1), total)
 
-    def _solved(self, cells: list[Cell], recorded: str = "") -> Iterator[CellMoments]:
+    def solved(self, cells: list[Cell], recorded: str = "") -> Iterator[CellMoments]:
+        """Yield the moments of cells; of many an observer at a time."""
         with process.float64():
             asked = Asked(self.grid.study.root_seed, self.schedules, recorded)
-            yield from solve(planned(cells), asked)
+            yield from solve(planned(cells, recorded == COVARIANCE), asked)
 
-    def _rows(self, m: CellMoments) -> Iterator[dict[str, Any]]:
+    def rows(self, m: CellMoments) -> Iterator[dict[str, Any]]:
+        """Yield the rows of `stats`."""
         cell, p = m.planned.cell, m.planned
         signals = signals_of(cell.scenario)
         head = columns.keys(self.grid.study.name, cell) | {"plant": cell.scenario.plant}

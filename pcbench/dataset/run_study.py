@@ -9,7 +9,7 @@ from time import perf_counter
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pcbench.dataset import block_files, executors, fill, ownership, precision, store, summary
+from pcbench.dataset import block_files, exact_part, executors, fill, ownership, precision, store, summary
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.machine import process
@@ -59,11 +59,14 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
         there = [] if owned.fresh else fill.whole(target, owned, say)
-        wanted = fill.everything(owned, there, how.more)
-        cost = fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress)
-        for wanted in precision.rounds(goal, target, owned, say):
+        if grid.study.method != "runs" and exact_part.made(target, owned, say, how.progress):
+            owned, there = owned._replace(fresh=False), block_files.settled(block_files.present(target))
+        left = exact_part.simulated(target, owned)
+        wanted = fill.everything(left, there, how.more)
+        cost = fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress)
+        for wanted in precision.rounds(goal, target, left, say):
             there = block_files.settled(block_files.present(target))
-            cost = fill.added(cost, fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress))
+            cost = fill.added(cost, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress))
         there = block_files.settled(block_files.present(target))
         if cost.runs or not summary.is_closed(target, there):
             how.progress.note("statistics")

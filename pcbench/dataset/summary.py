@@ -13,12 +13,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pcbench import statistics
-from pcbench.dataset import block_files, cell_rows, columns, earlier, parquet, store
+from pcbench.dataset import block_files, cell_rows, columns, earlier, exact_part, parquet, store
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, joined
 from pcbench.machine import provenance
 from pcbench.study.as_toml import digest
+from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import is_certified
 
 PROVENANCE = "provenance.json"
@@ -66,17 +67,22 @@ def closing_tables(
 
     Cells are taken in the order of the study, those without runs left out.
     """
-    made_of = {FROM: fingerprint(there)}
+    made_of = {FROM: made_from(target, there)}
     stats, pairs, there = GrowingTable(made_of), GrowingTable(made_of), block_files.settled(there)
     weakest: dict[str, dict[str, Any]] = {}
+    exact = exact_part.rows_by_cell(target)
     blocks: dict[tuple[str, int, str], list[Block]] = {}
     for b in sorted(there):
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
     for cell in owned.cells:
-        found = cell_rows.observed(target, cell, blocks)
-        if not found:
+        found, known = cell_rows.observed(target, cell, blocks), exact.get(cell.key, [])
+        if not found and not known:
             continue
-        rows, compared = cell_rows.rows_of(target, owned.study.name, cell, found)
+        rows, compared = cell_rows.rows_of(target, owned.study.name, cell, found) if found else ([], [])
+        compared = [*compared, *exact_part.pairs(known)]
+        why = {row["observer"]: row["reason"] for row in known if row["metric"] == "mse"}
+        rows = [row | {"reason": why.get(row["observer"])} for row in rows]
+        rows = _in_order(cell, [*(row for row in known if row["observer"] not in found), *rows])
         axes = columns.axes_of(rows[0])
         stats.add(columns.rows_table(rows, columns.stats_order(axes)))
         pairs.add(columns.rows_table(compared, columns.pairs_order(axes)))
@@ -85,6 +91,12 @@ def closing_tables(
             c = each.about["certificate"]
             mine[name] = min(mine.get(name, c), c, key=_strength)
     return stats.content(), adjusted(pairs.content(), made_of), weakest
+
+
+def _in_order(cell: Cell, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of stats with observers in the order of the study."""
+    order = {name: i for i, name in enumerate(cell.options)}
+    return sorted(rows, key=lambda row: order[row["observer"]])
 
 
 def _strength(certificate: dict[str, Any]) -> float:
@@ -102,6 +114,12 @@ def fingerprint(there: list[Block]) -> bytes:
     return hashlib.sha256(repr(whole).encode()).hexdigest().encode()
 
 
+def made_from(target: store.Target, there: list[Block]) -> bytes:
+    """Return a digest of what closing tables are made of: of runs, and of exact rows where there are any."""
+    runs, exact = fingerprint(there), store.get(target, exact_part.NAME)
+    return runs if exact is None else runs + digest_of(exact).encode()
+
+
 def damaged(target: store.Target) -> list[str]:
     """Return the closing files that are there, but not as they were written."""
     said = record(target)
@@ -115,7 +133,7 @@ def is_closed(target: store.Target, there: list[Block]) -> bool:
     for name in ("stats.parquet", "pairs.parquet"):
         found = table(target, name)
         said = {} if found is None else found.schema.metadata or {}
-        if said.get(FROM) != fingerprint(there) or not earlier.is_read(said):
+        if said.get(FROM) != made_from(target, there) or not earlier.is_read(said):
             return False
     return True
 

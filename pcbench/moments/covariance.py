@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-WRITTEN_OUT = 12  # terms of a sum that are written one by one, which runs fastest; longer ones are compiled as products
+WRITTEN_OUT = 16  # terms of a sum that are written one by one, which runs fastest; longer ones are compiled as products
 Rows = Callable[[Array], Array]  # [D, X, C] -> [D, X, C], linear
 
 

@@ -60,7 +60,7 @@ def _rows(cell: CellMoments, label: str, bound: Values | None) -> list[Row]:
             row = (NOTHING if said or values is None else values[i]) | BLANK
             if metric == "final" and not said and normal and not cell.random:
                 row |= _quantiles(cell, label, i)
-            about = {"method": "none" if said else "exact", "reason": said}
+            about = {"method": "none" if said else "exact", "reason": said or None}
             out.append({"signal": i, "metric": metric, "diverged": 0} | row | about)
     return out
 
@@ -90,7 +90,7 @@ def _over(cell: CellMoments, values: Any, signed: bool = False) -> Estimate:
     if cell.random:
         return (student if signed else positive)(moments(values))
     value, nothing = values[:, 0], np.zeros(len(values))
-    return Estimate(1, value, nothing, value, value)
+    return Estimate(0, value, nothing, value, value)
 
 
 def _quantiles(cell: CellMoments, label: str, i: int) -> dict[str, Any]:

@@ -43,12 +43,26 @@ class Asked(NamedTuple):
     recorded: str = ""  # nothing, "std" or "covariance" at every tick
 
 
-def planned(cells: list[Cell]) -> Iterator[Plan]:
-    """Yield the cells ready to run, with one room for packets: few shapes, few programs."""
+def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
+    """Yield the cells ready to run, with one room for packets: few shapes, few programs.
+
+    Of many cells each observer goes by itself, which is sooner computed and later compiled, unless they are to be `together`.
+    """
+    split = len(cells) > MANY and not together
     ring = max(per_lane.room(c.times.clocks, c.times.ticks, c.times.error) for c in cells)
     for p in padding.checked(drafts(cells)):
         room = padding.room_of(p)
-        yield padding.fitted(p, room._replace(ring=max(room.ring, padding.rounded(ring))))
+        whole = padding.fitted(p, room._replace(ring=max(room.ring, padding.rounded(ring))))
+        yield from _split(whole) if split else [whole]
+
+
+def _split(p: Plan) -> Iterator[Plan]:
+    """Yield a planned cell for each of its observers."""
+    for label, one in zip(p.labels, p.layout.observers, strict=True):
+        gains = {one[0]: p.problem.gains[one[0]]}
+        yield p._replace(
+            layout=p.layout._replace(observers=(one,)), problem=p.problem._replace(gains=gains), labels=(label,)
+        )
 
 
 def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
