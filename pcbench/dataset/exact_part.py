@@ -39,7 +39,7 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
     rows: list[Row] = []
     progress.begin("exact cells", len(owned.cells))
     for key, parts in itertools.groupby(exact.solved(owned.cells, "std"), key=lambda m: m.planned.cell.key):
-        frames = []
+        frames: list[Any] = []
         for m in parts:
             rows += exact.rows(m)
             frames += exact.over_time(m, max(1, (len(m.rows.mean) - 1) // POINTS))
