@@ -23,7 +23,7 @@ def compute(ones: list[Realised], recorded: str) -> Found:
     width = FEW if len(ones) <= FEW else MANY
     each = _alike([ones[min(i, len(ones) - 1)] for i in range(width)])
     layout, own = each[0].layout, own_of(each[0].problem)
-    given = together([one.problem for one in each], [one.network for one in each])
+    given = together([one.problem for one in each], [one.network for one in each], [one.chance for one in each])
     made = _program(layout, each[0], own, width, recorded, given)
     return jax.tree.map(np.asarray, made(given))
 

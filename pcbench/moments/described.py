@@ -25,7 +25,7 @@ RUNS_ONLY = {
     "unsettled": "the last of many ticks depends on all of them together",
     "divergence": "the first of many ticks depends on all of them together",
 }
-ANOTHER = "its noise is not normal: known are means of squares only"
+ANOTHER = "it is not normal (a start in a box, or a mixture over losses): known are means of squares only"
 NOTHING: Row = {"n": 0} | dict.fromkeys(Estimate._fields[1:], np.nan)
 ORDER = (
     *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
@@ -44,7 +44,7 @@ def described(cell: CellMoments, bounds: dict[str, Values | None]) -> dict[str, 
 
 def _rows(cell: CellMoments, label: str, bound: Values | None) -> list[Row]:
     why, found = refusal(cell, label), _found(cell, label, bound)
-    normal = not cell.planned.layout.scattered
+    normal = not cell.planned.layout.scattered and not cell.mixture
     out = []
     many = cell.signals[label].stop - cell.signals[label].start
     for i in range(many):

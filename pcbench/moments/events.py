@@ -1,8 +1,15 @@
 """Samples and arrivals of many cells: the protocol functions at an event, and what they make of a covariance.
 
 Cells have events at ticks of their own: at a tick where some cell has one, all go through it, and what is not there changes
-nothing. A sample's noise joins it when it arrives, as nothing sees it before: what is on the network needs no room for noise,
-and none at all where the plant has no noise of its own.
+nothing. Where samples are lost independently of each other, second moments over losses follow a recursion of their own: with
+mean m and covariance P, and J z + b what an arrival of chance c makes of z,
+
+    m+ = m + c (J m + b - m),   P+ = c (J P J' + G G') + (1 - c) P + c (1 - c) d d',   d = J m + b - m
+
+(jump-linear systems: Costa, Fragoso, Marques, Discrete-Time Markov Jump Linear Systems, 2005).
+
+A sample's noise joins it when it arrives, as nothing sees it before: what is on the network needs no room for noise, and none
+at all where the plant has no noise of its own.
 """
 
 from collections.abc import Callable
@@ -16,7 +23,7 @@ from jaxtyping import Float
 
 from pcbench.moments.covariance import both, product, squared
 from pcbench.moments.given import Plan
-from pcbench.moments.vector import Form, slope, vector
+from pcbench.moments.vector import Form, slope, vector, vectors
 from pcbench.simulation import steps
 from pcbench.simulation.problem import Layout, Packet, State
 from pcbench.simulation.steps import Row
@@ -39,6 +46,7 @@ class Means(NamedTuple):
     over: Any  # over_cells
     plan: Plan
     std: Array  # [q, C] of a sample
+    chance: Array  # [C] that a sample arrives at all; 1: it does
 
 
 def sense(layout: Layout, p: Any, k: Array, state: State, nothing: Any, rest: Any) -> Array:
@@ -107,7 +115,10 @@ def _delivered(by: Means, k: Array, slot: Array, m: Moving, noise: Array) -> Mov
     M = by.over(slope(form, partial(jump, by.layout), partial(vector, form)))(k, _mean(m), packets[0], rest)
     A, scaled = M.shape[0], noise[:, :, None] * by.std[None]
     packets = packets.at[1:, :q].add(scaled)
-    runs = jax.vmap(lambda state, packet: by.over(partial(jump, by.layout))(k, state, packet, rest))(m.runs, packets)
+    jumped = jax.vmap(lambda state, packet: by.over(partial(jump, by.layout))(k, state, packet, rest))(m.runs, packets)
+    runs = jax.tree.map(partial(_mixed, by.chance), jumped, m.runs)
+    step = vectors(form, jumped) - vectors(form, m.runs)
+    spread = product(step[0][:, None], step[0][None]) * (by.chance * (1 - by.chance))[None, None]
     G = M[:, A : A + q] * by.std[None]
 
     def rows(P: Array) -> Array:
@@ -117,9 +128,18 @@ def _delivered(by: Means, k: Array, slot: Array, m: Moving, noise: Array) -> Mov
             found = found + product(M[:, A:], jnp.sum(jnp.where(here[:, :, None], packets, 0.0), 0))
         return jnp.concatenate([found, P[A:]])
 
-    moved = _each(rows, m.apart)
-    pushed = jnp.sum(M[None, :, A : A + q] * scaled[:, None], 2)
-    return m._replace(runs=runs, P=both(rows, m.P).at[:A, :A].add(squared(G)), apart=moved.at[:, :A].add(pushed))
+    moved = _mixed(by.chance, _each(rows, m.apart), m.apart)
+    pushed = jnp.sum(M[None, :, A : A + q] * scaled[:, None], 2) * by.chance[None, None]
+    P = _mixed(by.chance, both(rows, m.P), m.P).at[:A, :A].add(by.chance[None, None] * squared(G) + spread)
+    return m._replace(runs=runs, P=P, apart=moved.at[:, :A].add(pushed))
+
+
+def _mixed(chance: Array, after: Array, before: Array) -> Array:
+    """The mean of what is so with a chance, and as before otherwise; to the bit what is so where that is sure."""
+    if not jnp.issubdtype(before.dtype, jnp.floating):
+        return after
+    chance = chance.reshape(*(1 for _ in before.shape[1:]), -1)
+    return jnp.where(chance == 1, after, before + chance * (after - before))
 
 
 def _place(number: Array, m: Moving) -> Array:

@@ -40,6 +40,7 @@ class Given(NamedTuple):
     arrivals: Any  # [N+1, P, S, q] noise of the runs that test whether a cell is affine: of what arrives
     ticks: Any  # [N+1, P, w] of the process and of commands
     start: Any  # [P, 2 n] of the start
+    chance: Any  # [C] that a sample arrives at all
     network: Any  # (late, lost) [J, 1, C] uniform numbers of every decision of a network to the plant; (): none
 
 
@@ -77,7 +78,7 @@ def shared_of(problem: Problem) -> tuple[Any, ...]:
     return str(tree), tuple((a.shape, a.dtype.str, a.tobytes()) for a in common)
 
 
-def together(problems: list[Problem], network: list[tuple[NDArray[np.float64], ...]]) -> Given:
+def together(problems: list[Problem], network: list[tuple[NDArray[np.float64], ...]], chance: list[float]) -> Given:
     """Lay out the numbers of cells that share their long tables side by side."""
     flat = [jax.tree.leaves(p._replace(schedule=())) for p in problems]
     own, tree = own_of(problems[0]), jax.tree.structure(problems[0]._replace(schedule=()))
@@ -95,5 +96,6 @@ def together(problems: list[Problem], network: list[tuple[NDArray[np.float64], .
         arrivals=draw(size=(ticks, len(size), slots, len(p.noise_std))) * size[:, None, None],
         ticks=draw(size=(ticks, len(size), every)) * size[:, None],
         start=draw(size=(len(size), 2 * len(p.x0))) * size[:, None],
+        chance=np.array(chance),
         network=tuple(np.stack(each, -1) for each in zip(*network, strict=True)),
     )

@@ -74,7 +74,7 @@ def run(layout: Layout, shape: Shape, given: Given) -> Found:
     std = jnp.broadcast_to(
         p.noise_std if p.noise_std.ndim == 2 else p.noise_std[:, None], (len(p.noise_std), shape.cells)
     )
-    by = Means(layout, shape.form, over_cells(p, shape.own), given.plan, std)
+    by = Means(layout, shape.form, over_cells(p, shape.own), given.plan, std, given.chance)
 
     def events(k: Array, m: Moving) -> Moving:
         return happen(by, k, m, given.arrivals[k])

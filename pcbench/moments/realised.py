@@ -10,10 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.moments.vector import forms
 from pcbench.planning import alone
 from pcbench.planning.padding import Plan
 from pcbench.simulation import draws
 from pcbench.simulation.problem import Layout, Problem
+from pcbench.simulation.schedule import shared
 from pcbench.simulation.schedule.per_lane import Times
 
 
@@ -23,6 +25,7 @@ class Realised(NamedTuple):
     layout: Layout
     problem: Problem
     network: tuple[NDArray[np.float64], ...]  # (late, lost) [J, 1] of every decision; (): no network
+    chance: float = 1.0  # that a sample arrives at all
 
 
 def random(p: Plan) -> bool:
@@ -50,3 +53,31 @@ def realised(p: Plan, root_seed: int, seed: int) -> Realised:
         for stream in ("command_jitter", "command_loss")
     )
     return Realised(layout, problem, (late, lost))
+
+
+def losses_alone(p: Plan) -> bool:
+    """Return whether all that is random besides the noise is which samples of one sensor are lost, each by itself."""
+    clocks, sent = p.cell.times.clocks, p.problem.network
+    if len(clocks) > 1 or not clocks[0].loss or p.layout.drifting or sent:
+        return False
+    return not clocks[0]._replace(loss=0.0).random
+
+
+def over_losses(p: Plan) -> Realised | None:
+    """Return a cell of one observer as its moments over losses move; None where the observer remembers what was lost.
+
+    That is so where an arrival changes more than numbers that noise reaches: the time of the newest sample, a covariance. Then
+    its map depends on earlier losses, and moments are averaged over drawn schedules.
+    """
+    clock = p.cell.times.clocks[0]
+    sure = shared.schedule(
+        shared.samples([clock._replace(loss=0.0)], p.cell.times.ticks),
+        p.cell.times.ticks,
+        len(p.problem.noise_std),
+        p.cell.times.error,
+    )
+    one = p.problem._replace(schedule=sure)
+    layout = p.layout._replace(width=1, watch=False, strides=False)
+    if forms(layout, p.problem) != forms(layout, one) or "other" in forms(layout, one):
+        return None
+    return Realised(layout._replace(ring=max(layout.ring, shared.in_flight(sure))), one, (), 1.0 - clock.loss)

@@ -13,7 +13,7 @@ import numpy as np
 from pcbench.moments.compiled import MANY, compute
 from pcbench.moments.given import shared_of
 from pcbench.moments.program import Found
-from pcbench.moments.realised import Realised, random, realised
+from pcbench.moments.realised import Realised, losses_alone, over_losses, random, realised
 from pcbench.moments.sums import Sums
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
@@ -33,6 +33,7 @@ class CellMoments(NamedTuple):
     signals: dict[str, slice]  # by observer label, its place among the Z signals
     sums: Sums  # arrays [..., S]
     rows: Any = ()  # Recorded [..., S]
+    mixture: bool = False  # over which samples are lost: means and squares are exact, and no distribution is normal
 
 
 class Asked(NamedTuple):
@@ -53,7 +54,7 @@ def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     for p in padding.checked(drafts(cells)):
         room = padding.room_of(p)
         whole = padding.fitted(p, room._replace(ring=max(room.ring, padding.rounded(ring))))
-        yield from _split(whole) if split else [whole]
+        yield from _split(whole) if split or (losses_alone(whole) and not together) else [whole]
 
 
 def _split(p: Plan) -> Iterator[Plan]:
@@ -114,12 +115,14 @@ def _batches(plans: Iterable[Plan], asked: Asked) -> Iterator[list[Item]]:
     """Yield the cells of each call."""
     groups: dict[Hashable, list[Item]] = {}
     for number, p in enumerate(plans):
-        many = asked.schedules if random(p) else 1
+        mixed = over_losses(p) if losses_alone(p) and len(p.layout.observers) == 1 else None
+        drawn = random(p) and mixed is None
+        many = asked.schedules if drawn else 1
         light = p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={}))
         for seed in range(many):
-            one = realised(p, asked.root_seed, seed)
+            one = mixed or realised(p, asked.root_seed, seed)
             group = groups.setdefault((one.layout, shared_of(one.problem)), [])
-            group.append(Item(light, number, seed, many, random(p), _signals(p), one))
+            group.append(Item(light, number, seed, many, drawn, _signals(p), one))
             if len(group) == MANY:
                 yield group[:]
                 group.clear()
@@ -153,4 +156,4 @@ def _gathered(parts: list[Part]) -> CellMoments:
     for name, many in sorted(parts[0].item.sizes.items()):
         places[called[name]] = slice(at, at + many)
         at += many
-    return CellMoments(p, parts[0].item.random, places, whole.sums, whole.rows)
+    return CellMoments(p, parts[0].item.random, places, whole.sums, whole.rows, parts[0].item.one.chance < 1)

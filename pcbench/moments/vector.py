@@ -6,6 +6,7 @@ all runs, a filter's covariance or a counter, stays out of the vector; a slope i
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -28,21 +29,35 @@ class Form(NamedTuple):
 
 def form_of(layout: Layout, problem: Problem) -> Form:
     """Return what noise reaches."""
-    begun: Any = jax.eval_shape(
+    begun = _begun(layout, problem)
+    notes = any(is_lanes(each) for each in begun.flight.notes.values())
+    return Form(tuple(kind == "moves" for kind in forms(layout, problem)), is_lanes(begun.x) or notes)
+
+
+def forms(layout: Layout, problem: Problem) -> tuple[str, ...]:
+    """Return of each leaf of a state whether it moves with the noise, is the same in all runs, or differs in another way."""
+    bare = _begun(layout, problem)._replace(drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=())
+    leaves = jax.tree.leaves(bare, is_leaf=is_lanes)
+    floats = [jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
+    return tuple("same" if not is_lanes(a) else "moves" if f else "other" for a, f in zip(leaves, floats, strict=True))
+
+
+def _begun(layout: Layout, problem: Problem) -> Any:
+    return jax.eval_shape(
         lambda p, zero, seeds: start.begin(layout, p, zero, seeds),
         problem._replace(weights=()), jnp.asarray(0), jnp.zeros(1, int),
     )  # fmt: skip
-    notes = any(is_lanes(each) for each in begun.flight.notes.values())
-    bare = begun._replace(drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=())
-    leaves = jax.tree.leaves(bare, is_leaf=is_lanes)
-    moving = tuple(is_lanes(a) and jnp.issubdtype(a.dtype, jnp.floating) for a in leaves)
-    return Form(moving, is_lanes(begun.x) or notes)
 
 
 def vector(form: Form, state: State) -> Array:
     """Return what noise reaches of a state of one cell."""
     each = itertools.compress(jax.tree.leaves(state), form.moving)
     return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(a) for a in each)])
+
+
+def vectors(form: Form, runs: State) -> Array:
+    """Return the same of many runs and cells: [runs, A, C] of leaves [runs, ..., C]."""
+    return jax.vmap(jax.vmap(partial(vector, form), -1, -1))(runs)
 
 
 def put(form: Form, state: State, z: Array) -> State:

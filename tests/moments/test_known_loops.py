@@ -107,3 +107,24 @@ def test_ball_and_beam_at_three_rates():
         last = P[-2 * SAME - 1 :]
         found = integral(last[:, 0, 0] + last[:, 2, 2], ball.tick, SAME) / (2 * SAME * ball.tick)
         assert found == pytest.approx(known, abs=5e-5)
+
+
+# a scalar plant whose samples arrive with a probability, under the best constant gain. Source: the modified Riccati equation
+
+VARIANCE = {0.4: 39.512342, 0.5: 11.955894, 0.7: 5.40075, 0.9: 3.66115}
+A, R = 1.25, 2.5
+
+
+def test_the_best_constant_gain_where_samples_are_lost():
+    """The command takes off all that is known, so that the state is the error of the prediction, and stays small."""
+    b = ((A * A - 1) / (2 * np.log(A))) ** -0.5  # so that a tick adds noise of variance 1
+    unit = b * (A - 1) / np.log(A)  # what an input of 1 adds over a tick
+    scalar = Loop(
+        np.array([[np.log(A)]]), np.array([[b]]), np.array([[1.0]]), [R**0.5], 1.0, 600,
+        jump=lambda gains, memory, now, arrival: jnp.where(arrival.fresh, gains * arrival.value, memory), memory=1,
+        law=lambda p, tick, memory, kept: -A * memory / p, kept=1,
+        flow=lambda gains, memory, now: jnp.zeros(1),
+    )  # fmt: skip
+    cases = [Case([1], np.asarray(unit), l, np.array([p / (p + R)])) for l, p in VARIANCE.items()]
+    for P, known in zip(moments(scalar, cases), VARIANCE.values(), strict=True):
+        assert P[-1, 0, 0] == pytest.approx(known, rel=2e-7)

@@ -29,6 +29,7 @@ class Loop(NamedTuple):
     memory: int
     law: Any  # (params, tick, memory, kept) -> kept
     kept: int
+    flow: Any = lambda gains, memory, now: memory
 
 
 class Case(NamedTuple):
@@ -36,6 +37,8 @@ class Case(NamedTuple):
 
     period: list
     params: Any
+    chance: float = 1.0  # that a sample arrives
+    gains: Any = ()
 
 
 def noise_of_a_tick(A, R1, h):
@@ -59,7 +62,7 @@ def moments(loop, cases):
         init=lambda gains, xhat0: jnp.zeros(loop.memory),
         note=lambda gains, memory, now: jnp.zeros(0),
         jump=loop.jump,
-        flow=lambda gains, memory, now: memory,
+        flow=loop.flow,
         estimate=lambda gains, memory: jnp.concatenate([jnp.zeros(n), memory]),  # so that an error is x itself
     )
 
@@ -77,14 +80,14 @@ def moments(loop, cases):
     ones = []
     for case in cases:
         p = Problem(
-            params, {"o": ()}, shared.periodic(case.period, [0] * q, N), np.full((1, m), np.nan), np.asarray(loop.tick),
+            params, {"o": case.gains}, shared.periodic(case.period, [0] * q, N), np.full((1, m), np.nan), np.asarray(loop.tick),
             nothing, nothing, np.zeros((n, n)), np.array(loop.noise), np.ones(many), np.full(many, 1e9),
             np.array([[0, N // 2], [N // 2, N - 1], [N - 1, N]]), control=case.params,
             process_std=np.linalg.cholesky(noise_of_a_tick(loop.A, loop.B @ loop.B.T, loop.tick)),
             line=actuator.held_line(0, 4, N + 4),
         )  # fmt: skip
         layout = Layout(plant, (("o", observer),), 1, 1, False, watch=False, controller=law, commands=4)
-        ones.append(Realised(layout, p, ()))
+        ones.append(Realised(layout, p, (), case.chance))
     with process.float64():
         found = compute(ones, COVARIANCE)
     assert (found.sums.apart <= 1e-9 * np.maximum(found.sums.size, 1e-9)).all()
