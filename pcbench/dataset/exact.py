@@ -65,7 +65,7 @@ class Exact:
     def over_time(self, m: CellMoments, every: int = 1) -> Iterator[pd.DataFrame]:
         """Yield for each observer and signal of a cell that has an exact answer its moments at every so many ticks."""
         names = [name for name, _ in signals_of(m.planned.cell.scenario)]
-        t = m.planned.cell.scenario.dt * np.arange(0, len(m.rows.mean), every)
+        t = m.planned.cell.scenario.dt * np.arange(0, m.planned.cell.times.ticks + 1, every)
         for label, place in m.signals.items():
             if affine.refusal(m, label):
                 continue

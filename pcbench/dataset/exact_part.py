@@ -42,7 +42,7 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
         frames: list[Any] = []
         for m in parts:
             rows += exact.rows(m)
-            frames += exact.over_time(m, max(1, (len(m.rows.mean) - 1) // POINTS))
+            frames += exact.over_time(m, max(1, m.planned.cell.times.ticks // POINTS))
         if frames:
             table = columns.table({name: np.concatenate([f[name].to_numpy() for f in frames]) for name in frames[0]})
             store.put_table(

@@ -8,10 +8,10 @@ runs are no answer.
 
 import numpy as np
 
+from pcbench.moments.bending import ROUNDING
 from pcbench.moments.solve import CellMoments
 from pcbench.plants import signals_of
 
-ROUNDING = 1e-9  # of the largest number in the comparison; found on affine observers: below 1e-12
 INSTEAD = 'take runs for it: pcbench.run, or method = "runs"'
 
 

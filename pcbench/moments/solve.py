@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from pcbench.moments.bending import ROUNDING, bent
 from pcbench.moments.compiled import MANY, compute
 from pcbench.moments.given import shared_of
 from pcbench.moments.program import Found
 from pcbench.moments.realised import Realised, losses_alone, over_losses, random, realised
-from pcbench.moments.sums import Sums
+from pcbench.moments.sums import Sums, nothing
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.simulation import batch
@@ -89,6 +90,7 @@ class Item(NamedTuple):
     random: bool
     sizes: dict[str, int]  # by observer, what it estimates
     one: Realised
+    bend: float = 0.0  # how far its plant is from affine, where it is and has noise
 
 
 def _signals(p: Plan) -> dict[str, int]:
@@ -115,6 +117,10 @@ def _batches(plans: Iterable[Plan], asked: Asked) -> Iterator[list[Item]]:
     """Yield the cells of each call."""
     groups: dict[Hashable, list[Item]] = {}
     for number, p in enumerate(plans):
+        if (bend := bent(p)) > ROUNDING:  # nothing is compiled for it
+            light = p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={}))
+            yield [Item(light, number, 0, 1, False, _signals(p), Realised(p.layout, p.problem, ()), bend)]
+            continue
         mixed = over_losses(p) if losses_alone(p) and len(p.layout.observers) == 1 else None
         drawn = random(p) and mixed is None
         many = asked.schedules if drawn else 1
@@ -138,12 +144,21 @@ def _computed(
     """Yield batches in their order with what they left, some under way at a time."""
     waiting: list[tuple[list[Item], Future[Found]]] = []
     for items in batches:
-        waiting.append((items, pool.submit(batch.in_float64, compute, [item.one for item in items], recorded)))
+        first = items[0]
+        work = (_refused, first) if first.bend else (compute, [item.one for item in items], recorded)
+        waiting.append((items, pool.submit(batch.in_float64, *work)))
         if len(waiting) > 2 * batch.cores():
             first, future = waiting.pop(0)
             yield first, future.result()
     for items, future in waiting:
         yield items, future.result()
+
+
+def _refused(item: Item) -> Found:
+    """Return what is left of a cell that was not computed: how far it is from affine."""
+    sums = nothing(sum(item.sizes.values()), None, 1)
+    nan = jax.tree.map(lambda a: np.full(a.shape, np.nan), sums)
+    return Found(nan._replace(apart=np.full(nan.mean.shape, item.bend), size=np.ones(nan.mean.shape)), ())
 
 
 def _gathered(parts: list[Part]) -> CellMoments:
