@@ -7,7 +7,7 @@ errors that are normal or of their squares; with fewer than `FEW` runs a mean sq
 """
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -83,7 +83,7 @@ def judged(both: pd.DataFrame) -> pd.DataFrame:
     error = np.hypot(both.se, both.exact_se)
     zero = np.where(both.metric.str.endswith("mse"), ZERO**2, ZERO)  # below it all is rounding
     varies = (error > 1e-12 * size) & (size > zero)
-    t = apart / np.where(varies, error, 1.0)
+    t: Any = apart / np.where(varies, error, 1.0)
     p = stdtr(both.n - 1, -t.abs())  # as the normal number that is as rare
     z = np.where(varies, np.where(p > 0, -ndtri(np.maximum(p, 1e-300)), np.inf) * np.sign(t), np.nan)
     still = np.where(varies | (size <= zero), 0.0, apart.abs() / np.where(size > 0, size, 1.0))

@@ -21,7 +21,9 @@ def bent(p: Plan) -> float:
     now = Now(jnp.asarray(0.0), jnp.asarray(0), jnp.asarray(problem.dt), u, lambda age: u)
     wide = np.abs(problem.x0) + np.sqrt(np.sum(np.square(problem.spread0), 1)) + problem.band[:n]
     for d in np.random.default_rng(KEY).normal(size=(3, n)) * wide:
-        up, down, middle = (np.asarray(layout.plant.step(problem.params, now, problem.x0 + s * d)) for s in (1, -1, 0))
+        up, down, middle = (
+            np.asarray(layout.plant.step(problem.params, now, jnp.asarray(problem.x0 + s * d))) for s in (1, -1, 0)
+        )
         size = np.abs([up, down, middle]).max()
         bend = np.abs(up + down - 2 * middle).max() / size if size else 0.0
         worst = max(worst, float(bend) if np.isfinite(bend) else np.inf)

@@ -144,8 +144,7 @@ def _computed(
     """Yield batches in their order with what they left, some under way at a time."""
     waiting: list[tuple[list[Item], Future[Found]]] = []
     for items in batches:
-        first = items[0]
-        work = (_refused, first) if first.bend else (compute, [item.one for item in items], recorded)
+        work = (_refused, items[0]) if items[0].bend else (compute, [item.one for item in items], recorded)
         waiting.append((items, pool.submit(batch.in_float64, *work)))
         if len(waiting) > 2 * batch.cores():
             first, future = waiting.pop(0)

@@ -8,7 +8,6 @@ from pcbench.dataset import compare, verify
 from pcbench.dataset.result import opened
 from pcbench.errors import UserError
 
-pytestmark = pytest.mark.usefixtures("in_a_hurry")
 LTI = {
     "A": [[0.0, 1.0], [-2.0, -0.4]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1.0, 0.0], "prior_std": [0.3, 0.2],
     "tick": 0.01, "horizon": 3.0, "tail": 1.0, "noise_std": 0.1, "sampling_period": 0.2, "delay": 0.1, "input": "sine",
@@ -29,7 +28,7 @@ OBSERVER = Observer(start, note, jump, flow, estimate)
 
 
 @pytest.fixture(scope="module")
-def out(in_a_hurry, tmp_path_factory):
+def out(tmp_path_factory):
     folder = tmp_path_factory.mktemp("exact") / "out"
     pcbench.run(STUDY, method="exact", out=folder)
     return folder

@@ -7,8 +7,6 @@ from reference import linear, moments
 
 import pcbench
 
-pytestmark = pytest.mark.usefixtures("in_a_hurry")
-
 N, TICK, TE, LATE = 200, 0.01, [13, 7], [9, 9]
 NOISE, X0, XHAT0, PRIOR = [0.3, 0.2], [0.5, -0.2, 0.3], [0.1, 0.1, -0.2], [0.4, 0.3, 0.5]
 STUDY = {
@@ -24,7 +22,7 @@ STUDY = {
 
 
 @pytest.fixture(scope="module")
-def joint(in_a_hurry):
+def joint():
     return pcbench.exact(STUDY).covariance()
 
 
