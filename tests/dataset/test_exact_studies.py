@@ -16,6 +16,8 @@ STUDY = {"name": "sure", "lti": LTI, "observers": ["dkf", "open-loop"], "seeds":
 SIGNED = """
 import jax.numpy as jnp
 from pcbench import Certificate, Design, Observer
+
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
 def start(gains, xhat0): return xhat0
 def note(gains, memory, now): return jnp.zeros(0)
 def jump(gains, memory, now, arrival):
@@ -28,7 +30,7 @@ OBSERVER = Observer(start, note, jump, flow, estimate)
 
 
 @pytest.fixture(scope="module")
-def out(tmp_path_factory):
+def out(in_a_hurry, tmp_path_factory):
     folder = tmp_path_factory.mktemp("exact") / "out"
     pcbench.run(STUDY, method="exact", out=folder)
     return folder

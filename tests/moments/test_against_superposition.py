@@ -7,6 +7,8 @@ from reference import linear, moments
 
 import pcbench
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 N, TICK, TE, LATE = 200, 0.01, [13, 7], [9, 9]
 NOISE, X0, XHAT0, PRIOR = [0.3, 0.2], [0.5, -0.2, 0.3], [0.1, 0.1, -0.2], [0.4, 0.3, 0.5]
 STUDY = {
@@ -22,7 +24,7 @@ STUDY = {
 
 
 @pytest.fixture(scope="module")
-def joint():
+def joint(in_a_hurry):
     return pcbench.exact(STUDY).covariance()
 
 

@@ -5,6 +5,8 @@ import pytest
 
 import pcbench
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 # expectations over noise, each recomputed from the impulse response of every sample; position [m^2]
 MSE = {("pccebo", 0): 2.4892643, ("kfbo", 0): 13.166354, ("dkf", 0): 1.7504582,
        ("pccebo", 1): 1.0166366, ("kfbo", 1): 10.265283, ("dkf", 1): 0.78716268}  # fmt: skip
@@ -14,7 +16,7 @@ PLACE = {0: (0.6, 0.6, 1.0), 1: (0.1, 0.3, 0.5)}
 
 
 @pytest.fixture(scope="module")
-def stats():
+def stats(in_a_hurry):
     axes = {"sampling_period": [0.1, 0.6], "delay": [0.3, 0.6], "noise_std": [0.5, 1.0]}
     found = pcbench.exact("cart/gaussian", observers=["pccebo", "kfbo", "dkf"], axes=axes).stats
     return found.set_index(["observer", "sampling_period", "delay", "noise_std", "signal", "metric"]).sort_index()

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from moving import Case, Loop, integral, moments
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 # minimum-variance control of an integrator that starts after three samples. Source: JitterTime.jl, test/example_1_test.jl
 
 K = (3 + np.sqrt(3)) / (2 + np.sqrt(3))

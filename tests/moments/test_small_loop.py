@@ -19,6 +19,8 @@ from pcbench.simulation import actuator, metrics
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import shared
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 DT, N, TAIL, EVERY, LATE, BACK, AWAY = 0.1, 90, 35, 4, 3, 16, 2
 A, B = np.array([[0.98, 0.11], [-0.15, 0.9]]), np.array([[0.02, 0.1], [0.2, -0.05]])
 C, L = np.array([[1.0, 0.3]]), np.array([[0.3], [0.1]])
@@ -70,7 +72,7 @@ def solved(limit=np.inf, observer=OBSERVER, noise=NOISE):
 
 
 @pytest.fixture(scope="module")
-def found():
+def found(in_a_hurry):
     return solved()
 
 
