@@ -8,6 +8,8 @@ from pcbench.dataset import compare, verify
 from pcbench.dataset.result import opened
 from pcbench.errors import UserError
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
 LTI = {
     "A": [[0.0, 1.0], [-2.0, -0.4]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1.0, 0.0], "prior_std": [0.3, 0.2],
     "tick": 0.01, "horizon": 3.0, "tail": 1.0, "noise_std": 0.1, "sampling_period": 0.2, "delay": 0.1, "input": "sine",
@@ -17,7 +19,6 @@ SIGNED = """
 import jax.numpy as jnp
 from pcbench import Certificate, Design, Observer
 
-pytestmark = pytest.mark.usefixtures("in_a_hurry")
 def start(gains, xhat0): return xhat0
 def note(gains, memory, now): return jnp.zeros(0)
 def jump(gains, memory, now, arrival):
