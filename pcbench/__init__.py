@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.api import design as design
+    from pcbench.api import exact as exact
     from pcbench.api import run as run
     from pcbench.api import trace as trace
     from pcbench.controllers import ControllerEntry as ControllerEntry
     from pcbench.controllers.parts.told import Told as Told
+    from pcbench.dataset.exact import Exact as Exact
     from pcbench.dataset.result import Result as Result
     from pcbench.dataset.result import opened as opened
     from pcbench.dynamics.linear import held as held
@@ -46,6 +48,7 @@ __version__ = "0.1.0"
 
 _LAZY = {
     "run": "api",
+    "exact": "api",
     "trace": "api",
     "design": "api",
     "trade_off": "gains.design",
@@ -53,6 +56,7 @@ _LAZY = {
     "suffices": "sufficing.asking",
     "opened": "dataset.result",
     "Result": "dataset.result",
+    "Exact": "dataset.exact",
     "lti": "study.interop",
     "to_scipy": "study.interop",
     "to_control": "study.interop",

@@ -1,4 +1,4 @@
-"""The Python face of pcbench: `run`, `trace` and `design`, each a command as well."""
+"""The Python face of pcbench: `run`, `exact`, `trace` and `design`."""
 
 import warnings
 from pathlib import Path
@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from pcbench.dataset import run_study
+from pcbench.dataset.exact import Exact
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
@@ -34,6 +35,7 @@ def run(
     axes: dict[str, list[Any]] | None = None,
     options: dict[str, dict[str, Any]] | None = None,
     root_seed: int | None = None,
+    method: str | None = None,
     out: str | Path | None = None,
     overrides: list[str] | None = None,
     fresh: bool = False,
@@ -50,7 +52,7 @@ def run(
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there: run again, it goes on.
 
     `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study; the arguments up to
-    `root_seed` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in `out` is not done
+    `method` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in `out` is not done
     again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of every observer is
     that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a scheduler's address,
     or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
@@ -61,7 +63,7 @@ def run(
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
-    grid = grid_of(study, changes | {"first_seed": first_seed}, overrides or [])
+    grid = grid_of(study, changes | {"first_seed": first_seed, "method": method}, overrides or [])
     with process.float64():
         how = run_study.How(
             fresh=fresh,
@@ -84,6 +86,33 @@ def run(
         from pcbench.gains import fair_table  # tuned gains alone need it
 
         return fair_table.report(made, result, out, how)
+
+
+def exact(
+    study: Described,
+    *,
+    observers: str | list[str] | None = None,
+    axes: dict[str, list[Any]] | None = None,
+    options: dict[str, dict[str, Any]] | None = None,
+    root_seed: int | None = None,
+    overrides: list[str] | None = None,
+    schedules: int = 64,
+    progress: Progress = SILENT,
+) -> Exact:
+    """Return what a study's numbers are over infinitely many seeds, where they have an exact answer: no seed is simulated.
+
+    Arguments are those of `run`. The answer is exact where plant, observer and controller are affine in the noise, given the
+    schedule; that is tried in every cell, and where it fails `stats` says so and by how much. `schedules` is over how many of
+    its runs' schedules a random cell is averaged. `.stats` is like a result's, `.moments()` are mean and standard deviation of
+    the errors over time, `.covariance()` is of all errors of a cell together.
+    """
+    if schedules < 2:
+        raise UserError(f"schedules: got {schedules}, expected 2 or more.")
+    observers = [observers] if isinstance(observers, str) else observers
+    changes = {"observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
+    with process.float64():
+        grid = grid_of(study, changes, overrides or [])
+        return Exact(versions.prepare(grid, None, False, progress).grid, schedules)
 
 
 def trace(

@@ -58,14 +58,22 @@ def verify(
     sample: Annotated[int, typer.Option(min=0, help="blocks to compute again")] = 4,
     every: Annotated[bool, typer.Option("--all", help="compute every block again")] = False,
     seed: Annotated[int, typer.Option(min=0, help="draws the blocks")] = 0,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="compare simulated means with their exact values, in standard errors")
+    ] = False,
+    figure: Annotated[str | None, typer.Option(help="with --exact: a quantile plot, .svg, .pdf or .png")] = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Check every file, and compute some blocks again: they must come out bit for bit. Exit code 1 where they do not.
 
+    With --exact simulated means are compared with their exact values instead, wherever there are such.
+
     Example: pcbench verify results/quick --sample 8
     """
     setup()
+    if exact:
+        return _against_exact(folder, figure, quiet, as_json)
     from pcbench.cli.screen import folder as screen
     from pcbench.cli.screen.progress import bar
     from pcbench.dataset import verify
@@ -77,6 +85,26 @@ def verify(
     elif not quiet:
         screen.verdict(found, folder, console())
     if found.wrong or found.differing:
+        raise typer.Exit(1)
+
+
+def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) -> None:
+    """Compare simulated means with exact values, draw the figure that is asked for, and say what came of it."""
+    from pcbench.cli.screen import folder as screen
+    from pcbench.cli.screen.json import readable
+    from pcbench.dataset import against_exact
+
+    found = against_exact.check(folder)
+    if figure is not None:
+        from pcbench import plots
+
+        plots.save(plots.quantiles(found), figure)
+    if as_json:
+        said = {"verdict": found.verdict, "limit": found.limit, "refused": found.refused}
+        print(readable(said | {"rows": found.rows.to_dict("records")}))
+    elif not quiet:
+        screen.against_exact(found, console())
+    if len(found.wrong):
         raise typer.Exit(1)
 
 

@@ -20,6 +20,9 @@ def run(
     folder: Annotated[
         str | None, out("folder or URI for the tables; run again, it goes on [default: results/STUDY]")
     ] = None,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="exact expected values, without a seed, of all that has them")
+    ] = False,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="remove what an earlier run left there, and start over")
     ] = False,
@@ -63,6 +66,7 @@ def run(
             seeds=seeds,
             first_seed=first_seed,
             observers=None if observers is None else names(observers),
+            method="exact" if exact else None,
             out=into,
             fresh=fresh,
             until_se=until_se,

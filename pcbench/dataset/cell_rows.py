@@ -46,7 +46,7 @@ def rows_of(
         name: {"carries_input": each.about["carries_input"], "certified": is_certified(each.about["certificate"])}
         for name, each in found.items()
     }
-    bounds = {name: _seen(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
+    bounds = {name: seen_bound(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
     described, compared = statistics.summarise(
         lambda: chunks(target, found, within), bounds, names, s.belief.prior_std + s.belief.unknown_std
     )
@@ -56,16 +56,16 @@ def rows_of(
         for row in rows:
             signal, unit = signals[row["signal"]]
             about = {"observer": name, "unit": columns.unit_of(row["metric"], unit), "signal": signal}
-            stats.append(head | row | known[name] | about)
+            stats.append(head | row | known[name] | about | {"method": "runs", "reason": None})
     for row in compared:
         of_both = {f"{what}_{side}": said for side in "ab" for what, said in known[row[f"observer_{side}"]].items()}
         unit = columns.unit_of(row["metric"], units[row["signal"]])
-        pairs.append(head | of_both | {"unit": unit, "p_holm": np.nan} | row)
+        pairs.append(head | of_both | {"unit": unit, "method": "runs", "p_holm": np.nan} | row)
     return stats, pairs
 
 
-def _seen(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
-    """The bound, NaN where it is so small a part of the prior that it is zero for every purpose."""
+def seen_bound(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
+    """Return the bound, NaN where it is so small a part of the prior that it is zero for every purpose."""
     if bound is None:
         return None
     return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])

@@ -11,6 +11,8 @@ from pcbench.study.references import Named, renamed
 GROWS = (
     "seeds",
     "first_seed",
+    "method",
+    "schedules",
     "axes",
     "observers",
     "use",

@@ -10,8 +10,8 @@ from pcbench.statistics import QUANTILES
 
 # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...;
 # 5: intervals of what cannot be negative are not; blocks know their observer's options, provenance.json its files' digests;
-# 6: certified (`earlier` reads 5)
-SCHEMA = "6"
+# 6: certified; 7: method, reason (`earlier` reads 5 and 6)
+SCHEMA = "7"
 AXIS_UNITS = {
     "sampling_period": "s",
     "delay": "s",
@@ -78,8 +78,13 @@ MEANING = {
     "(bound / tail_pooled_rmse against the best any causal estimator can do on average over x(0) ~ N(xhat0, P0)); or "
     "divergence, the fraction of runs that diverged; or unsettled, the fraction of the others whose error left its band in the "
     "tail (both with Wilson's interval)",
-    "n": "runs that enter the number",
-    "mean": "estimate over runs",
+    "method": "runs: an estimate over simulated runs; exact: the expected value over all noise, whose se is 0 (or of schedules "
+    "alone, where runs draw their own); none: neither, and `reason` says why",
+    "reason": "why a number is missing that only runs have; null where it is there",
+    "t": "time [s]",
+    "std": "standard deviation of the error e at t, over all noise; `mean` is its mean",
+    "n": "runs that enter the number; of an exact one 0, or the schedules that it is averaged over",
+    "mean": "estimate over runs, or exact",
     "se": "its standard error",
     "ci_low": "lower end of its 95 % interval over seeds",
     "ci_high": "upper end of its 95 % interval over seeds",
@@ -97,7 +102,7 @@ INTERVALS = (
     "order statistics"
 )
 TEXT = {"profile", "study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
-TEXT |= {"status"}
+TEXT |= {"status", "method", "reason"}
 WHOLE = {"cell", "seed", "n"}
 YES_OR_NO = {name + end for name in ("carries_input", "certified") for end in ("", "_a", "_b")}
 SECONDS = {"settling_time", "recovery_time", "first_bad_time"}
@@ -215,6 +220,7 @@ def stats_order(axes: list[str]) -> list[str]:
     return [
         *head,
         "metric",
+        "method",
         "n",
         "diverged",
         "mean",
@@ -222,6 +228,7 @@ def stats_order(axes: list[str]) -> list[str]:
         "ci_low",
         "ci_high",
         *(q + end for q in QUANTILES for end in ("", "_low", "_high")),
+        "reason",
     ]
 
 
@@ -240,5 +247,5 @@ def pairs_order(axes: list[str]) -> list[str]:
         "certified_a",
         "certified_b",
     ]
-    head += ["signal", "unit", "metric"]
+    head += ["signal", "unit", "metric", "method"]
     return [*head, "n", "mean_diff", "se", "ci_low", "ci_high", "prob_a_better", "p_value", "p_holm"]

@@ -121,6 +121,7 @@ def _side(target: store.Target, owned: Owned) -> Side:
     return Side(target, owned, stats, {c.key: identity(c, 0) for c in owned.cells}, blocks)
 
 
+EXACT = "no draws: exact"
 Draws = dict[tuple[str, str, str], list[Seeds]]  # by scenario, cell's digest and observer, joined
 CommonSeeds = dict[tuple[str, str, str], Seeds]  # the same, of the seeds that two sides have in common
 
@@ -152,11 +153,11 @@ def _stats(side: Side, shared: CommonSeeds) -> pd.DataFrame:
     frame["digest"] = [side.digests[key] for key in keys]
     frame["where"] = [_where(cells[key].values, list(side.owned.study.axes)) for key in keys]
     named = list(zip(frame.scenario, frame.digest, frame.observer, strict=True))
-    frame["draws"] = [f"{root}: {[shared[name]] if name in shared else drawn[name]}" for name in named]
+    frame["draws"] = [f"{root}: {[shared[name]] if name in shared else drawn.get(name, EXACT)}" for name in named]
     frame["narrowed"] = [name in shared for name in named]
     numbers = ["n", "diverged", *(c for c in frame.columns[frame.columns.get_loc("mean") :] if frame[c].dtype == float)]
     frame["bits"] = [row.tobytes() for row in frame[numbers].to_numpy(float)]
-    return frame[[*KEY, "where", "unit", "certified", "draws", "narrowed", "n", "mean", "se", "bits"]]
+    return frame[[*KEY, "where", "unit", "certified", "method", "draws", "narrowed", "n", "mean", "se", "bits"]]
 
 
 def _over(side: Side, shared: CommonSeeds) -> pa.Table:
@@ -190,7 +191,8 @@ def judged(both: pd.DataFrame) -> pd.DataFrame:
     still = both.se_a.fillna(0.0).eq(0).to_numpy() & both.se_b.fillna(0.0).eq(0).to_numpy()
     spread = both.se_a.notna().to_numpy() & both.se_b.notna().to_numpy()
     without = ~same & here[0] & here[1] & still & (spread | same_draws)
-    changed = (adjusted < LEVEL) | without | (here[0] != here[1])
+    lost = (here[0] != here[1]) & ~(both.method_a.eq("none") | both.method_b.eq("none")).to_numpy()
+    changed = (adjusted < LEVEL) | without | lost
     out = both[["scenario", "where_a", "observer", "signal", "metric", "unit_a"]].copy()
     out.columns = pd.Index(["scenario", "where", "observer", "signal", "metric", "unit"])
     names = ["n_a", "mean_a", "se_a", "n_b", "mean_b", "se_b"]
@@ -205,9 +207,14 @@ def judged(both: pd.DataFrame) -> pd.DataFrame:
 
 
 def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values) -> Values:
-    """Return Welch's two-sided p-values; NaN where a side has fewer than two runs, or neither varies."""
+    """Return Welch's two-sided p-values; NaN where a side has fewer than two runs, or neither varies.
+
+    Of a side that is exact (no runs, no error) it is Student's of the other.
+    """
     va, vb = sa**2, sb**2
-    known = (na > 1) & (nb > 1) & (va + vb > 0)
+    enough = [(n > 1) | ((n == 0) & (s == 0)) for n, s in ((na, sa), (nb, sb))]
+    known = enough[0] & enough[1] & (va + vb > 0)
+    na, nb = np.maximum(na, 2), np.maximum(nb, 2)
     va, vb = np.where(known, va, 1.0), np.where(known, vb, 1.0)
     df = (va + vb) ** 2 / (va**2 / np.where(known, na - 1, 1) + vb**2 / np.where(known, nb - 1, 1))
     return np.where(known, 2 * stdtr(df, -np.abs(mb - ma) / np.sqrt(va + vb)), np.nan)

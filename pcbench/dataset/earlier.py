@@ -6,7 +6,9 @@ import pyarrow as pa
 
 from pcbench.dataset import columns
 
-READ = ("5", columns.SCHEMA)  # of schema 5 the runs are the same; its stats and pairs lack `certified`
+# the runs are the same in all; stats and pairs of schema 5 lack `certified`, and of both what 7 has of exact numbers
+READ = ("5", "6", columns.SCHEMA)
+ALWAYS = {"method": "runs"}  # what an earlier release had no word for
 Order = Callable[[list[str]], list[str]]  # axes -> the columns of a table
 
 
@@ -16,12 +18,12 @@ def is_read(metadata: dict[bytes, bytes] | None) -> bool:
 
 
 def completed(there: pa.Table, order: Order) -> pa.Table:
-    """Return a table in the order of this release; what it lacks is null: unknown."""
+    """Return a table in the order of this release; what it lacks is null: unknown, but for the method."""
     names = order(columns.axes_of(dict.fromkeys(there.column_names)))
     lacking = [name for name in names if name not in there.column_names]
     if not lacking:
         return there
-    unknown = columns.table({name: [None] * len(there) for name in lacking})
+    unknown = columns.table({name: [ALWAYS.get(name)] * len(there) for name in lacking})
     for name in lacking:
         there = there.append_column(unknown.field(name), unknown[name])
     return there.select(names)

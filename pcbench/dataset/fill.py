@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pcbench import planning
-from pcbench.dataset import block_files, ownership, store, task
+from pcbench.dataset import block_files, exact_part, ownership, store, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.columns import SCHEMA
 from pcbench.dataset.cost import Cost, added
@@ -114,7 +114,7 @@ def missing(owned: Owned, there: list[Block], wanted: SeedsOf, size: Callable[[C
 def lacking(target: store.Target, owned: Owned) -> int:
     """Return how many runs of a study have no block."""
     there = block_files.present(target)
-    todo = missing(owned, there, everything(owned, there), lambda cell: 2**40)
+    todo = missing(exact_part.simulated(target, owned), there, everything(owned, there), lambda cell: 2**40)
     return runs_in(todo)
 
 

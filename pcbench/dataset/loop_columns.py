@@ -8,7 +8,9 @@ AXIS_UNITS = {"command_jitter": "s", "command_loss": "1", "command_std": "unit o
 UNITS = dict.fromkeys(
     ("efficiency", "divergence", "unsettled", "cost", "tail_cost"), "1"
 )  # of metrics, not the signal's
-UNITS |= dict.fromkeys(("input_rms", "tail_input_rms"), "unit of the input")
+UNITS |= dict.fromkeys(
+    ("input_rms", "tail_input_rms", "pooled_input_rms", "tail_pooled_input_rms"), "unit of the input"
+)
 MEANING = {
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",
     "command_loss": "probability that a command never comes to the plant, which holds the last one that came",

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, columns, earlier, ownership, parquet, store, summary
+from pcbench.dataset import block_files, columns, earlier, exact_part, ownership, parquet, store, summary
 from pcbench.dataset.cost import Cost
+from pcbench.dataset.exact import OVER_TIME
 from pcbench.dataset.verify import FAIR
 from pcbench.errors import UserError, said
 from pcbench.statistics.wording import UNPROVEN
@@ -72,6 +73,10 @@ class Result:
     @cached_property
     def runs(self) -> "pd.DataFrame":
         """One row per cell, observer, seed and signal."""
+        if not block_files.present(self._target):
+            raise UserError(
+                f"{self._target.name}: has no runs, its numbers are exact; run the study with method = 'runs'."
+            )
         whole = self._read()
         first = ["study", "scenario", "observer", "cell"]
         ordered = whole[first + [c for c in whole.columns if c not in first]]
@@ -81,6 +86,33 @@ class Result:
     def scenarios(self) -> list[str]:
         """The scenarios that there are numbers of, in the study's order."""
         return [str(name) for name in self.stats.scenario.unique()]
+
+    @cached_property
+    def moments(self) -> "pd.DataFrame":
+        """Mean and standard deviation of the errors over time, where they are exact: scenario, cell, observer, signal, t."""
+        import pandas as pd
+
+        found = []
+        for name in store.names(self._target, exact_part.FOLDER):
+            content = store.get(self._target, name)
+            table = None if content is None else parquet.whole(content)
+            if table is None:
+                raise UserError(f"{self._target.name}/{name}: is damaged; run the study again to have it made anew.")
+            scenario, cell = (part.partition("=")[2] for part in name.removesuffix(".parquet").split("/")[-2:])
+            found.append(table.to_pandas().assign(scenario=scenario.replace("%2F", "/"), cell=int(cell)))
+        whole = pd.concat(found, ignore_index=True) if found else pd.DataFrame({name: [] for name in OVER_TIME})
+        return whole if not found else whole[["scenario", "cell", *OVER_TIME]]
+
+    def ranks(self, metric: str) -> str:
+        """Return the metric that ranks observers where that is asked for: in exact results, of a root its pooled form."""
+        late, plain = ("tail_", metric.removeprefix("tail_")) if metric.startswith("tail_") else ("", metric)
+        pooled = f"{late}pooled_{plain}"
+        return pooled if self.exact and plain in ("rmse", "tracking_rmse", "input_rms") else metric
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether some numbers are exact."""
+        return bool((self.stats.method == "exact").any())
 
     @cached_property
     def _parts(self) -> "tuple[dict[Any, pd.DataFrame], dict[Any, pd.DataFrame]]":

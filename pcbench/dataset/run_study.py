@@ -9,7 +9,7 @@ from time import perf_counter
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pcbench.dataset import block_files, executors, fill, ownership, precision, store, summary
+from pcbench.dataset import block_files, exact_part, executors, fill, ownership, precision, store, summary
 from pcbench.dataset.cost import added
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
@@ -60,7 +60,10 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
         there = [] if owned.fresh else fill.whole(target, owned, say)
-        wanted = fill.everything(owned, there, how.more)
+        if grid.study.method != "runs" and exact_part.made(target, owned, say, how.progress):
+            owned, there = owned._replace(fresh=False), block_files.settled(block_files.present(target))
+        left = exact_part.simulated(target, owned)
+        wanted = fill.everything(left, there, how.more)
         closing: list[summary.Closing] = []
 
         def beside(blocks: list[block_files.Block], lacking: dict[tuple[str, int], int]) -> fill.Heard:
@@ -68,10 +71,10 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
             return closing[0].done
 
         once = None if goal else beside  # more seeds would make its tables anew
-        cost = fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress, once)
-        for wanted in precision.rounds(goal, target, owned, say):
+        cost = fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress, once)
+        for wanted in precision.rounds(goal, target, left, say):
             there = block_files.settled(block_files.present(target))
-            cost = added(cost, fill.fill(target, owned, there, run_tasks, wanted, sizes, how.progress))
+            cost = added(cost, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress))
         there = block_files.settled(block_files.present(target))
         if cost.runs or not summary.is_closed(target, there):
             how.progress.note("statistics")

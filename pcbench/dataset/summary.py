@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pcbench import statistics
-from pcbench.dataset import block_files, cell_rows, columns, earlier, parquet, store
+from pcbench.dataset import block_files, cell_rows, columns, earlier, exact_part, parquet, store
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, joined
@@ -86,8 +86,9 @@ class Closing:
     ) -> None:
         """Begin with the blocks that are, or will be, `there`; cells still lack so many runs."""
         self.target, self.owned, self.lacking = target, owned, dict(lacking or {})
-        self.made_of = {FROM: fingerprint(there)}
+        self.made_of = {FROM: made_from(target, there)}
         self.stats, self.pairs = GrowingTable(self.made_of), GrowingTable(self.made_of)
+        self.exact = exact_part.rows_by_cell(target)
         self.weakest: dict[str, dict[str, Any]] = {}
         self.left = iter(owned.cells)
         self.next = next(self.left, None)
@@ -109,10 +110,14 @@ class Closing:
 
     def _add(self, cell: Cell) -> None:
         self.next = next(self.left, None)
-        found = cell_rows.observed(self.target, cell, self.blocks)
-        if not found:
+        found, known = cell_rows.observed(self.target, cell, self.blocks), self.exact.get(cell.key, [])
+        if not found and not known:
             return
-        rows, compared = cell_rows.rows_of(self.target, self.owned.study.name, cell, found)
+        rows, compared = cell_rows.rows_of(self.target, self.owned.study.name, cell, found) if found else ([], [])
+        compared = [*compared, *exact_part.pairs(known)]
+        why = {row["observer"]: row["reason"] for row in known if row["metric"] == "mse"}
+        rows = [row | {"reason": why.get(row["observer"])} for row in rows]
+        rows = _in_order(cell, [*(row for row in known if row["observer"] not in found), *rows])
         axes = columns.axes_of(rows[0])
         self.stats.add_rows(rows, columns.stats_order(axes))
         self.pairs.add_rows(compared, columns.pairs_order(axes))
@@ -120,6 +125,12 @@ class Closing:
         for name, each in found.items():
             c = each.about["certificate"]
             mine[name] = min(mine.get(name, c), c, key=_strength)
+
+
+def _in_order(cell: Cell, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of stats with observers in the order of the study."""
+    order = {name: i for i, name in enumerate(cell.options)}
+    return sorted(rows, key=lambda row: order[row["observer"]])
 
 
 def _strength(certificate: dict[str, Any]) -> float:
@@ -137,6 +148,12 @@ def fingerprint(there: list[Block]) -> bytes:
     return hashlib.sha256(repr(whole).encode()).hexdigest().encode()
 
 
+def made_from(target: store.Target, there: list[Block]) -> bytes:
+    """Return a digest of what closing tables are made of: of runs, and of exact rows where there are any."""
+    runs, exact = fingerprint(there), store.get(target, exact_part.NAME)
+    return runs if exact is None else runs + digest_of(exact).encode()
+
+
 def damaged(target: store.Target) -> list[str]:
     """Return the closing files that are there, but not as they were written."""
     said = record(target)
@@ -150,7 +167,7 @@ def is_closed(target: store.Target, there: list[Block]) -> bool:
     for name in ("stats.parquet", "pairs.parquet"):
         found = table(target, name)
         said = {} if found is None else found.schema.metadata or {}
-        if said.get(FROM) != fingerprint(there) or not earlier.is_read(said):
+        if said.get(FROM) != made_from(target, there) or not earlier.is_read(said):
             return False
     return True
 

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench import planning
-from pcbench.dataset import block_files, earlier, executors, fill, ownership, parquet, store, summary, task
+from pcbench.dataset import block_files, earlier, exact_part, executors, fill, ownership, parquet, store, summary, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds
@@ -21,6 +21,7 @@ from pcbench.synthesis.certificate import is_certified
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
 FAIR = "fair.parquet"  # of a study with several tunings
+BESIDE = ("examples/", f"{exact_part.FOLDER}/")
 ZERO = 1e-11  # errors this small, as they are or as a part of the signal's largest, are rounding of zero
 
 
@@ -60,11 +61,12 @@ def status(out: str | Path) -> Status:
     kept = block_files.settled(there)
     doubled = [b.name for b in sorted(set(there) - set(kept))]
     wanted = fill.everything(owned, there)
-    todo = fill.missing(owned, kept, wanted, lambda cell: 2**40)
+    left = exact_part.simulated(target, owned)
+    todo = fill.missing(left, kept, wanted, lambda cell: 2**40)
     for scenario in study.scenarios:
-        mine = [c for c in owned.cells if c.scenario.name == scenario]
-        asked = sum(wanted(cell).many for cell in mine)
-        for observer in mine[0].options:
+        mine = [c for c in left.cells if c.scenario.name == scenario]
+        for observer in dict.fromkeys(o for c in mine for o in c.options):
+            asked = sum(wanted(cell).many for cell in mine if observer in cell.options)
             gaps = [todo.get((scenario, c.number), {}).get(observer, []) for c in mine]
             lacking = sum(seeds.many for ranges in gaps for seeds in ranges)
             each = by.get((scenario, observer), [])
@@ -73,7 +75,7 @@ def status(out: str | Path) -> Status:
             share = Share(
                 scenario=scenario,
                 observer=observer,
-                cells=len(mine),
+                cells=sum(observer in c.options for c in mine),
                 blocks=len(each),
                 seeds=asked - lacking,
                 wanted=asked,
@@ -220,7 +222,7 @@ def _others(target: store.Target, owned: Owned) -> Iterator[str]:
     said = summary.record(target)
     if said and said["study_sha256"] != digest(owned.study, owned.cells):
         yield f"{ownership.TEXT}: is not of the study that was run; run that again to have it written anew."
-    for name in [n for n in store.names(target) if n.startswith("examples/") or n == FAIR]:
+    for name in [n for n in store.names(target) if n.startswith(BESIDE) or n in (FAIR, exact_part.NAME)]:
         content = store.get(target, name)
         if content is None or parquet.whole(content) is None:
             yield f"{name}: is not as it was written; remove it to have it made anew."

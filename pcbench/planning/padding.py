@@ -56,12 +56,12 @@ def room_of(p: Plan) -> Capacity:
     return Capacity(
         slots=schedule.arrive.shape[1] if common else 1,
         due=0 if common else schedule.due.shape[1],
-        ring=_rounded(p.layout.ring),
-        early=_rounded(len(schedule.early)) if common else 0,
-        back=_rounded(back),
-        ahead=_rounded(ahead),
+        ring=rounded(p.layout.ring),
+        early=rounded(len(schedule.early)) if common else 0,
+        back=rounded(back),
+        ahead=rounded(ahead),
         falls=len(p.problem.jumps),
-        pending=_rounded(p.layout.pending),
+        pending=rounded(p.layout.pending),
         rows=tuple(rows.items()),
     )
 
@@ -125,6 +125,6 @@ def key_of(p: Plan) -> Hashable:
     return p.layout, tree, tuple(np.shape(a) for a in leaves)
 
 
-def _rounded(many: int) -> int:
-    """The next power of 2: few sizes, few programs."""
+def rounded(many: int) -> int:
+    """Return the next power of 2: few sizes, few programs."""
     return 1 << (many - 1).bit_length() if many else 0

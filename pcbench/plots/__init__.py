@@ -16,7 +16,8 @@ from pcbench.plots.lines import convergence, curves, distributions
 from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.palette import styles
 from pcbench.plots.paper import Paper
+from pcbench.plots.quantiles import quantiles
 from pcbench.plots.time_series import time
 
-__all__ = ["Paper", "convergence", "curves", "distributions", "divergence", "fair", "heatmaps", "save", "styles", "time",
-           "trade_off", "winners"]  # fmt: skip
+__all__ = ["Paper", "convergence", "curves", "distributions", "divergence", "fair", "heatmaps", "quantiles", "save", "styles",
+           "time", "trade_off", "winners"]  # fmt: skip

@@ -70,7 +70,7 @@ def signal_of(result: Result, scenario: str, signal: str | None) -> str:
 
 def rows(result: Result, scenario: str | None, signal: str | None, metric: str) -> pd.DataFrame:
     """Return the rows of stats of one metric, with each varying axis as plain numbers or words."""
-    scenario = scenario_of(result, scenario)
+    scenario, metric = scenario_of(result, scenario), result.ranks(metric)
     stats = result.stats_of(scenario, signal_of(result, scenario, signal))
     part = stats[stats.metric == metric].copy()
     if not len(part):
@@ -190,7 +190,7 @@ def standings(
     part = rows(result, scenario, signal, metric)
     scenario, signal = part.scenario.iloc[0], part.signal.iloc[0]
     pairs = result.pairs_of(scenario, signal)
-    pairs = pairs[pairs.metric == metric]
+    pairs = pairs[pairs.metric == result.ranks(metric)]
     met, out = dict(iter(pairs.groupby("cell"))), []
     for cell, mine in part.groupby("cell", sort=False):
         found = winning.standing(mine, met.get(cell, pairs.iloc[:0]))

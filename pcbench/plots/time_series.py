@@ -22,6 +22,7 @@ BANDS = 5  # observers, up to which bands are told apart
 STEADY = 0.5  # of the run: how large errors are in its second half says whether they need a logarithmic axis
 DEPTH = 1e-6  # of the largest error: what is smaller lies at the lower edge
 RUNAWAY = 30.0  # times the plant's range: errors beyond leave the picture
+NINE = 1.6448536269514722  # standard deviations on both sides of the mean, within which nine in ten lie
 TRUTH = Key("plant", Style(pale(PLANT, 0.68), (), ""), width=3.2)
 HELD = Key("measured, held", Style(MEASURED, (), ""), width=1.0)
 TARGET = Key("target", Style(SOFT, (1.0, 1.6), ""), width=1.2)
@@ -59,7 +60,7 @@ def drawn(
     result: Result, whole: pd.DataFrame, scenario: str, signal: str, cell: int, seed: int, paper: Paper
 ) -> Figure:
     """Draw one signal of a run that is at hand, a frame of `one_run.of`."""
-    part = whole[whole.signal == signal]
+    part = _with_exact(whole[whole.signal == signal], result, scenario, cell)
     named = frames.rows(result, scenario, signal, "mae")
     unit = dict(signals_of(scenarios_of(result.study)[scenario]))[signal]
     known = set(part.series)
@@ -80,6 +81,27 @@ def drawn(
         _states(ax, part, keys)
         _errors(below, part, keys, log)
     return figure
+
+
+def _with_exact(part: pd.DataFrame, result: Result, scenario: str, cell: int) -> pd.DataFrame:
+    """Return a run with the bands and sizes of its errors as they are exactly, of observers whose moments are known."""
+    if not result.exact:
+        return part
+    known = result.moments
+    known = known[(known.scenario == scenario) & (known.cell == cell) & (known.signal == part.signal.iloc[0])]
+    known = known[known.observer.isin(set(part.series))]
+    mine = part.series.isin(set(known.observer))
+    kept, there = part[~(mine & part.kind.isin(["low", "high", "rms"]))], set(part.kind)
+    made = {"low": known["mean"] - NINE * known["std"], "high": known["mean"] + NINE * known["std"]}
+    made["rms"] = np.hypot(known["mean"], known["std"])
+    rows = [
+        pd.DataFrame({"t": known.t, "series": known.observer, "kind": kind, "value": value}).assign(
+            signal=part.signal.iloc[0]
+        )
+        for kind, value in made.items()
+        if kind in there
+    ]
+    return pd.concat([kept, *rows], ignore_index=True)
 
 
 def _states(ax: Any, part: pd.DataFrame, keys: list[Key]) -> None:

@@ -67,6 +67,8 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
     runs = (
         f"{n:,} runs each; ± is half a 95 % interval." if n > 1 else "One run each: no interval, and nothing is sure."
     )
+    if not n:
+        runs, lost = "Exact: the expected values over all noise.", ""
     return Headline(title, [heads[i] for i in kept], rows, f"{runs}{lost} {result.unproven(scenario)}".strip())
 
 

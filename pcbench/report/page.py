@@ -62,6 +62,7 @@ def write(folder: str | Path, out: str | Path, progress: Progress = SILENT, show
 
 def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> str:
     """Return the page's HTML; arguments are those of `write`."""
+    shown = shown._replace(metric=result.ranks(shown.metric))
     stood = summary.stood(result, shown.metric, shown.signals)
     rows, won = summary.rows(result, stood), summary.tally(stood)
     names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
@@ -76,7 +77,7 @@ def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> s
             title=f"Study {result.study.name}",
             what=_what(result),
             metric=shown.metric,
-            metric_means=MEANING[shown.metric],
+            metric_means=MEANING.get(shown.metric, _OF_STATS.get(shown.metric, "")),
             sure=_sure(result),
             tally=won,
             summary=rows,
@@ -92,6 +93,10 @@ def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> s
 
 
 _OF_STATS = {
+    "pooled_rmse": "root of the expected square of e over ticks 0 .. N-1",
+    "tail_pooled_rmse": "the same from the scenario's tail start on",
+    "pooled_tracking_rmse": "root of the expected square of set point less state, in a closed loop",
+    "tail_pooled_tracking_rmse": "the same from the tail start on",
     "efficiency": "the least tail_pooled_rmse that any causal estimator can have, over the observer's: 1 is best",
     "divergence": "the share of runs whose error became non-finite or left the scenario's bound; none of them is averaged",
 }
@@ -121,14 +126,15 @@ def _what(result: Result) -> str:
     scenarios, cells = mine.scenario.nunique(), int(mine.groupby("scenario").cell.nunique().sum())
     observers, runs = list(dict.fromkeys(mine.observer)), int((mine.n + mine.diverged).max())
     many = f", {cells} combinations of axis values" if cells > scenarios else ""
+    seeds = f"with up to {runs:,} noise seeds each" if runs else "exact: the expected values over all noise"
     where = f"{scenarios} scenario" + ("s" if scenarios > 1 else "")
-    return (
-        f"{len(observers)} observers ({', '.join(observers)}) in {where}{many}, with up to {runs:,} noise seeds each."
-    )
+    return f"{len(observers)} observers ({', '.join(observers)}) in {where}{many}, {seeds}."
 
 
 def _sure(result: Result) -> str:
     """How to read sureness, where there is any."""
+    if result.exact:
+        return "What has no interval is exact, and a difference between two such numbers is sure."
     if int((result.stats.n + result.stats.diverged).max()) < 2:
         return "One run each: nothing is sure."
     return "Scenarios with noise stand first, then those in which the best is farthest ahead."

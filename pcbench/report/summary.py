@@ -95,7 +95,7 @@ def _row(result: Result, stood: Stood) -> Row:
         o for o, _ in middle if counted.get(o, 0) == counted.max()
     ]  # of equally many cells the least error decides
     best = ahead_most[0] if several and len(counted) else str(found.best.iloc[0]) if not several else ""
-    deterministic = not frames.distributed(part)
+    deterministic = not frames.distributed(part) and not result.exact
     ahead = np.nanmedian(found.factor) if found.factor.notna().any() else np.nan
     sure = bool(len(counted))
     told = (0 if deterministic else 100) + (0 if not sure else 50) + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0)
@@ -127,6 +127,8 @@ def _said(found: pd.DataFrame, counted: pd.Series, best: str, deterministic: boo
         return "all diverge"
     if deterministic:
         return "runs do not differ" if row.winner else f"as good: {', '.join(row.alike)}"
+    if not runs and row.winner:
+        return "surely: the values are exact"
     if runs == 1:
         return "one run: nothing is sure"
     if row.winner:

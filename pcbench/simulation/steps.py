@@ -144,7 +144,7 @@ def score(layout: Layout, p: Problem, k: Array, state: State) -> State:
     """Take the error of every estimate at tick k into streams and watches, and in a closed loop what is off the set point."""
 
     def one_lane(k: Array, e: dict[str, Array], streams: Any, watches: Any, tracking: Any, x: Array) -> Any:
-        if layout.controller:
+        if layout.controller and state.tracking:
             tracking = metrics.update(tracking, off_target(layout.controller, p, k, x))
         updated = {label: metrics.update(stream, e[label]) for label, stream in streams.items()}
         looked = {label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps) for label, w in watches.items()}

@@ -30,7 +30,8 @@ def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
 
     `rows` are those of stats of one metric in the cell, `pairs` those of pairs. The best is surely better than another that
     surely diverges more often (Wilson's intervals are apart) or differs from it by Holm's adjusted p-value; where several runs
-    do not vary there is no test, and a difference is one. No observer is the best where all have diverged.
+    do not vary, and of exact numbers (n = 0), there is no test, and a difference is one. No observer is the best where all
+    have diverged.
     """
     order = ranked(rows)
     best, others = order.iloc[0], order.iloc[1:]
@@ -72,5 +73,5 @@ def _apart(pairs: pd.DataFrame, best: Any, other: Any) -> bool:
     if row.empty:
         return False
     p, alike = float(row.p_holm.iloc[0]), float(row.prob_a_better.iloc[0]) == 0.5
-    several = int(row.n.iloc[0]) > 1
+    several = int(row.n.iloc[0]) != 1
     return several and not alike if np.isnan(p) else p <= ALPHA

@@ -1,6 +1,6 @@
 """What a study file may say: scenarios x observers x axes x seeds, choices, and what to tune for."""
 
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
 
@@ -64,6 +64,12 @@ class Study(BaseModel):
     seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
     first_seed: int = Field(0, ge=0, le=4_000_000_000, strict=True)
     root_seed: int = Field(0, ge=0, lt=2**32, strict=True)
+    method: Literal["runs", "exact", "both"] = Field(
+        "runs", description="simulated runs; exact numbers without a seed; or exact ones and runs of what has none"
+    )
+    schedules: int = Field(
+        64, ge=2, le=100_000, strict=True, description="over which exact numbers of random cells are averaged"
+    )
     axes: dict[str, Values] = {}
     options: dict[str, dict[str, Any]] = {}
     lti: Lti | None = None

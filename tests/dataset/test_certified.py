@@ -39,7 +39,9 @@ def old(out, tmp_path):
     place = store.target(tmp_path / "old")
     for name in tables(tmp_path / "old"):
         table = pq.read_table(tmp_path / "old" / name, partitioning=None)
-        table = table.drop_columns([c for c in table.column_names if c.startswith("certified")])
+        table = table.drop_columns(
+            [c for c in table.column_names if c.startswith("certified") or c in ("method", "reason")]
+        )
         store.put(
             place,
             name,

@@ -108,7 +108,7 @@ def frame(**columns):
     """Matched rows as `judged` takes them."""
     one = {"scenario": "s", "where_a": "", "observer": "o", "signal": "x", "metric": "mae", "unit_a": "m"}
     one |= {"draws_a": "0", "draws_b": "0", "narrowed_a": False, "n_a": 9, "n_b": 9, "bits_a": b"", "bits_b": b""}
-    one |= {"certified_a": None, "certified_b": None}
+    one |= {"certified_a": None, "certified_b": None, "method_a": "runs", "method_b": "runs"}
     return pd.DataFrame([one | {k: v[i] for k, v in columns.items()} for i in range(len(columns["mean_a"]))])
 
 
@@ -204,3 +204,13 @@ def test_releases_and_devices_that_differ_are_said(whole, copy):
     (phrase,) = compare.compare(whole, copy).made_by
     assert phrase.startswith("versions.jax: ")
     assert phrase.endswith("there, 0.0.1 here")
+
+
+def test_an_exact_number_is_compared_with_runs_by_their_error_alone():
+    """Nine runs of error 0.1 are three of them away from an exact value: Student's p for 8 degrees of freedom, 0.017."""
+    known = {"n_a": [0, 0], "se_a": [0.0, 0.0], "method_a": ["exact", "none"]}
+    rows = compare.judged(
+        frame(mean_a=[1.0, float("nan")], mean_b=[1.3, 1.0], se_b=[0.1, 0.1], signal=["far", "runs only"], **known)
+    ).set_index("signal")
+    assert rows.p_value["far"] == pytest.approx(0.01707168, rel=1e-5)
+    assert dict(rows.changed) == {"far": True, "runs only": False}

@@ -33,11 +33,13 @@ RUNS = (
     "seed signal unit carries_input mae rmse mse peak final settling_time recovery_time tail_mae tail_rmse tail_mse tail_peak "
     "tracking_rmse tail_tracking_rmse status diverged first_bad_time"
 )
-STATS = "signal unit carries_input certified metric n diverged mean se ci_low ci_high " + " ".join(
-    f"{q} {q}_low {q}_high" for q in ("p05", "p25", "p50", "p75", "p95")
+STATS = (
+    "signal unit carries_input certified metric method n diverged mean se ci_low ci_high "
+    + " ".join(f"{q} {q}_low {q}_high" for q in ("p05", "p25", "p50", "p75", "p95"))
+    + " reason"
 )
 PAIRS = (
-    "observer_a observer_b carries_input_a carries_input_b certified_a certified_b signal unit metric n mean_diff se "
+    "observer_a observer_b carries_input_a carries_input_b certified_a certified_b signal unit metric method n mean_diff se "
     "ci_low ci_high prob_a_better p_value p_holm"
 )
 

@@ -3,6 +3,8 @@
 The plants are put into coordinates in which the process noise of a tick is white, x = T z.
 """
 
+from itertools import pairwise
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -70,12 +72,16 @@ def test_the_cost_of_a_late_measurement_is_the_printed_one_as_sampling_grows_fas
     assert 2 * sampled(tau, 0.0025) - sampled(tau, 0.005) == pytest.approx(LATE[tau], abs=2e-4)
 
 
-def costs(monkeypatch, h, delays, seeds, horizon):
-    s, T = whitened(*MOTOR, h, sampling_period=h, delay=0.0, noise_std=0.1 / np.sqrt(h), horizon=horizon, tail=8.0)
+def study(monkeypatch, h, delays, seeds, horizon, tail=8.0):
+    s, T = whitened(*MOTOR, h, sampling_period=h, delay=0.0, noise_std=0.1 / np.sqrt(h), horizon=horizon, tail=tail)
     monkeypatch.setitem(SCENARIOS, "loop", s)
     controller = {"use": "lqr", "Q1": (T.T @ Q1 @ T).tolist(), "Q2": Q2.tolist()}
     raw = {"name": "lqg", "scenarios": ["loop"], "observers": ["dkf"], "seeds": seeds, "controller": controller}
-    stats = pcbench.run(raw | {"axes": {"delay": delays}}).stats
+    return raw | {"axes": {"delay": delays}}
+
+
+def costs(*given):
+    stats = pcbench.run(study(*given)).stats
     return stats[stats.metric == "tail_cost"].set_index("delay")[["mean", "se"]]
 
 
@@ -83,6 +89,20 @@ def test_the_cost_of_lqg_with_a_late_measurement(monkeypatch):
     row = costs(monkeypatch, 0.05, [0.1], 256, 24.0).iloc[0]
     assert row["se"] < 0.03
     assert row["mean"] == pytest.approx(sampled(0.1, 0.05), abs=4 * row["se"])
+
+
+@pytest.mark.slow
+def test_the_cost_of_lqg_without_seeds(monkeypatch):
+    """Exact at every delay once nothing is left of the start; and that by Richardson's rule comes to what is printed."""
+    stats = pcbench.exact(study(monkeypatch, 0.05, list(LATE), 2, 24.0, 23.0)).stats
+    found = stats[stats.metric == "tail_cost"].set_index("delay")
+    assert (found.method == "exact").all()
+    for tau, known in LATE.items():
+        assert found.loc[tau, "mean"] == pytest.approx(sampled(tau, 0.05), rel=1e-9)
+        each = [sampled(tau, 0.05 / 2**i) for i in range(6)]
+        for order in (1, 2, 3, 4, 5):
+            each = [(2**order * b - a) / (2**order - 1) for a, b in pairwise(each)]
+        assert each[0] == pytest.approx(known, abs=1e-6)
 
 
 @pytest.mark.slow

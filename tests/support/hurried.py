@@ -43,9 +43,11 @@ def recorder():
 @contextmanager
 def programs():
     """Have calls of a few lanes, made in a hurry, until this is left; none of them is kept."""
+    from pcbench.moments import compiled
     from pcbench.simulation import batch
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "_MADE", {})
         patch.setattr(batch, "WIDTH", LANES)
         patch.setattr(batch, "HEAVY", LANES)
         patch.setattr(batch, "ONE_THREAD", batch.ONE_THREAD | options())

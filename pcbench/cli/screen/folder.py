@@ -3,8 +3,11 @@
 from rich.console import Console
 
 from pcbench.cli.screen.tables import titled
+from pcbench.dataset.against_exact import KEY, Checked
 from pcbench.dataset.verify import Status, Verdict
 from pcbench.statistics.wording import UNPROVEN, marked
+
+MOST = 8  # lines of a kind
 
 
 def status(found: Status, folder: str, console: Console) -> None:
@@ -41,3 +44,17 @@ def verdict(found: Verdict, folder: str, console: Console) -> None:
         f"{many - len(found.differing)} of {many} came out again, bit for bit" if many else "none was computed again"
     )
     console.print(f"{folder}: {files}; {again}.", highlight=False)
+
+
+def against_exact(found: Checked, console: Console) -> None:
+    """Print the verdict on simulated means, those that are off, and why others could not be compared."""
+    worst = found.wrong.assign(size=found.wrong.z.abs()).sort_values("size", ascending=False)
+    for row in worst.head(MOST).to_dict("records"):
+        where = ", ".join(str(row[name]) for name in KEY)
+        line = f"{where}: {row['mean']:.6g} ± {row['se']:.2g}, exact {row['exact']:.6g}, z = {row['z']:.3g}"
+        console.print(line, highlight=False, markup=False, soft_wrap=True)
+    for sentence in found.refused[:MOST]:
+        console.print(sentence, highlight=False, markup=False, soft_wrap=True)
+    if len(found.refused) > MOST:
+        console.print(f"... and {len(found.refused) - MOST:,} more that have no exact value.", highlight=False)
+    console.print(found.verdict, highlight=False, markup=False, soft_wrap=True)

@@ -20,6 +20,7 @@ LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
 BESIDE = ("rmse", "recovery_time", "tail_tracking_rmse", "settling_time", "cost", "efficiency")
 LESS = "less the best"
 PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Holm, 5 %)."
+EXACT = "What has no ± is exact: the expected value over all noise. Numbers that only runs have are left out."
 HALF = "± is half a 95 % interval; one that leans to one side is written by its ends."
 
 
@@ -36,7 +37,8 @@ class View(NamedTuple):
         """Return scenario, signal with its unit, and runs."""
         ranked = self.stats[self.stats.metric == self.metric]
         many = int((ranked.n + ranked.diverged).max())
-        return f"{self.scenario.name}: error of {self.stats.signal.iloc[0]} [{self.unit}], {many:,} seeds"
+        seeds = f"{many:,} seeds" if many else "exact"
+        return f"{self.scenario.name}: error of {self.stats.signal.iloc[0]} [{self.unit}], {seeds}"
 
     @property
     def unit(self) -> str:
@@ -50,6 +52,7 @@ def closing(result: Result, console: Console, metric: str, signals: list[str] | 
     Of every scenario the `signals` that it has; None: those it is known by; an empty list: all.
     """
     stats, pairs, known = result.stats, result.pairs, scenarios_of(result.study)
+    metric = result.ranks(metric)
     notes: dict[str, None] = {}
     for name, whole in ((str(name), rows) for name, rows in stats.groupby("scenario", sort=False)):
         there = list(dict.fromkeys(whole.signal))
@@ -114,13 +117,23 @@ def _tables(shown: View, console: Console) -> list[str]:
     for title, mine, each in groups:
         left_out |= dict.fromkeys(printed(title, each, console, [cell.observer.nunique() for cell in mine]))
     paired = [PAIRED] if any(cell.observer.nunique() > 1 for cell in cells) else []
-    return [HALF, *paired, *([f"Left out for want of room: {', '.join(left_out)}."] if left_out else [])]
+    exact = shown.stats.method.eq("exact").any()
+    half = [EXACT] if exact else []
+    if not exact or shown.stats.method.eq("runs").any():
+        half.append(HALF)
+    return [
+        *half,
+        *(paired if not exact else []),
+        *([f"Left out for want of room: {', '.join(left_out)}."] if left_out else []),
+    ]
 
 
 def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Column]:
     """The columns of some cells, best observers first: what ranks them, by how much, and what else there is."""
     metric, there = shown.metric, set(shown.stats.metric)
-    beside = [m for m in BESIDE if m in there and m != metric]
+    filled = set(shown.stats.metric[shown.stats["mean"].notna()])
+    exact = ["pooled_rmse"] if "rmse" in there - filled else []
+    beside = [m for m in (*exact, *BESIDE) if m in filled and m != metric]
     values: dict[str, list[str]] = {name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence")}
     for cell in cells:
         wide = cell.set_index(["observer", "metric"])
@@ -206,6 +219,8 @@ def _counted(shown: View, console: Console) -> list[str]:
 def took(result: Result, folder: str) -> str:
     """Return what a run took, in a sentence."""
     p = result.provenance
+    if not result.cost.runs and result.exact and not p["blocks"]:
+        return f"Exact numbers of {result.stats.groupby(['scenario', 'cell']).ngroups:,} cells are in {folder}."
     if not result.cost.runs:
         return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
     spent = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"

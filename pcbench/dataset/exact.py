@@ -1,0 +1,130 @@
+"""Answers without seeds: expected values of a study's metrics, and the moments of errors over time, as pandas frames."""
+
+from collections.abc import Iterator
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from pcbench.dataset import columns
+from pcbench.dataset.cell_rows import seen_bound
+from pcbench.errors import UserError, unknown
+from pcbench.machine import process
+from pcbench.moments import affine, described
+from pcbench.moments.program import COVARIANCE
+from pcbench.moments.solve import Asked, CellMoments, planned, solve
+from pcbench.plants import signals_of
+from pcbench.study.cells import Cell, Grid
+from pcbench.synthesis.certificate import is_certified
+
+OVER_TIME = ("observer", "signal", "t", "mean", "std")
+
+
+class Joint(NamedTuple):
+    """Mean and covariance of all errors of one cell together, at ticks 0 .. N; Z errors."""
+
+    t: NDArray[Any]  # [N+1] s
+    errors: tuple[tuple[str, str], ...]  # (observer, signal)
+    mean: NDArray[Any]  # [N+1, Z]
+    covariance: NDArray[Any]  # [N+1, Z, Z]
+
+
+class Exact:
+    """What a study's numbers are over infinitely many seeds, where that has an exact answer (see `pcbench.moments`)."""
+
+    def __init__(self, grid: Grid, schedules: int):
+        self.grid, self.schedules = grid, schedules
+
+    @cached_property
+    def stats(self) -> pd.DataFrame:
+        """One row per cell, observer, signal and metric, like a result's `stats`: see its `method` and `reason`.
+
+        A mean is the expected value and its se 0. Where runs have schedules of their own, a mean is over the first `schedules`
+        of them, n says how many, and se is of schedules alone.
+        """
+        rows = [row for m in self.solved(self.grid.cells) for row in self.rows(m)]
+        return pd.DataFrame(rows)[columns.stats_order(columns.axes_of(rows[0]))]
+
+    def moments(self, scenario: str | None = None, cell: int | None = None) -> pd.DataFrame:
+        """Return mean and standard deviation of e at ticks 0 .. N: of all cells, or of one.
+
+        Where runs have schedules of their own they are over noise and schedules. Observers without an exact answer are missing.
+        """
+        frames = []
+        for m in self.solved(self._chosen(scenario, cell), "std"):
+            head = columns.keys(self.grid.study.name, m.planned.cell)
+            frames += [each.assign(**{k: [v] * len(each) for k, v in head.items()}) for each in self.over_time(m)]
+        if not frames:
+            return pd.DataFrame()
+        whole = pd.concat(frames, ignore_index=True)
+        last = list(OVER_TIME)
+        return whole[[c for c in whole if c not in last] + last]
+
+    def over_time(self, m: CellMoments, every: int = 1) -> Iterator[pd.DataFrame]:
+        """Yield for each observer and signal of a cell that has an exact answer its moments at every so many ticks."""
+        names = [name for name, _ in signals_of(m.planned.cell.scenario)]
+        t = m.planned.cell.scenario.dt * np.arange(0, m.planned.cell.times.ticks + 1, every)
+        for label, place in m.signals.items():
+            if affine.refusal(m, label):
+                continue
+            for i, z in enumerate(range(place.start, place.stop)):
+                mean = m.rows.mean[::every, z]
+                std = np.sqrt(np.maximum(m.rows.covariance[::every, z, 0].mean(-1) + mean.var(-1), 0.0))
+                each = (label, names[i], t, mean.mean(-1), std)
+                yield pd.DataFrame(dict(zip(OVER_TIME, each, strict=True)))
+
+    def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
+        """Return the joint covariance of all errors of one cell, whose observers see the same noise.
+
+        Raises UserError where one of them has no exact answer, or drives a plant of its own.
+        """
+        chosen = self._chosen(scenario, cell)
+        if len(chosen) > 1:
+            raise UserError(f"covariance: got {len(chosen)} cells, expected one; give scenario and cell.")
+        each = list(self.solved(chosen, COVARIANCE))
+        if len(each) > 1:
+            raise UserError(
+                f"covariance: got {len(chosen[0].options)} observers in a closed loop, expected one: each drives a plant of "
+                "its own; ask with observers=[...] of one."
+            )
+        m = each[0]
+        if sentence := next(filter(None, (affine.refusal(m, label) for label in m.signals)), ""):
+            raise UserError(f"covariance: {sentence}")
+        names = [name for name, _ in signals_of(chosen[0].scenario)]
+        errors = tuple((o, names[i]) for o, z in m.signals.items() for i in range(z.stop - z.start))
+        order = [z for place in m.signals.values() for z in range(place.start, place.stop)]
+        mean: NDArray[Any] = m.rows.mean[:, order]
+        apart = mean - mean.mean(-1, keepdims=True)
+        between = np.einsum("tis,tjs->tij", apart, apart) / apart.shape[-1]
+        total = m.rows.covariance[:, order][:, :, order].mean(-1) + between
+        return Joint(chosen[0].scenario.dt * np.arange(len(mean)), errors, mean.mean(-1), total)
+
+    def solved(self, cells: list[Cell], recorded: str = "") -> Iterator[CellMoments]:
+        """Yield the moments of cells; of many an observer at a time."""
+        with process.float64():
+            asked = Asked(self.grid.study.root_seed, self.schedules, recorded)
+            yield from solve(planned(cells, recorded == COVARIANCE), asked)
+
+    def rows(self, m: CellMoments) -> Iterator[dict[str, Any]]:
+        """Yield the rows of `stats`."""
+        cell, p = m.planned.cell, m.planned
+        signals = signals_of(cell.scenario)
+        head = columns.keys(self.grid.study.name, cell) | {"plant": cell.scenario.plant}
+        bound = seen_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
+        for label, rows in described.described(m, dict.fromkeys(m.signals, bound)).items():
+            for row in rows:
+                signal, unit = signals[row["signal"]]
+                proven = is_certified(p.certificates[label]._asdict())
+                about = {"observer": label, "carries_input": p.carries_input[label], "certified": proven}
+                yield head | row | about | {"unit": columns.unit_of(row["metric"], unit), "signal": signal}
+
+    def _chosen(self, scenario: str | None, cell: int | None) -> list[Cell]:
+        known = list(dict.fromkeys(c.scenario.name for c in self.grid.cells))
+        if scenario is not None and scenario not in known:
+            raise unknown("exact", "scenario of the study", scenario, known)
+        found = [c for c in self.grid.cells if scenario in (None, c.scenario.name) and cell in (None, c.number)]
+        if not found:
+            raise UserError(f"exact: got cell {cell}, expected one of 0 to {len(self.grid.cells) - 1}.")
+        return found

@@ -1,0 +1,42 @@
+"""Is a cell's answer exact? Found by trying, cell by cell and observer by observer, for ours and a user's alike.
+
+A run with noise, eight times its own size, must be where the run without noise and the linear maps of its ticks and events put
+it, at every tick, to rounding. That is more than e(v) + e(-v) = 2 e(0), which a sign
+satisfies too. A run that may leave the scenario's bound counts as diverged and enters no average, so there the moments of all
+runs are no answer.
+"""
+
+import numpy as np
+
+from pcbench.moments.bending import ROUNDING
+from pcbench.moments.solve import CellMoments
+from pcbench.plants import signals_of
+
+INSTEAD = 'take runs for it: pcbench.run, or method = "runs"'
+
+
+def refusal(cell: CellMoments, label: str) -> str:
+    """Return a sentence that says why an observer's moments are not exact in a cell; empty where they are."""
+    p, s = cell.planned, cell.sums
+    mine, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
+    names = [name for name, _ in signals_of(p.cell.scenario)]
+    apart, size = s.apart[mine].max(-1), s.size[mine].max(-1)
+    with np.errstate(invalid="ignore"):
+        part = np.where(apart > 0, apart / np.where(size > 0, size, 1.0), 0.0)
+        part = np.where(np.isfinite(apart) & np.isfinite(size), part, np.inf)
+    worst = int(np.argmax(part))
+    reach = s.reach[mine].max(-1)
+    if part[worst] > ROUNDING and (np.isfinite(part[worst]) or np.isfinite(reach).all()):
+        return (
+            f"{where} is not affine in the noise: {names[worst]} is off by {part[worst]:.1g} of its size where an affine "
+            f"observer is off by less than {ROUNDING:.0e}; {INSTEAD}."
+        )
+    bound = np.asarray(p.problem.bound)[: len(reach)]
+    far = ~(reach <= bound)
+    if far.any():
+        i = int(np.argmax(far))
+        return (
+            f"{where} may leave its bound: {names[i]} reaches {reach[i]:.3g} within six standard deviations, expected at most "
+            f"{bound[i]:.3g}, beyond which a run counts as diverged; {INSTEAD}."
+        )
+    return ""

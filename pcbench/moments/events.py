@@ -1,0 +1,157 @@
+"""Samples and arrivals of many cells: the protocol functions at an event, and what they make of a covariance.
+
+Cells have events at ticks of their own: at a tick where some cell has one, all go through it, and what is not there changes
+nothing. Where samples are lost independently of each other, second moments over losses follow a recursion of their own: with
+mean m and covariance P, and J z + b what an arrival of chance c makes of z,
+
+    m+ = m + c (J m + b - m),   P+ = c (J P J' + G G') + (1 - c) P + c (1 - c) d d',   d = J m + b - m
+
+(jump-linear systems: Costa, Fragoso, Marques, Discrete-Time Markov Jump Linear Systems, 2005).
+
+A sample's noise joins it when it arrives, as nothing sees it before: what is on the network needs no room for noise, and none
+at all where the plant has no noise of its own.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+from jaxtyping import Float
+
+from pcbench.moments.covariance import both, product, squared
+from pcbench.moments.given import Plan
+from pcbench.moments.vector import Form, slope, vector, vectors
+from pcbench.simulation import steps
+from pcbench.simulation.problem import Layout, Packet, State
+from pcbench.simulation.steps import Row
+
+
+class Moving(NamedTuple):
+    """What moves, of C cells; D numbers that noise reaches, those of the state first, then those of packets."""
+
+    runs: State  # [1 + P, ..., C] the run without noise, and runs with noise
+    flight: Float[Array, "1+P rows f C"]  # packets on the network by number: what was measured, what was noted
+    P: Float[Array, "D D C"]  # covariance
+    apart: Float[Array, "P D C"]  # where linear maps put the runs with noise, less the run without
+
+
+class Means(NamedTuple):
+    """What events of a batch go by."""
+
+    layout: Layout
+    form: Form
+    over: Any  # over_cells
+    plan: Plan
+    std: Array  # [q, C] of a sample
+    chance: Array  # [C] that a sample arrives at all; 1: it does
+
+
+def sense(layout: Layout, p: Any, k: Array, state: State, nothing: Any, rest: Any) -> Array:
+    """Return what is measured, without its noise, and what is noted, of all observers: [f]."""
+    y = steps.measure(layout, p, k, state, jnp.zeros(p.noise_std.shape[0]))
+    notes = steps.note(layout, p, k, state)
+    return jnp.concatenate([y, *(notes[label] for label, _ in layout.observers)])
+
+
+def jump(layout: Layout, p: Any, k: Array, state: State, packet: Array, rest: Any) -> State:
+    """Return the state after a packet [f], where one arrives: `rest` is (whether, Row)."""
+    there, about = rest
+    found = jax.eval_shape(lambda state: steps.note(layout, p, k, state), state)
+    each, at = {}, p.noise_std.shape[0]
+    for label, _ in layout.observers:
+        each[label] = packet[at : at + found[label].shape[0]]
+        at += found[label].shape[0]
+    after = steps.jump(layout, p, k, state, about, Packet(packet[: p.noise_std.shape[0]], each))
+    new = jax.tree.map(lambda a, b: jnp.where(there, a, b).astype(b.dtype), after, state.memories)
+    return state._replace(memories=new)
+
+
+def happen(by: Means, k: Array, m: Moving, noise: Array) -> Moving:
+    """Let everything that the schedules have for tick k happen: sense and note, then deliver, the oldest packet first.
+
+    `noise` [P, S, q] is that of the runs with noise, by arrival.
+    """
+    q = by.std.shape[0]
+    number = jnp.stack([by.plan.sense[k]] * q + [by.plan.note[k]] * (m.flight.shape[2] - q))
+    m = taken(by, k, m, jnp.arange(m.flight.shape[1] - 1)[:, None, None] == _place(number, m)[None])
+
+    def deliver(slot: Array, m: Moving) -> Moving:
+        return _delivered(by, k, slot, m, noise[:, slot])
+
+    return lax.fori_loop(0, by.plan.arrive.shape[1], deliver, m)
+
+
+def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
+    """Put what is measured and noted now in the places [rows, f, C] that are `here`."""
+    here = jnp.concatenate([here, jnp.zeros_like(here[:1])])
+    nothing = jnp.zeros((0, by.std.shape[1]))
+    new = jax.vmap(lambda state: by.over(partial(sense, by.layout))(k, state, nothing, ()))(m.runs)
+    flight = jnp.where(here[None], new[:, None], m.flight)
+    if not by.form.flight:
+        return m._replace(flight=flight)
+    M = by.over(slope(by.form, partial(sense, by.layout), lambda y: y))(k, _mean(m), nothing, ())
+    A, shape = M.shape[1], here.shape[:2]
+
+    def rows(P: Array) -> Array:
+        packets = P[A:].reshape(*shape, *P.shape[1:])
+        put = jnp.where(here[:, :, None], product(M, P[:A])[None], packets)
+        return jnp.concatenate([P[:A], put.reshape(P[A:].shape)])
+
+    return m._replace(flight=flight, P=both(rows, m.P), apart=_each(rows, m.apart))
+
+
+def _delivered(by: Means, k: Array, slot: Array, m: Moving, noise: Array) -> Moving:
+    """Hand one packet of each cell over."""
+    plan, q, form = by.plan, by.std.shape[0], by.form
+    number = plan.arrive[k, slot]
+    row = Row(plan.fresh[k, slot], k - plan.believed[k, slot], plan.index[k, slot], plan.since[k, slot])
+    row = row._replace(age=jnp.broadcast_to(row.age[None], row.fresh.shape))
+    rest = number >= 0, row
+    here = (jnp.arange(m.flight.shape[1])[:, None] == _place(number, m)[None])[:, None]
+    packets = jnp.sum(jnp.where(here[None], m.flight, 0.0), 1)
+    M = by.over(slope(form, partial(jump, by.layout), partial(vector, form)))(k, _mean(m), packets[0], rest)
+    A, scaled = M.shape[0], noise[:, :, None] * by.std[None]
+    packets = packets.at[1:, :q].add(scaled)
+    jumped = jax.vmap(lambda state, packet: by.over(partial(jump, by.layout))(k, state, packet, rest))(m.runs, packets)
+    runs = jax.tree.map(partial(_mixed, by.chance), jumped, m.runs)
+    step = vectors(form, jumped) - vectors(form, m.runs)
+    spread = product(step[0][:, None], step[0][None]) * (by.chance * (1 - by.chance))[None, None]
+    G = M[:, A : A + q] * by.std[None]
+
+    def rows(P: Array) -> Array:
+        found = product(M[:, :A], P[:A])
+        if form.flight:
+            packets = P[A:].reshape(*m.flight.shape[1:3], *P.shape[1:])
+            found = found + product(M[:, A:], jnp.sum(jnp.where(here[:, :, None], packets, 0.0), 0))
+        return jnp.concatenate([found, P[A:]])
+
+    moved = _mixed(by.chance, _each(rows, m.apart), m.apart)
+    pushed = jnp.sum(M[None, :, A : A + q] * scaled[:, None], 2) * by.chance[None, None]
+    P = _mixed(by.chance, both(rows, m.P), m.P).at[:A, :A].add(by.chance[None, None] * squared(G) + spread)
+    return m._replace(runs=runs, P=P, apart=moved.at[:, :A].add(pushed))
+
+
+def _mixed(chance: Array, after: Array, before: Array) -> Array:
+    """The mean of what is so with a chance, and as before otherwise; to the bit what is so where that is sure."""
+    if not jnp.issubdtype(before.dtype, jnp.floating):
+        return after
+    chance = chance.reshape(*(1 for _ in before.shape[1:]), -1)
+    return jnp.where(chance == 1, after, before + chance * (after - before))
+
+
+def _place(number: Array, m: Moving) -> Array:
+    """The row of a packet; the last one, which nothing reads, of none."""
+    rows = m.flight.shape[1] - 1
+    return jnp.where(number >= 0, number % rows, rows)
+
+
+def _each(rows: Callable[[Array], Array], apart: Array) -> Array:
+    """Carry vectors [P, D, C] by what moves rows."""
+    return jax.vmap(lambda d: rows(d[:, None])[:, 0])(apart)
+
+
+def _mean(m: Moving) -> State:
+    return jax.tree.map(lambda a: a[0], m.runs)

@@ -1,0 +1,83 @@
+"""What is random besides the noise: schedules, networks and plants that each run draws, put in as the numbers of one run.
+
+Given those an error is affine in normals, and moments are exact; over them moments are averaged, with a standard error.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.moments.vector import forms
+from pcbench.planning import alone
+from pcbench.planning.padding import Plan
+from pcbench.simulation import draws
+from pcbench.simulation.problem import Layout, Problem
+from pcbench.simulation.schedule import shared
+from pcbench.simulation.schedule.per_lane import Times
+
+
+class Realised(NamedTuple):
+    """A cell with everything drawn but its noise."""
+
+    layout: Layout
+    problem: Problem
+    network: tuple[NDArray[np.float64], ...]  # (late, lost) [J, 1] of every decision; (): no network
+    chance: float = 1.0  # that a sample arrives at all
+
+
+def random(p: Plan) -> bool:
+    """Return whether runs of a cell differ in more than their noise."""
+    sent = p.problem.network
+    network = bool(sent) and (sent.jitter > 0 or sent.loss > 0)
+    return isinstance(p.problem.schedule, Times) or p.layout.drifting or network
+
+
+def realised(p: Plan, root_seed: int, seed: int) -> Realised:
+    """Return a cell as one run has it, but for its noise."""
+    one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, Times) else p
+    layout, problem = one.layout._replace(width=1, watch=False, strides=False), one.problem
+    root, seeds = jnp.asarray(root_seed), jnp.asarray([seed])
+    plant = layout.plant
+    if layout.drifting and plant.of_run:
+        uniform = draws.uniforms(root, seeds, "drift", jnp.asarray(0), 1, plant.drawn)[0][:, 0]
+        problem = problem._replace(params=jax.tree.map(np.asarray, plant.of_run(problem.params, uniform)))
+        layout = layout._replace(drifting=False)
+    if not layout.pending:
+        return Realised(layout, problem, ())
+    decisions = -(-len(problem.schedule.event) // int(problem.network.every))
+    late, lost = (
+        np.asarray(draws.uniforms(root, seeds, stream, jnp.asarray(0), decisions, 1))[:, :, 0]
+        for stream in ("command_jitter", "command_loss")
+    )
+    return Realised(layout, problem, (late, lost))
+
+
+def losses_alone(p: Plan) -> bool:
+    """Return whether all that is random besides the noise is which samples of one sensor are lost, each by itself."""
+    clocks, sent = p.cell.times.clocks, p.problem.network
+    if len(clocks) > 1 or not clocks[0].loss or p.layout.drifting or sent:
+        return False
+    return not clocks[0]._replace(loss=0.0).random
+
+
+def over_losses(p: Plan) -> Realised | None:
+    """Return a cell of one observer as its moments over losses move; None where the observer remembers what was lost.
+
+    That is so where an arrival changes more than numbers that noise reaches: the time of the newest sample, a covariance. Then
+    its map depends on earlier losses, and moments are averaged over drawn schedules.
+    """
+    clock = p.cell.times.clocks[0]
+    sure = shared.schedule(
+        shared.samples([clock._replace(loss=0.0)], p.cell.times.ticks),
+        p.cell.times.ticks,
+        len(p.problem.noise_std),
+        p.cell.times.error,
+    )
+    one = p.problem._replace(schedule=sure)
+    layout = p.layout._replace(width=1, watch=False, strides=False)
+    if forms(layout, p.problem) != forms(layout, one) or "other" in forms(layout, one):
+        return None
+    return Realised(layout._replace(ring=max(layout.ring, shared.in_flight(sure))), one, (), 1.0 - clock.loss)

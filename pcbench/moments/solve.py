@@ -1,0 +1,173 @@
+"""From cells to their moments: cells that share a program and their long tables go through it together, some at a time.
+
+Cells are planned while others are computed, so that what is held does not grow with their number.
+"""
+
+from collections.abc import Hashable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from pcbench.moments.bending import ROUNDING, bent
+from pcbench.moments.compiled import MANY, compute
+from pcbench.moments.given import shared_of
+from pcbench.moments.program import Found
+from pcbench.moments.realised import Realised, losses_alone, over_losses, random, realised
+from pcbench.moments.sums import Sums, nothing
+from pcbench.planning import drafts, padding
+from pcbench.planning.padding import Plan
+from pcbench.simulation import batch
+from pcbench.simulation.problem import Problem
+from pcbench.simulation.schedule import per_lane
+from pcbench.study.cells import Cell
+
+WAITING = 8 * MANY  # realisations that wait for others to share a call with, at most
+
+
+class CellMoments(NamedTuple):
+    """Of one planned cell; S realisations of what is random besides the noise (1: nothing is)."""
+
+    planned: Plan  # without its long tables
+    random: bool  # other runs have other schedules
+    signals: dict[str, slice]  # by observer label, its place among the Z signals
+    sums: Sums  # arrays [..., S]
+    rows: Any = ()  # Recorded [..., S]
+    mixture: bool = False  # over which samples are lost: means and squares are exact, and no distribution is normal
+
+
+class Asked(NamedTuple):
+    """What is asked of all cells of a study."""
+
+    root_seed: int
+    schedules: int  # realisations of a random cell: those of the first seeds
+    recorded: str = ""  # nothing, "std" or "covariance" at every tick
+
+
+def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
+    """Yield the cells ready to run, with one room for packets: few shapes, few programs.
+
+    Of many cells each observer goes by itself, which is sooner computed and later compiled, unless they are to be `together`.
+    """
+    split = len(cells) > MANY and not together
+    ring = max(per_lane.room(c.times.clocks, c.times.ticks, c.times.error) for c in cells)
+    for p in padding.checked(drafts(cells)):
+        room = padding.room_of(p)
+        whole = padding.fitted(p, room._replace(ring=max(room.ring, padding.rounded(ring))))
+        yield from _split(whole) if split or (losses_alone(whole) and not together) else [whole]
+
+
+def _split(p: Plan) -> Iterator[Plan]:
+    """Yield a planned cell for each of its observers."""
+    for label, one in zip(p.labels, p.layout.observers, strict=True):
+        gains = {one[0]: p.problem.gains[one[0]]}
+        yield p._replace(
+            layout=p.layout._replace(observers=(one,)), problem=p.problem._replace(gains=gains), labels=(label,)
+        )
+
+
+def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
+    """Yield the moments of each planned cell, in their order."""
+    parts: dict[int, list[Part]] = {}
+    done = 0
+    with ThreadPoolExecutor(batch.cores()) as pool:
+        for items, found in _computed(pool, _batches(plans, asked), asked.recorded):
+            for at, item in enumerate(items):
+                parts.setdefault(item.cell, []).append(Part(item, jax.tree.map(lambda a, at=at: a[..., at], found)))
+            while done in parts and len(parts[done]) == parts[done][0].item.many:
+                yield _gathered(parts.pop(done))
+                done += 1
+
+
+class Item(NamedTuple):
+    """One realisation of one cell."""
+
+    planned: Plan  # without its long tables
+    cell: int
+    place: int  # which realisation, of
+    many: int
+    random: bool
+    sizes: dict[str, int]  # by observer, what it estimates
+    one: Realised
+    bend: float = 0.0  # how far its plant is from affine, where it is and has noise
+
+
+def _signals(p: Plan) -> dict[str, int]:
+    """How many signals each observer of a planned cell estimates."""
+    n = len(p.problem.x0)
+    if n == len(p.problem.band):
+        return {label: n for label, _ in p.layout.observers}
+
+    def estimates(problem: Problem) -> dict[str, Any]:
+        gains, xhat0 = problem.gains, problem.xhat0
+        return {label: o.estimate(gains[label], o.init(gains[label], xhat0)) for label, o in p.layout.observers}
+
+    return {label: e.shape[0] for label, e in jax.eval_shape(estimates, p.problem).items()}
+
+
+class Part(NamedTuple):
+    """What it left."""
+
+    item: Item
+    found: Found
+
+
+def _batches(plans: Iterable[Plan], asked: Asked) -> Iterator[list[Item]]:
+    """Yield the cells of each call."""
+    groups: dict[Hashable, list[Item]] = {}
+    for number, p in enumerate(plans):
+        if (bend := bent(p)) > ROUNDING:  # nothing is compiled for it
+            light = p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={}))
+            yield [Item(light, number, 0, 1, False, _signals(p), Realised(p.layout, p.problem, ()), bend)]
+            continue
+        mixed = over_losses(p) if losses_alone(p) and len(p.layout.observers) == 1 else None
+        drawn = random(p) and mixed is None
+        many = asked.schedules if drawn else 1
+        light = p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={}))
+        for seed in range(many):
+            one = mixed or realised(p, asked.root_seed, seed)
+            group = groups.setdefault((one.layout, shared_of(one.problem)), [])
+            group.append(Item(light, number, seed, many, drawn, _signals(p), one))
+            if len(group) == MANY:
+                yield group[:]
+                group.clear()
+        if sum(map(len, groups.values())) > WAITING:
+            yield from filter(None, groups.values())
+            groups = {}
+    yield from filter(None, groups.values())
+
+
+def _computed(
+    pool: ThreadPoolExecutor, batches: Iterable[list[Item]], recorded: str
+) -> Iterator[tuple[list[Item], Found]]:
+    """Yield batches in their order with what they left, some under way at a time."""
+    waiting: list[tuple[list[Item], Future[Found]]] = []
+    for items in batches:
+        work = (_refused, items[0]) if items[0].bend else (compute, [item.one for item in items], recorded)
+        waiting.append((items, pool.submit(batch.in_float64, *work)))
+        if len(waiting) > 2 * batch.cores():
+            first, future = waiting.pop(0)
+            yield first, future.result()
+    for items, future in waiting:
+        yield items, future.result()
+
+
+def _refused(item: Item) -> Found:
+    """Return what is left of a cell that was not computed: how far it is from affine."""
+    sums = nothing(sum(item.sizes.values()), None, 1)
+    nan = jax.tree.map(lambda a: np.full(a.shape, np.nan), sums)
+    return Found(nan._replace(apart=np.full(nan.mean.shape, item.bend), size=np.ones(nan.mean.shape)), ())
+
+
+def _gathered(parts: list[Part]) -> CellMoments:
+    """Put the realisations of one cell together."""
+    parts = sorted(parts, key=lambda part: part.item.place)
+    p = parts[0].item.planned
+    whole = jax.tree.map(lambda *a: np.stack(a, -1), *(part.found for part in parts))
+    called = dict(zip((name for name, _ in p.layout.observers), p.labels, strict=True))
+    at, places = 0, {}
+    for name, many in sorted(parts[0].item.sizes.items()):
+        places[called[name]] = slice(at, at + many)
+        at += many
+    return CellMoments(p, parts[0].item.random, places, whole.sums, whole.rows, parts[0].item.one.chance < 1)

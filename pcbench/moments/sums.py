@@ -1,0 +1,112 @@
+"""What is kept of the moments from tick to tick: expected squares and sizes over horizon and tail, and how affine a cell is."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jax.scipy.special import erf
+
+from pcbench.simulation.metrics import Weights
+
+FAR = 6.0  # standard deviations: a run is taken to stay within so many of the mean
+
+
+class Seen(NamedTuple):
+    """What is read of a run at a tick: of one lane, or of many arrays [..., C]."""
+
+    errors: Any  # [Z] of all observers, in the order of their labels
+    off: Any  # [r] set point less state, of a closed loop
+    x: Any  # [n], and
+    u: Any  # [m] of a closed loop
+
+
+class Sums(NamedTuple):
+    """Of Z signals in C cells; two sums of each: over the horizon, over its tail."""
+
+    square: Array  # [2, Z, C] of E e^2
+    absolute: Array  # [2, Z, C] of E |e|
+    mean: Array  # [Z, C] at the last tick
+    std: Array
+    reach: Array  # [Z, C] the largest |m| + FAR s
+    apart: Array  # [Z, C] how far a run with noise was from where linear maps put it
+    size: Array  # [Z, C] the largest number in that comparison
+    off: Any = ()  # [2, r, C] of a closed loop
+    cost: Any = ()  # [2, C]
+    input: Any = ()  # [2, C]
+
+
+class Read(NamedTuple):
+    """What a tick gives to the sums; V numbers that are read, in the order of `Seen`."""
+
+    runs: Seen  # [1 + P, ..., C]
+    covariance: Array  # [V, V, C]; of an open loop [V, 1, C], the variances
+    moved: Array  # [P, V, C] where linear maps put the runs with noise, less the run without
+
+
+def nothing(signals: int, targets: int | None, cells: int) -> Sums:
+    """Return the sums before tick 0; `targets` of a closed loop."""
+    two, one = jnp.zeros((2, signals, cells)), jnp.zeros((signals, cells))
+    sums = Sums(two, two, one, one, one, one, one)
+    if targets is None:
+        return sums
+    both = jnp.zeros((2, cells))
+    return sums._replace(off=jnp.zeros((2, targets, cells)), cost=both, input=both)
+
+
+def variances(read: Read) -> Array:
+    """Return the variances [V, C] of what was read."""
+    c = read.covariance
+    return c[:, 0] if c.shape[1] == 1 else jnp.stack([c[i, i] for i in range(len(c))])
+
+
+def added(s: Sums, read: Read, weight: Array, weights: Any) -> Sums:
+    """Take a tick into the sums; weight [2] says into which."""
+    s = _errors(s, read, weight)
+    if isinstance(s.input, tuple):
+        return s
+    z, r = read.runs.errors.shape[1], read.runs.off.shape[1]
+    first, n = z + r, read.runs.x.shape[1]
+    square = variances(read)
+    mean_off, x, u = read.runs.off[0], read.runs.x[0], read.runs.u[0]
+    if isinstance(weights, Weights) and weights.Q1.size:
+        state, pushed = slice(first, first + n), slice(first + n, None)
+        cost = _form(weights.Q1, x, read.covariance[state, state]) + _form(
+            weights.Q2, u, read.covariance[pushed, pushed]
+        )
+        s = s._replace(cost=s.cost + weight[:, None] * cost[None])
+    squares = jnp.sum(u * u + square[first + n :], 0)
+    late = s.off + weight[:, None, None] * (mean_off * mean_off + square[z:first])[None]
+    return s._replace(off=late, input=s.input + weight[:, None] * squares[None])
+
+
+def _form(Q: Array, mean: Array, covariance: Array) -> Array:
+    """E z'Q z [C], of Q [n, n, C], or [n, n] of all cells."""
+    second = covariance + mean[:, None] * mean[None]
+    return jnp.sum((Q if Q.ndim == 3 else Q[:, :, None]) * second, (0, 1))
+
+
+def _errors(s: Sums, read: Read, weight: Array) -> Sums:
+    runs = read.runs.errors
+    mean, z = runs[0], runs.shape[1]
+    variance, moved = variances(read)[:z], read.moved[:, :z]
+    std = jnp.sqrt(jnp.maximum(variance, 0.0))
+    apart = jnp.abs(runs[1:] - (mean[None] + moved))
+    large = jnp.max(jnp.abs(runs), 0) + jnp.max(jnp.abs(moved), 0)
+    scored, weight = weight[0] > 0, weight[:, None, None]
+    return s._replace(
+        square=s.square + weight * (mean * mean + variance)[None],
+        absolute=s.absolute + weight * expected_size(mean, std)[None],
+        mean=jnp.where(scored, mean, s.mean),
+        std=jnp.where(scored, std, s.std),
+        reach=jnp.maximum(s.reach, jnp.abs(mean) + FAR * std),
+        apart=jnp.maximum(s.apart, jnp.max(apart, 0)),
+        size=jnp.maximum(s.size, large),
+    )
+
+
+def expected_size(mean: Array, std: Array) -> Array:
+    """Return E |e| of a normal e: s sqrt(2/pi) exp(-m^2/2s^2) + m (1 - 2 Phi(-m/s)); |m| where s = 0."""
+    varies = std > 0
+    far = mean / jnp.where(varies, std, 1.0)
+    found = std * jnp.sqrt(2 / jnp.pi) * jnp.exp(-far * far / 2) + mean * erf(far / jnp.sqrt(2.0))
+    return jnp.where(varies, found, jnp.abs(mean))

@@ -1,0 +1,93 @@
+"""A study without a seed: the same tables, files that are checked, and runs only of what has no exact answer."""
+
+import numpy as np
+import pytest
+
+import pcbench
+from pcbench.dataset import compare, verify
+from pcbench.dataset.result import opened
+from pcbench.errors import UserError
+
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
+LTI = {
+    "A": [[0.0, 1.0], [-2.0, -0.4]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1.0, 0.0], "prior_std": [0.3, 0.2],
+    "tick": 0.01, "horizon": 3.0, "tail": 1.0, "noise_std": 0.1, "sampling_period": 0.2, "delay": 0.1, "input": "sine",
+}  # fmt: skip
+STUDY = {"name": "sure", "lti": LTI, "observers": ["dkf", "open-loop"], "seeds": 8, "axes": {"delay": [0.1, 0.3]}}
+SIGNED = """
+import jax.numpy as jnp
+from pcbench import Certificate, Design, Observer
+
+def start(gains, xhat0): return xhat0
+def note(gains, memory, now): return jnp.zeros(0)
+def jump(gains, memory, now, arrival):
+    return memory + 0.1 * jnp.sign(jnp.where(arrival.fresh[0], arrival.value[0] - memory[0], 0.0))
+def flow(gains, memory, now): return memory
+def estimate(gains, memory): return memory
+def design(setting, options): return Design((), Certificate("none: a sign", 1.0, "none", "as it is", {}))
+OBSERVER = Observer(start, note, jump, flow, estimate)
+"""
+
+
+@pytest.fixture(scope="module")
+def out(in_a_hurry, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("exact") / "out"
+    pcbench.run(STUDY, method="exact", out=folder)
+    return folder
+
+
+def test_the_tables_are_those_of_runs_with_a_method_and_a_reason(out):
+    found = opened(out)
+    mse = found.stats[(found.stats.metric == "mse") & (found.stats.signal == "x1")]
+    assert (mse.method == "exact").all()
+    assert (mse.se == 0).all()
+    assert len(mse) == 4
+    peak = found.stats[found.stats.metric == "peak"]
+    assert peak["mean"].isna().all()
+    assert peak.reason.notna().all()
+    with pytest.raises(UserError, match="has no runs"):
+        _ = found.runs
+
+
+def test_differences_of_exact_numbers_are_sure(out):
+    pairs = opened(out).pairs
+    row = pairs[(pairs.metric == "mse") & (pairs.signal == "x1") & (pairs.cell == 0)].iloc[0]
+    wide = opened(out).stats.set_index(["cell", "observer", "signal", "metric"])["mean"]
+    assert row.mean_diff == wide[0, "dkf", "x1", "mse"] - wide[0, "open-loop", "x1", "mse"]
+    assert (row.n, row.se, row.method) == (0, 0.0, "exact")
+
+
+def test_moments_over_time_stand_beside(out):
+    moments = opened(out).moments
+    mine = moments[(moments.cell == 1) & (moments.observer == "dkf") & (moments.signal == "x2")]
+    wide = opened(out).stats.set_index(["cell", "observer", "signal", "metric"])["mean"]
+    square = mine["mean"] ** 2 + mine["std"] ** 2
+    np.testing.assert_allclose(mine.t, 0.01 * np.arange(301), rtol=1e-12)
+    assert square[:-1].mean() == pytest.approx(wide[1, "dkf", "x2", "mse"], rel=1e-12)
+
+
+def test_verify_status_and_compare_take_them(out, tmp_path):
+    assert not verify.verify(out, 4, 0).wrong
+    assert verify.status(out).closed
+    pcbench.run(STUDY, out=tmp_path / "runs")
+    assert not compare.compare(out, tmp_path / "runs").changed
+    (out / "exact.parquet").rename(tmp_path / "kept")
+    (out / "exact.parquet").write_bytes((tmp_path / "kept").read_bytes()[:-9] + b"123456789")
+    assert any("exact.parquet" in sentence for sentence in verify.verify(out, 0, 0).wrong)
+    (tmp_path / "kept").rename(out / "exact.parquet")
+
+
+def test_both_simulates_what_is_not_affine_alone(tmp_path):
+    (tmp_path / "mine.py").write_text(SIGNED)
+    said = []
+    study = STUDY | {"observers": ["dkf", "signed"], "use": {"signed": f"{tmp_path}/mine.py:OBSERVER"}, "axes": {}}
+    done = pcbench.run(study, method="both", out=tmp_path / "out", say=said.append)
+    methods = done.stats[done.stats.metric == "mse"].groupby("observer").method.unique()
+    assert methods["dkf"].tolist() == ["exact"]
+    assert methods["signed"].tolist() == ["runs"]
+    assert list(done.runs.observer.unique()) == ["signed"]
+    assert len(said) == 1
+    assert "signed is not affine in the noise: x1 is off by" in said[0]
+    assert "pcbench.run" in said[0]
+    assert not verify.verify(tmp_path / "out", None, 0).differing
