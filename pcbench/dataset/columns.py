@@ -9,7 +9,7 @@ from pcbench.dataset import loop_columns
 from pcbench.statistics import QUANTILES
 
 # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...;
-# 5: intervals of sizes stay positive; blocks know options, provenance.json digests; 6: certified; 7: method, reason (5, 6 are read)
+# 5: intervals of sizes stay positive; blocks know options, provenance.json digests; 6: certified; 7: method, reason
 SCHEMA = "7"
 AXIS_UNITS = {
     "sampling_period": "s",
