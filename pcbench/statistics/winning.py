@@ -29,7 +29,7 @@ def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
     """Return how observers stand in a cell.
 
     `rows` are those of stats of one metric in the cell, `pairs` those of pairs. The best is surely better than another that
-    surely diverges more often (Wilson's intervals are apart) or differs from it by Holm's adjusted p-value; where several runs
+    surely diverges more often (Wilson's intervals are apart) or is worse by Holm's adjusted p-value; where several runs
     do not vary, and of exact numbers (n = 0), there is no test, and a difference is one. No observer is the best where all
     have diverged.
     """
@@ -73,5 +73,7 @@ def _apart(pairs: pd.DataFrame, best: Any, other: Any) -> bool:
     if row.empty:
         return False
     p, alike = float(row.p_holm.iloc[0]), float(row.prob_a_better.iloc[0]) == 0.5
-    several = int(row.n.iloc[0]) != 1
+    several, sign = int(row.n.iloc[0]) != 1, 1 if row.observer_a.iloc[0] == best.observer else -1
+    if sign * float(row.mean_diff.iloc[0]) > 0:  # fewer runs diverged, not surely, and the others are worse
+        return False
     return several and not alike if np.isnan(p) else p <= ALPHA

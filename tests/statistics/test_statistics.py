@@ -364,8 +364,15 @@ def test_zero_is_a_part_of_the_signals_size_squared_for_squares(metric, zero):
 def of_a_cell(**observers):
     """Rows of stats of one metric in a cell, and the one row of pairs where there are two observers."""
     rows = [{"observer": o, "mean": m, "n": 64 - lost, "diverged": lost} for o, (m, lost) in observers.items()]
-    pair = dict(zip(("observer_a", "observer_b"), observers, strict=True))
-    return pd.DataFrame(rows), pair | {"n": 64, "p_value": 1e-4, "p_holm": 1e-3, "prob_a_better": 0.9}
+    pair: dict = dict(zip(("observer_a", "observer_b"), observers, strict=True))
+    (a, _), (b, _) = observers.values()
+    return pd.DataFrame(rows), pair | {
+        "n": 64,
+        "mean_diff": a - b,
+        "p_value": 1e-4,
+        "p_holm": 1e-3,
+        "prob_a_better": 0.9,
+    }
 
 
 def test_who_diverges_least_wins_before_the_least_mean():
@@ -379,6 +386,14 @@ def test_one_diverged_run_of_many_may_be_chance():
     rows, pair = of_a_cell(steady=(1.0, 0), lost=(1.0, 1))
     assert not winning.diverges_more(rows.iloc[0], rows.iloc[1])
     assert winning.winner(rows, pd.DataFrame([pair | {"p_value": 0.4, "p_holm": 0.4}])) == ""
+
+
+def test_the_worse_does_not_win_by_the_other_ones_chance_loss_of_a_run():
+    """It has fewer diverged runs, not surely; and surely the larger error."""
+    rows, pair = of_a_cell(steady=(2.0, 0), lost=(1.0, 1))
+    assert winning.winner(rows, pd.DataFrame([pair])) == ""
+    swapped = pair | {"observer_a": "lost", "observer_b": "steady", "mean_diff": -1.0}
+    assert winning.winner(rows, pd.DataFrame([swapped])) == ""
 
 
 @pytest.mark.parametrize(
