@@ -20,7 +20,7 @@ from pcbench.observers.parts import believed_age
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.per_sample import Pole
 from pcbench.synthesis import chain
-from pcbench.synthesis.certificate import Certificate, Design, Setting, certified
+from pcbench.synthesis.certificate import Certificate, Design, Setting, certified, uncertified
 from pcbench.synthesis.error_bounds import rate_of
 from pcbench.synthesis.sampled import by_poles, delayed_radius, sampled
 
@@ -38,14 +38,18 @@ class Options(BaseModel):
 
 
 def design(setting: Setting, options: Options) -> Design:
-    """Design without delays and certify that alone."""
+    """Design without delays; certified where the radius with the delays is below 1 as well."""
     where, plant = f"no-delay in {setting.scenario}", sampled(setting, "no-delay")
     K = by_poles(plant, 1, options.pole, where)
     ages = plant.tau if options.variant == "aligned" else (0,) * len(plant.tau)
     undelayed, delayed = chain.radius(plant.A - K @ plant.C), delayed_radius(plant.A, K, plant.C, ages)
     numbers = {"K": K, "radius_without_delays": undelayed}
     numbers |= {"radius_with_these": delayed} if np.isfinite(delayed) else {}  # too long a delay: not computed
-    certificate = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)
+    ignored = Certificate("radius of A - K C < 1, delays ignored", 1 - undelayed, "poles", "computed", numbers)
+    proof = certified(ignored, where)
     if delayed < 1:
-        certificate = certificate._replace(rate=rate_of(delayed, plant.period * setting.dt))
-    return Design(believed_age.corrected_next(setting, plant.A, K, ages), certified(certificate, where))
+        proof = proof._replace(rate=rate_of(delayed, plant.period * setting.dt))
+    else:
+        found = f"{delayed:.4g}, not below 1" if np.isfinite(delayed) else "not computed"
+        proof = uncertified(f"designed without delays; the radius with these is {found}")._replace(numbers=numbers)
+    return Design(believed_age.corrected_next(setting, plant.A, K, ages), proof)

@@ -17,6 +17,7 @@ from pcbench.machine import process
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import trace
 from pcbench.study import read
+from pcbench.synthesis.certificate import is_certified
 
 NAMES = ["volume", "enthalpy", "jacket_temperature"]
 TANK, ZERO = ref.csth("10s"), np.zeros(3)
@@ -132,8 +133,10 @@ def test_aligned_is_reported_as_diverged_with_its_time_and_the_others_stay_clean
     assert lost["mean"].isna().all()
 
 
-def test_the_radius_with_the_delays_as_they_are_is_reported():
-    numbers = pcbench.design("csth/10s", "no-delay").certificate.numbers
+def test_the_radius_with_the_delays_as_they_are_is_reported_and_decides_whether_gains_are_certified():
+    proof = pcbench.design("csth/10s", "no-delay").certificate
+    assert not is_certified(proof._asdict())
+    numbers = proof.numbers
     assert numbers["radius_with_these"] == pytest.approx(1.1623446, abs=5e-8)
     assert numbers["radius_without_delays"] == pytest.approx(1e-4, rel=1e-6)
     assert pcbench.design("csth/10s", "equal-delay").certificate.numbers["radius"] == pytest.approx(2 / 3, abs=1e-7)
