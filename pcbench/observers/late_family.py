@@ -1,4 +1,4 @@
-"""Shortcuts for late samples: Kalman filters of the same model and noise as `dkf`, which differ in what they do with what is late."""
+"""Shortcuts for late samples: Kalman filters as `dkf`, which differ in what they do with what is late."""
 
 from pcbench.observers import (
     kf_alexander,

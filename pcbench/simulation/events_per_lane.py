@@ -14,7 +14,6 @@ from jax import Array, lax
 
 from pcbench.simulation import draws, lanes
 from pcbench.simulation.lanes import packed
-from pcbench.simulation.lanes.packed import Kept, Packing
 from pcbench.simulation.problem import Layout, Notes, Packet, Problem, State
 from pcbench.simulation.schedule import per_lane
 from pcbench.simulation.schedule.per_lane import Agenda, Times
@@ -66,7 +65,7 @@ class Events(NamedTuple):
     taken: Queue
     arrivals: Queue
     noise: list[Array]  # by channel [M, L], standard normal
-    form: Packing
+    form: packed.Packing
     first_notes: Notes  # of the start: the shape of all others
 
     @property
@@ -128,7 +127,7 @@ def _take(events: Events, k: Array, state: State) -> State:
         ), memories
 
     flight, memories = lax.while_loop(due, some, (state.flight, state.memories if telling else ()))
-    return state._replace(flight=flight, **({"memories": memories} if telling else {}))
+    return state._replace(flight=flight, memories=memories if telling else state.memories)
 
 
 def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
@@ -141,11 +140,10 @@ def _noted(events: Events, k: Array, state: State, c: Chunk) -> Notes:
     return note(events.layout, events.p, k, _taken_out(events, state, c))
 
 
-def _told(events: Events, k: Array, state: State, c: Chunk) -> Kept:
+def _told(events: Events, k: Array, state: State, c: Chunk) -> packed.Kept:
     """The memories after the observers of some runs were told of their samples."""
     mine, clock = _taken_out(events, state, c), _at(events.agenda.samples[1], c.row, c.lane)
-    fresh = lanes.split(clock[None] == events.times.clock_of[:, None])
-    after = told(events.layout, events.p, k, mine, fresh)
+    after = told(events.layout, events.p, k, mine, lanes.split(clock[None] == events.times.clock_of[:, None]))
     return packed.put_back(state.memories, events.form.pack(lanes.like(after, mine.memories, CHUNK)), c.lane)
 
 
@@ -153,7 +151,7 @@ def _deliver(events: Events, k: Array, state: State) -> State:
     """Let every packet that arrives at tick k be used by its run's observers: CHUNK runs at a time, in order."""
     arrivals, last, flight = events.arrivals, (k + 1) * events.rows, state.flight
 
-    def some(c: tuple[Array, Kept]) -> tuple[Array, Kept]:
+    def some(c: tuple[Array, packed.Kept]) -> tuple[Array, packed.Kept]:
         coming = _chunk(arrivals, c[0], arrivals.when[c[0]], events.layout)
         return c[0] + coming.size, _jumped(events, k, state._replace(memories=c[1]), coming)
 
@@ -163,7 +161,7 @@ def _deliver(events: Events, k: Array, state: State) -> State:
     return state._replace(memories=memories, flight=flight._replace(done=flight.done._replace(arrived=arrived)))
 
 
-def _jumped(events: Events, k: Array, state: State, c: Chunk) -> Kept:
+def _jumped(events: Events, k: Array, state: State, c: Chunk) -> packed.Kept:
     """The memories after the arrivals of some runs."""
     layout, flight = events.layout, state.flight
     which = _at(events.agenda.which, c.row, c.lane)
@@ -237,8 +235,9 @@ def _unflat(numbers: Array, like: Any) -> Any:
     rest = iter(numbers)
 
     def one(leaf: Any) -> Any:
-        size = math.prod(leaf.shape)
-        return lanes.lanes_of(leaf.shape, [next(rest) for _ in range(size)]) if size else leaf
+        return (
+            leaf if 0 in leaf.shape else lanes.lanes_of(leaf.shape, [next(rest) for _ in range(math.prod(leaf.shape))])
+        )
 
     return jax.tree.map(one, like, is_leaf=lanes.is_lanes)
 
