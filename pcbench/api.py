@@ -121,7 +121,8 @@ def trace(
     """Return one run tick by tick, ticks 0 .. N: t [s], each signal, <observer>.<signal>, u1.., y1.. (held arrivals).
 
     Signals are the states and what the plant has of unknown inputs or parameters; observers have columns for what they
-    estimate. A trace of a closed loop is of one observer, and has the set point too: target.<signal>.
+    estimate, and where the study asks for consistency, <observer>.<signal>.sigma, the standard deviation that they believe.
+    A trace of a closed loop is of one observer, and has the set point too: target.<signal>.
 
     `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.
@@ -148,6 +149,9 @@ def trace(
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
         columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[called].T)}
+    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
+        own = out.sigma.get(called)
+        columns |= {f"{name}.{signals[i]}.sigma": each for i, each in enumerate([] if own is None else own.T)}
     columns |= {f"target.{signals[i]}": each for i, each in enumerate(out.target.T)}
     columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
     columns |= {f"y{i + 1}": y for i, y in enumerate(_held(out.arrived).T)}

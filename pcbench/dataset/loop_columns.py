@@ -2,11 +2,15 @@
 
 from collections.abc import Container
 
-from pcbench.statistics import OF_RUN, RUN_METRICS
+from pcbench.statistics import ASKED, RUN_METRICS
 
 AXIS_UNITS = {"command_jitter": "s", "command_loss": "1", "command_std": "unit of the input"}
 UNITS = dict.fromkeys(
-    ("efficiency", "divergence", "unsettled", "cost", "tail_cost"), "1"
+    (
+        *("efficiency", "divergence", "unsettled", "cost", "tail_cost", "nees", "nees_states", "signal_nees"),
+        *("nees_band", "signal_nees_band", "inside_1_sigma", "inside_2_sigma", "inside_3_sigma"),
+    ),
+    "1",
 )  # of metrics, not the signal's
 UNITS |= dict.fromkeys(
     ("input_rms", "tail_input_rms", "pooled_input_rms", "tail_pooled_input_rms"), "unit of the input"
@@ -19,9 +23,13 @@ MEANING = {
     "tail_cost": "the same from the tail start on",
     "input_rms": "square root of the mean of u'u over ticks 0 .. N-1, in a loop; one number a run, with its first signal",
     "tail_input_rms": "the same from the tail start on",
+    "nees": "e' P^-1 e / n at tick N-1, P the covariance that the observer believes its error of the plant's n states to have, "
+    "less those it knows: 1 on average of a true one; one number a run, with its first signal",
+    "nees_states": "the n of nees",
+    "signal_nees": "e^2 over the variance that the observer believes it to have, at tick N-1; null: it knows this state",
 }
 
 
 def shown(results: Container[str]) -> list[str]:
-    """Return the metrics that a table of runs has columns for: those of loops only where there are such."""
-    return [m for m in RUN_METRICS if m in results or m not in OF_RUN]
+    """Return the metrics that a table of runs has columns for: those of loops and of covariances only where there are such."""
+    return [m for m in RUN_METRICS if m in results or m not in ASKED]

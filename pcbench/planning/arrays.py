@@ -109,6 +109,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         controller=controller.controller(cell),
         scattered=bool(belief.start_box),
         pending=controller.pending(cell),
+        consistency=choices.consistency,
     )
     return Plan(
         cell=cell,

@@ -122,9 +122,8 @@ def _take(events: Events, k: Array, state: State) -> State:
         notes = _write(flight.notes, noted, _noted(events, k, state, noted))
         if telling:
             memories = _told(events, k, state._replace(memories=memories), sensed)
-        return Flight(
-            values, notes, Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived)
-        ), memories
+        done = Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived)
+        return Flight(values, notes, done), memories
 
     flight, memories = lax.while_loop(due, some, (state.flight, state.memories if telling else ()))
     return state._replace(flight=flight, memories=memories if telling else state.memories)
@@ -235,9 +234,8 @@ def _unflat(numbers: Array, like: Any) -> Any:
     rest = iter(numbers)
 
     def one(leaf: Any) -> Any:
-        return (
-            leaf if 0 in leaf.shape else lanes.lanes_of(leaf.shape, [next(rest) for _ in range(math.prod(leaf.shape))])
-        )
+        size = math.prod(leaf.shape)
+        return lanes.lanes_of(leaf.shape, [next(rest) for _ in range(size)]) if size else leaf
 
     return jax.tree.map(one, like, is_leaf=lanes.is_lanes)
 
