@@ -68,7 +68,7 @@ def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Let what is younger than the horizon wait, use what is as old, lose what is older."""
-    sample = reordering.sample_of(now, arrival, gains.D)
+    sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
     due = now.tick - gains.own.horizon
     place = jnp.arange(memory.waiting.taken.shape[0]) == jnp.argmin(memory.waiting.taken)
 

@@ -29,7 +29,7 @@ class Options(linear_filter.Options):
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use what is no older than the state before the samples kept."""
-    sample = reordering.sample_of(now, arrival, gains.D)
+    sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
     used = linear_filter.use(gains, memory, now, sample)
     return kept(sample.fresh & (sample.taken >= memory.buffer.before.taken), used, memory)
 

@@ -51,6 +51,11 @@ def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Measurement:
     return Measurement(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.fresh, arrival.note)
 
 
+def kept_of(sample: Measurement) -> Measurement:
+    """Return a sample as it is kept for later: 0 in place of what did not arrive."""
+    return sample._replace(value=jnp.where(sample.fresh, sample.value, 0.0))
+
+
 def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer, Any]:
     """Return the buffer with the sample that arrived in its place, and the state after the newest sample."""
     if not buffer.samples.taken.shape[0]:
