@@ -15,7 +15,7 @@ from pcbench.errors import UserError
 from pcbench.gains import versions
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.planning import alone, drafts, padding
+from pcbench.planning import alone, cost, drafts, padding
 from pcbench.plants import signals_of
 from pcbench.scenarios.sources import units
 from pcbench.study import read
@@ -161,6 +161,30 @@ def trace(
     frame.attrs["carries_input"] = dict(p.carries_input)  # of the predictions to now, by observer
     frame.attrs["certified"] = {o: is_certified(c._asdict()) for o, c in p.certificates.items()}
     return frame
+
+
+def costs(
+    study: Described, *, observers: str | list[str] | None = None, overrides: list[str] | None = None
+) -> pd.DataFrame:
+    """Return what observers cost in every cell of a study: a row each, with `sample`, `tick` and `memory`.
+
+    Multiplications of a sample and of a tick of one run, and bytes that are kept from tick to tick (`planning/cost`).
+    """
+    with process.float64():
+        names = [observers] if isinstance(observers, str) else observers
+        every = read.grid_of(study, {} if names is None else {"observers": list(names)}, overrides or []).cells
+        rows = [
+            {
+                "scenario": p.cell.scenario.name,
+                "cell": p.cell.number,
+                **p.cell.values,
+                "observer": label,
+                **found._asdict(),
+            }
+            for p in drafts(every)
+            for label, found in cost.costs(p).items()
+        ]
+    return pd.DataFrame(rows)
 
 
 def _held(arrived: np.ndarray) -> np.ndarray:

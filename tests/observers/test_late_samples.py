@@ -5,18 +5,22 @@ clocks: nothing late; one sample late by less than a step; two clocks with late 
 Tolerances are rounding: 1e-10 of the signal's size, as everywhere.
 """
 
+import re
 from functools import cache
 
 import driven
 import numpy as np
 import pytest
+from documents import PAGES
 from harness import ODD, Case, inputs, setting, starts
 from reference import irregular, late
 from reference.linear import Model
 
+import pcbench
 from pcbench.dynamics import linear
 from pcbench.errors import UserError
 from pcbench.observers import LATE, OBSERVERS
+from pcbench.statistics.consistency import Band, verdict
 
 TICKS, H = 150, 0.02
 CASE = Case(ODD, 12, 0, ticks=TICKS, h=H, noise_std=0.2, seed=5, xhat0=[0.5, -1.0, 2.0], input_intensity=0.4)
@@ -232,3 +236,19 @@ def test_what_cannot_be_is_refused_in_a_sentence(name, known, options, sentence)
 def test_options_that_are_no_times_or_counts_are_refused(name, option, value):
     with pytest.raises(ValueError, match=option):
         OBSERVERS[name].options(**{option: value})
+
+
+@pytest.mark.slow
+def test_the_guides_table_is_what_comes_out():
+    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+ \|.*?) \| (\d+) \|$", PAGES["how_late.md"], re.M)
+    stats, costs = pcbench.run("late").stats, pcbench.costs("late").set_index(["cell", "observer"])
+    stats = stats[stats.signal == "position"].set_index(["observer", "metric", "delay"])
+    assert len(rows) == 7
+    for name, said, products in rows:
+        *errors, believes = said.split(" | ")
+        found = stats.loc[name, "tail_rmse"]["mean"].sort_index()
+        np.testing.assert_allclose(found, [float(e) for e in errors], rtol=0.01)
+        assert costs.loc[(1, name), "sample"] == int(products)
+        if name != "open-loop":
+            mean, band = stats.loc[(name, "nees", 0.8)], stats.loc[(name, "nees_band", 0.8)]
+            assert verdict(mean["mean"], Band(band.ci_low, band.ci_high)) == believes
