@@ -165,11 +165,13 @@ def trace(
 
 def costs(
     study: Described, *, observers: str | list[str] | None = None, overrides: list[str] | None = None
-) -> pd.DataFrame:
+) -> "pd.DataFrame":
     """Return what observers cost in every cell of a study: a row each, with `sample`, `tick` and `memory`.
 
     Multiplications of a sample and of a tick of one run, and bytes that are kept from tick to tick (`planning/cost`).
     """
+    import pandas as pd
+
     with process.float64():
         names = [observers] if isinstance(observers, str) else observers
         every = read.grid_of(study, {} if names is None else {"observers": list(names)}, overrides or []).cells

@@ -76,9 +76,7 @@ MEANING = {
     "metric": "a metric of `runs`; or pooled_rmse, tail_pooled_rmse (root of the mean square over runs); or efficiency "
     "(bound / tail_pooled_rmse against the best any causal estimator can do on average over x(0) ~ N(xhat0, P0)); or "
     "divergence, the fraction of runs that diverged; or unsettled, the fraction of the others whose error left its band in the "
-    "tail (both with Wilson's interval); or inside_1_sigma, inside_2_sigma, inside_3_sigma, the fraction of runs whose error "
-    "at tick N-1 is within so many of the standard deviations that the observer believes (Wilson's); or nees_band, "
-    "signal_nees_band, whose interval is the 95 % band of such means of a true covariance (chi-square)",
+    "tail (both with Wilson's interval); or " + loop_columns.CONSISTENCY,
     "method": "runs: an estimate over simulated runs; exact: the expected value over all noise, whose se is 0 (or of schedules "
     "alone, where runs draw their own); none: neither, and `reason` says why",
     "reason": "why a number is missing that only runs have; null where it is there",

@@ -15,6 +15,11 @@ UNITS = dict.fromkeys(
 UNITS |= dict.fromkeys(
     ("input_rms", "tail_input_rms", "pooled_input_rms", "tail_pooled_input_rms"), "unit of the input"
 )
+CONSISTENCY = (
+    "inside_1_sigma, inside_2_sigma, inside_3_sigma, the fraction of runs whose error at tick N-1 is within so many of the "
+    "standard deviations that the observer believes (Wilson's); or nees_band, signal_nees_band, whose interval is the 95 % band "
+    "of such means of a true covariance (chi-square)"
+)
 MEANING = {
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",
     "command_loss": "probability that a command never comes to the plant, which holds the last one that came",
