@@ -17,8 +17,8 @@ UNITS |= dict.fromkeys(
 )
 CONSISTENCY = (
     "inside_1_sigma, inside_2_sigma, inside_3_sigma, the fraction of runs whose error at tick N-1 is within so many of the "
-    "standard deviations that the observer believes (Wilson's); or nees_band, signal_nees_band, whose interval is the 95 % band "
-    "of such means of a true covariance (chi-square)"
+    "standard deviations that the observer believes (Wilson's); or nees_band, signal_nees_band, whose interval is the 95 % "
+    "band of such means of a true covariance (chi-square)"
 )
 MEANING = {
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",
