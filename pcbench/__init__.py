@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # the same names, for type checkers and editors
+    from pcbench.api import costs as costs
     from pcbench.api import design as design
     from pcbench.api import exact as exact
     from pcbench.api import run as run
@@ -49,6 +50,7 @@ __version__ = "0.1.0"
 _LAZY = {
     "run": "api",
     "exact": "api",
+    "costs": "api",
     "trace": "api",
     "design": "api",
     "trade_off": "gains.design",

@@ -15,7 +15,7 @@ from pcbench.errors import UserError
 from pcbench.gains import versions
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.planning import alone, drafts, padding
+from pcbench.planning import alone, cost, drafts, padding
 from pcbench.plants import signals_of
 from pcbench.scenarios.sources import units
 from pcbench.study import read
@@ -121,7 +121,8 @@ def trace(
     """Return one run tick by tick, ticks 0 .. N: t [s], each signal, <observer>.<signal>, u1.., y1.. (held arrivals).
 
     Signals are the states and what the plant has of unknown inputs or parameters; observers have columns for what they
-    estimate. A trace of a closed loop is of one observer, and has the set point too: target.<signal>.
+    estimate, and where the study asks for consistency, <observer>.<signal>.sigma, the standard deviation that they believe.
+    A trace of a closed loop is of one observer, and has the set point too: target.<signal>.
 
     `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.
@@ -148,6 +149,9 @@ def trace(
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
         columns |= {f"{name}.{signals[i]}": each for i, each in enumerate(out.estimates[called].T)}
+    for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):
+        own = out.sigma.get(called)
+        columns |= {f"{name}.{signals[i]}.sigma": each for i, each in enumerate([] if own is None else own.T)}
     columns |= {f"target.{signals[i]}": each for i, each in enumerate(out.target.T)}
     columns |= {f"u{i + 1}": u for i, u in enumerate(out.u.T)}
     columns |= {f"y{i + 1}": y for i, y in enumerate(_held(out.arrived).T)}
@@ -157,6 +161,32 @@ def trace(
     frame.attrs["carries_input"] = dict(p.carries_input)  # of the predictions to now, by observer
     frame.attrs["certified"] = {o: is_certified(c._asdict()) for o, c in p.certificates.items()}
     return frame
+
+
+def costs(
+    study: Described, *, observers: str | list[str] | None = None, overrides: list[str] | None = None
+) -> "pd.DataFrame":
+    """Return what observers cost in every cell of a study: a row each, with `sample`, `tick` and `memory`.
+
+    Multiplications of a sample and of a tick of one run, and bytes that are kept from tick to tick (`planning/cost`).
+    """
+    import pandas as pd
+
+    with process.float64():
+        names = [observers] if isinstance(observers, str) else observers
+        every = read.grid_of(study, {} if names is None else {"observers": list(names)}, overrides or []).cells
+        rows = [
+            {
+                "scenario": p.cell.scenario.name,
+                "cell": p.cell.number,
+                **p.cell.values,
+                "observer": label,
+                **found._asdict(),
+            }
+            for p in drafts(every)
+            for label, found in cost.costs(p).items()
+        ]
+    return pd.DataFrame(rows)
 
 
 def _held(arrived: np.ndarray) -> np.ndarray:

@@ -169,6 +169,18 @@ class Estimate(Protocol):
     def __call__(self, gains: Gains, memory: Memory, /) -> Float[Array, " signals"]: ...
 
 
+class Sampled(Protocol):
+    """Take note in memory that the channels `fresh` are sampled now, before anything of it arrives."""
+
+    def __call__(self, gains: Gains, memory: Memory, now: Now, fresh: Bool[Array, " q"], /) -> Memory: ...
+
+
+class Covariance(Protocol):
+    """Return the covariance that the observer believes its error to have now, of all that it estimates."""
+
+    def __call__(self, gains: Gains, memory: Memory, /) -> Float[Array, "signals signals"]: ...
+
+
 class ObserverField(Protocol):
     """Return d memory/dt with y measured at now.t, a Runge-Kutta stage's."""
 
@@ -184,3 +196,5 @@ class Observer(NamedTuple):
     flow: Flow  # from tick to tick
     estimate: Estimate
     field: ObserverField | None = None  # where it runs on continuous measurement as well
+    covariance: Covariance | None = None  # where it says how wrong it is
+    sampled: Sampled | None = None  # where it must be told at sampling time that a sample will come

@@ -6,6 +6,7 @@ schedule in a sentence of its own; it must take one. One that is designed for th
 so near its operating point that this is all there is.
 """
 
+from functools import reduce
 from typing import NamedTuple
 
 import jax
@@ -93,8 +94,8 @@ def cases(scenario: Scenario, takes: str, near: bool = False) -> list[Case]:
     found = [_case(name, each, None, size) for name, each in named.items()]
     if takes in VARYING:
         found.append(_case("samples that overtake", named["one period late"], every, size))
-    most = max(c.setting.overtaking for c in found), max(c.setting.reach for c in found)
-    return [c._replace(setting=c.setting._replace(overtaking=most[0], reach=most[1])) for c in found]
+    most = reduce(Setting.roomier, (c.setting for c in found))
+    return [c._replace(setting=c.setting.roomier(most)) for c in found]
 
 
 def _case(name: str, scenario: Scenario, overtaken: int | None, size: float) -> Case:
@@ -106,7 +107,9 @@ def _case(name: str, scenario: Scenario, overtaken: int | None, size: float) -> 
     if overtaken is not None:
         taken = shared.samples(times.clocks(scenario), n)
         late = [s._replace(arrives=s.arrives + (3 * overtaken // 2 if s.number % 3 == 1 else 0)) for s in taken]
-        known = known._replace(overtaking=shared.overtaking(late))
+        known = known._replace(
+            overtaking=shared.overtaking(late), flight=known.flight + 2, latest=known.latest + 3 * overtaken // 2
+        )
         p = p._replace(schedule=shared.schedule(late, n, q))
     u = size * (np.random.default_rng(7).normal(size=p.inputs.shape) + 0.5)
     p = p._replace(schedule=shared.pad_slots(p.schedule, SLOTS), inputs=u)

@@ -48,6 +48,10 @@ def show(
     as_toml: Annotated[
         bool, typer.Option("--toml", help="print it as a study file to start from, every field with its unit")
     ] = False,
+    with_costs: Annotated[
+        bool,
+        typer.Option("--costs", help="what its observers cost: multiplications a sample and a tick, bytes of memory"),
+    ] = False,
     changes: Set = None,
     as_json: AsJson = False,
 ) -> None:
@@ -62,6 +66,9 @@ def show(
 
     if as_toml and as_json:
         raise UserError("show: got --toml and --json, expected one of them; leave one out.")
+    if with_costs:
+        _costs(scenario, changes, as_json)
+        return
     found = read.scenario_of(scenario, changes)
     if as_toml:
         print(scenario_toml.as_study(found), end="")
@@ -71,3 +78,18 @@ def show(
         listing.whole(found.name, sheet(found), console())
         end = f"As a study of your own, every field of it: pcbench show {scenario} --toml > mine.toml"
         console().print(end, highlight=False, markup=False, soft_wrap=True)
+
+
+def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
+    """Print what the observers of a scenario or a study cost."""
+    from pcbench import api
+
+    table = api.costs(study, overrides=changes)
+    if as_json:
+        print(table.to_json(orient="records", indent=2))
+        return
+    shown = table[["scenario", "cell", "observer", "sample", "tick", "memory"]]
+    console().print(shown.to_string(index=False), highlight=False, markup=False)
+    console().print(
+        "sample, tick: multiplications of one run; memory: bytes from tick to tick.", highlight=False, markup=False
+    )

@@ -76,7 +76,7 @@ MEANING = {
     "metric": "a metric of `runs`; or pooled_rmse, tail_pooled_rmse (root of the mean square over runs); or efficiency "
     "(bound / tail_pooled_rmse against the best any causal estimator can do on average over x(0) ~ N(xhat0, P0)); or "
     "divergence, the fraction of runs that diverged; or unsettled, the fraction of the others whose error left its band in the "
-    "tail (both with Wilson's interval)",
+    "tail (both with Wilson's interval); or " + loop_columns.CONSISTENCY,
     "method": "runs: an estimate over simulated runs; exact: the expected value over all noise, whose se is 0 (or of schedules "
     "alone, where runs draw their own); none: neither, and `reason` says why",
     "reason": "why a number is missing that only runs have; null where it is there",

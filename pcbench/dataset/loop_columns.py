@@ -2,14 +2,23 @@
 
 from collections.abc import Container
 
-from pcbench.statistics import OF_RUN, RUN_METRICS
+from pcbench.statistics import ASKED, RUN_METRICS
 
 AXIS_UNITS = {"command_jitter": "s", "command_loss": "1", "command_std": "unit of the input"}
 UNITS = dict.fromkeys(
-    ("efficiency", "divergence", "unsettled", "cost", "tail_cost"), "1"
+    (
+        *("efficiency", "divergence", "unsettled", "cost", "tail_cost", "nees", "nees_states", "signal_nees"),
+        *("nees_band", "signal_nees_band", "inside_1_sigma", "inside_2_sigma", "inside_3_sigma"),
+    ),
+    "1",
 )  # of metrics, not the signal's
 UNITS |= dict.fromkeys(
     ("input_rms", "tail_input_rms", "pooled_input_rms", "tail_pooled_input_rms"), "unit of the input"
+)
+CONSISTENCY = (
+    "inside_1_sigma, inside_2_sigma, inside_3_sigma, the fraction of runs whose error at tick N-1 is within so many of the "
+    "standard deviations that the observer believes (Wilson's); or nees_band, signal_nees_band, whose interval is the 95 % "
+    "band of such means of a true covariance (chi-square)"
 )
 MEANING = {
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",
@@ -19,9 +28,13 @@ MEANING = {
     "tail_cost": "the same from the tail start on",
     "input_rms": "square root of the mean of u'u over ticks 0 .. N-1, in a loop; one number a run, with its first signal",
     "tail_input_rms": "the same from the tail start on",
+    "nees": "e' P^-1 e / n at tick N-1, P the covariance that the observer believes its error of the plant's n states to have, "
+    "less those it knows: 1 on average of a true one; one number a run, with its first signal",
+    "nees_states": "the n of nees",
+    "signal_nees": "e^2 over the variance that the observer believes it to have, at tick N-1; null: it knows this state",
 }
 
 
 def shown(results: Container[str]) -> list[str]:
-    """Return the metrics that a table of runs has columns for: those of loops only where there are such."""
-    return [m for m in RUN_METRICS if m in results or m not in OF_RUN]
+    """Return the metrics that a table of runs has columns for: those of loops and of covariances only where there are such."""
+    return [m for m in RUN_METRICS if m in results or m not in ASKED]

@@ -12,8 +12,11 @@ def trace_table(frame: pd.DataFrame, signals: tuple[tuple[str, str], ...]) -> pa
     fields = []
     for name in frame.columns:
         plain = (driven.get(name) or "unit of the input") if name[0] == "u" else "unit of the output"
-        unit = units.get(name.rpartition(".")[2], plain)
+        unit = units.get(name.removesuffix(".sigma").rpartition(".")[2], plain)
         meaning = "time" if name == "t" else "estimate" if "." in name else "truth" if name in units else ""
+        meaning = (
+            "standard deviation that the observer believes its error to have" if name.endswith(".sigma") else meaning
+        )
         meaning = "set point" if name.startswith("target.") else meaning
         meaning = meaning or ("input held over the tick" if name[0] == "u" else "newest arrived measurement, held")
         about = {"unit": unit, "meaning": meaning}

@@ -44,7 +44,7 @@ def transition(field: Field, t: Array, n: int, h: Array, substeps: int = 1) -> F
     return jax.vmap(column, 0, 1)(jnp.eye(n))
 
 
-def after(powers: Float[Array, "levels R n n"], age: Int[Array, ""], x: Float[Array, " n"]) -> Float[Array, " n"]:
+def after(powers: Float[Array, "levels R n n"], age: Int[Array, ""], x: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
     """X carried over `age` ticks of a linear flow without input: e^{A age} x.
 
     `age` must lie in 0 .. R^levels - 1; no check is made here.

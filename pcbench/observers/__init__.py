@@ -1,38 +1,12 @@
 """The observers, one file each, and the dict that names them."""
 
-from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple
-
-from pydantic import BaseModel
-
 from pcbench.observers import chain, dkf, ekf, equal_delay, high_gain, kfbo, no_delay, open_loop, pccebo, pco, pio, smo
-from pcbench.protocols import Observer
-from pcbench.synthesis.certificate import Design, Setting
+from pcbench.observers.entry import Entry
+from pcbench.observers.late_family import LATE
+
+__all__ = ["LATE", "LONGEST", "OBSERVERS", "Entry", "base_of", "entry_of"]
 
 LONGEST = 80  # characters of a label, which names a folder
-Takes = Literal["any schedule", "one clock", "one constant delay", "constant delays"]
-
-
-class Entry(NamedTuple):
-    """An observer, the options a study may give it, and how its gains are found.
-
-    `takes` says on which schedules it can work: any; samples of any age and in any order, but all channels together;
-    samples of one constant age only; or sampled regularly, all channels together, each of a constant age of its own.
-    """
-
-    observer: Observer
-    options: type[BaseModel]
-    design: Callable[[Setting, Any], Design]
-    knows_schedule: bool  # perfect start is claimed: true model, true start, no noise => no error
-    summary: str
-    takes: Takes = "one constant delay"
-    heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
-    nonlinear: bool = False  # it is designed for plants without a linear model
-    smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand
-    # options of gains for the noise and delays as they are; None: it has none such
-    designed: Mapping[str, Any] | None = None
-
-
 OBSERVERS = {
     "pccebo": Entry(
         observer=pccebo.OBSERVER,
@@ -146,6 +120,7 @@ OBSERVERS = {
         summary="delay-compensated Kalman filter, the fair baseline",
         takes="any schedule",
     ),
+    **LATE,
     "open-loop": Entry(
         observer=open_loop.OBSERVER,
         options=open_loop.Options,

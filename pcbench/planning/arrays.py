@@ -42,17 +42,15 @@ def drafts(
     `ask` has what cells have in common; `runs` says how many a cell is to have, for its calls to be no wider.
     """
     ask = ask or once.once()
-    most: dict[str, tuple[int, int]] = {}
+    most: dict[str, Setting] = {}
     for cell in every:
         if not cell.times.random:
-            known, plant = setting(cell, ask), cell.scenario.plant
-            overtaking, reach = most.get(plant, (0, 0))
-            most[plant] = max(overtaking, known.overtaking), max(reach, known.reach)
+            known = setting(cell, ask)
+            most[cell.scenario.plant] = known.roomier(most.get(cell.scenario.plant, known))
     for cell in every:
         known = setting(cell, ask)
         if not cell.times.random:  # where sampling is random, room for more costs more than a program
-            overtaking, reach = most[cell.scenario.plant]
-            known = known._replace(overtaking=overtaking, reach=reach)
+            known = known.roomier(most[cell.scenario.plant])
         groups = [{o: given} for o, given in cell.options.items()] if cell.scenario.loop.controller else [cell.options]
         for options in groups:
             p = draft(cell, options if wanted is None or cell.key in wanted else {}, known, ask)
@@ -111,6 +109,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         controller=controller.controller(cell),
         scattered=bool(belief.start_box),
         pending=controller.pending(cell),
+        consistency=choices.consistency,
     )
     return Plan(
         cell=cell,

@@ -62,6 +62,8 @@ def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
         process_std=belief.assumed_process_std or s.truth.process_std,
         error=cell.times.error,
         reach=max(-(-late // every) for late, every in zip(delay, period, strict=True)),
+        flight=per_lane.room(clocks, n, cell.times.error),
+        latest=max(sampling.ages(clock, n)[1] for clock in clocks) + cell.times.error,
         unknown_std=belief.unknown_std,
         unknown0=belief.unknown0 or (0.0,) * many,
         unknown_range=plant.ranges or ((-np.inf, np.inf),) * many,

@@ -39,8 +39,10 @@ def results(planned: Plan, outcomes: Iterable[tuple[batch.Job, Outcome]]) -> Res
     for _, outcome in outcomes:
         for label, (name, _) in zip(planned.labels, planned.layout.observers, strict=True):
             left = outcome.streams[name], outcome.watches[name], outcome.final[name]
-            effort = outcome.effort or None
-            parts[label].append(metrics.read(*left, n, tail, dt, falls, outcome.tracking or None, effort, costs))
+            effort, squares = outcome.effort or None, outcome.consistency.get(name) if outcome.consistency else None
+            parts[label].append(
+                metrics.read(*left, n, tail, dt, falls, outcome.tracking or None, effort, costs, squares)
+            )
     return {label: {m: np.concatenate([p[m] for p in each], -1) for m in each[0]} for label, each in parts.items()}
 
 

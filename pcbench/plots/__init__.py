@@ -10,6 +10,7 @@ how wide a column is [inches], and the size and font of text; `plots.save` write
 shows is found in `frames`.
 """
 
+from pcbench.plots.cost import cost
 from pcbench.plots.files import save
 from pcbench.plots.gains import fair, trade_off
 from pcbench.plots.lines import convergence, curves, distributions
@@ -19,5 +20,5 @@ from pcbench.plots.paper import Paper
 from pcbench.plots.quantiles import quantiles
 from pcbench.plots.time_series import time
 
-__all__ = ["Paper", "convergence", "curves", "distributions", "divergence", "fair", "heatmaps", "quantiles", "save", "styles",
-           "time", "trade_off", "winners"]  # fmt: skip
+__all__ = ["Paper", "convergence", "cost", "curves", "distributions", "divergence", "fair", "heatmaps", "quantiles",
+           "save", "styles", "time", "trade_off", "winners"]  # fmt: skip

@@ -28,6 +28,17 @@ DASHES: dict[str, tuple[float, ...]] = {
     "pio": (2.8, 1.4),
     "high-gain": (6.0, 1.6),
     "ekf": (2.8, 1.4),
+    "kf-now": (6.0, 1.6),
+    "kf-discard": (2.8, 1.4),
+    "kf-rewind": (6.0, 1.4, 1.0, 1.4),
+    "kf-cloning": (4.0, 1.4, 4.0, 1.4, 1.0, 1.4),
+    "kf-larsen": (9.0, 1.6),
+    "kf-alexander": (4.5, 2.2),
+    "kf-horizon": (1.8, 1.8),
+    "kf-shift": (7.0, 1.4, 2.4, 1.4),
+    "oosm-a1": (5.0, 1.2, 1.0, 1.2, 1.0, 1.2),
+    "oosm-b1": (3.4, 3.0),
+    "oosm-lag": (9.0, 1.4, 3.0, 1.4, 3.0, 1.4),
 }
 COLOURS = {
     "dkf": "#224E89",
@@ -43,9 +54,22 @@ COLOURS = {
     "pio": "#54AB53",
     "high-gain": "#B14DD0",
     "ekf": "#884400",
+    "kf-now": "#4D159C",
+    "kf-discard": "#C92536",
+    "kf-rewind": "#4589A8",
+    "kf-cloning": "#580A51",
+    "kf-larsen": "#575C6B",
+    "kf-alexander": "#7D09D8",
+    "kf-horizon": "#800908",
+    "kf-shift": "#609156",
+    "oosm-a1": "#241264",
+    "oosm-b1": "#B07800",
+    "oosm-lag": "#E073D5",
 }
 MARKERS = {"dkf": "o", "open-loop": "x", "pccebo": "s", "kfbo": "^", "pco": "D", "pi-pco": "v", "chain": "s",
-           "equal-delay": "^", "no-delay": "v", "smo": "s", "pio": "^", "high-gain": "s", "ekf": "^"}  # fmt: skip
+           "equal-delay": "^", "no-delay": "v", "smo": "s", "pio": "^", "high-gain": "s", "ekf": "^",
+           "kf-now": "^", "kf-discard": "v", "kf-rewind": "s", "kf-cloning": "D", "kf-larsen": "<", "kf-alexander": ">",
+           "kf-horizon": "P", "kf-shift": "X", "oosm-a1": "p", "oosm-b1": "h", "oosm-lag": "*"}  # fmt: skip
 SIBLINGS = ("P", "X", "<", ">", "h", "p", "*")  # markers of a base's variants
 OWN = ("#00796B", "#8E5A9E", "#7A6A00", "#4C6EA8", "#7B3F00")  # of a user's own observers, by name
 OWN_DASHES = ((8.0, 1.6), (2.0, 1.2), (5.0, 1.2, 2.0, 1.2))

@@ -61,6 +61,21 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
             "return all of it."
         )
     _same(label, "jump", ask("jump", jump, memory, value, note), memory)
+    if (told := observer.sampled) is not None:
+        fresh = jax.ShapeDtypeStruct((q,), bool)
+        _same(
+            label,
+            "sampled",
+            ask("sampled", lambda p, m, f: told(p.gains[label], m, present(p, k, False), f), memory, fresh),
+            memory,
+        )
+    if (covariance := observer.covariance) is not None:
+        P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m)), memory)
+        if P.shape != (*xhat.shape, *xhat.shape):
+            raise UserError(
+                f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: of the error "
+                "of all that it estimates; return all of it."
+            )
     if continuous and observer.field is not None:
         field = observer.field
         _same(

@@ -14,13 +14,12 @@ from jax import Array, lax
 
 from pcbench.simulation import draws, lanes
 from pcbench.simulation.lanes import packed
-from pcbench.simulation.lanes.packed import Kept, Packing
 from pcbench.simulation.problem import Layout, Notes, Packet, Problem, State
 from pcbench.simulation.schedule import per_lane
 from pcbench.simulation.schedule.per_lane import Agenda, Times
 from pcbench.simulation.schedule.shared import NEVER
 from pcbench.simulation.start import begin
-from pcbench.simulation.steps import Row, flow, jump, measure, note
+from pcbench.simulation.steps import Row, flow, jump, measure, note, tells, told
 
 CHUNK = 32  # lanes taken out together: with 128 jitter costs 1.2 and overtaking 1.6 times as much
 
@@ -66,7 +65,7 @@ class Events(NamedTuple):
     taken: Queue
     arrivals: Queue
     noise: list[Array]  # by channel [M, L], standard normal
-    form: Packing
+    form: packed.Packing
     first_notes: Notes  # of the start: the shape of all others
 
     @property
@@ -111,24 +110,27 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
 def _take(events: Events, k: Array, state: State) -> State:
     """Let the samples of tick k be taken, and noted where they are believed to be of it: CHUNK runs at a time."""
     taken, rows, error = events.taken, events.rows, events.times.error
-    sensing, noting = k * rows, (k + error) * rows
+    sensing, noting, telling = k * rows, (k + error) * rows, tells(events.layout)
 
-    def due(flight: Flight) -> Array:
-        return (taken.when[flight.done.sensed] == sensing) | (taken.when[flight.done.noted] == noting)
+    def due(c: tuple[Flight, Any]) -> Array:
+        return (taken.when[c[0].done.sensed] == sensing) | (taken.when[c[0].done.noted] == noting)
 
-    def some(flight: Flight) -> Flight:
-        done = flight.done
+    def some(c: tuple[Flight, Any]) -> tuple[Flight, Any]:
+        (flight, memories), done = c, c[0].done
         sensed, noted = (_chunk(taken, n, t, events.layout) for n, t in ((done.sensed, sensing), (done.noted, noting)))
         values = _write(flight.values, sensed, _measured(events, k, state, sensed))
         notes = _write(flight.notes, noted, _noted(events, k, state, noted))
-        return Flight(values, notes, Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived))
+        if telling:
+            memories = _told(events, k, state._replace(memories=memories), sensed)
+        done = Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived)
+        return Flight(values, notes, done), memories
 
-    return state._replace(flight=lax.while_loop(due, some, state.flight))
+    flight, memories = lax.while_loop(due, some, (state.flight, state.memories if telling else ()))
+    return state._replace(flight=flight, memories=memories if telling else state.memories)
 
 
 def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
-    number = _at(events.agenda.samples[2], c.row, c.lane)
-    noise = jnp.stack([_at(each, number, c.lane) for each in events.noise])
+    noise = jnp.stack([_at(each, _at(events.agenda.samples[2], c.row, c.lane), c.lane) for each in events.noise])
     x, drawn = lanes.pick((state.x, state.drawn), c.lane)
     return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lanes.split(noise))
 
@@ -137,11 +139,18 @@ def _noted(events: Events, k: Array, state: State, c: Chunk) -> Notes:
     return note(events.layout, events.p, k, _taken_out(events, state, c))
 
 
+def _told(events: Events, k: Array, state: State, c: Chunk) -> packed.Kept:
+    """The memories after the observers of some runs were told of their samples."""
+    mine, clock = _taken_out(events, state, c), _at(events.agenda.samples[1], c.row, c.lane)
+    after = told(events.layout, events.p, k, mine, lanes.split(clock[None] == events.times.clock_of[:, None]))
+    return packed.put_back(state.memories, events.form.pack(lanes.like(after, mine.memories, CHUNK)), c.lane)
+
+
 def _deliver(events: Events, k: Array, state: State) -> State:
     """Let every packet that arrives at tick k be used by its run's observers: CHUNK runs at a time, in order."""
     arrivals, last, flight = events.arrivals, (k + 1) * events.rows, state.flight
 
-    def some(c: tuple[Array, Kept]) -> tuple[Array, Kept]:
+    def some(c: tuple[Array, packed.Kept]) -> tuple[Array, packed.Kept]:
         coming = _chunk(arrivals, c[0], arrivals.when[c[0]], events.layout)
         return c[0] + coming.size, _jumped(events, k, state._replace(memories=c[1]), coming)
 
@@ -151,7 +160,7 @@ def _deliver(events: Events, k: Array, state: State) -> State:
     return state._replace(memories=memories, flight=flight._replace(done=flight.done._replace(arrived=arrived)))
 
 
-def _jumped(events: Events, k: Array, state: State, c: Chunk) -> Kept:
+def _jumped(events: Events, k: Array, state: State, c: Chunk) -> packed.Kept:
     """The memories after the arrivals of some runs."""
     layout, flight = events.layout, state.flight
     which = _at(events.agenda.which, c.row, c.lane)

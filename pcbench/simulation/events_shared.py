@@ -15,7 +15,7 @@ from pcbench.simulation import draws, lanes
 from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.problem import Layout, Notes, Packet, PerLane, Problem, State
 from pcbench.simulation.start import begin
-from pcbench.simulation.steps import Happen, Row, jump, measure, note
+from pcbench.simulation.steps import Happen, Row, jump, measure, note, tells, told
 
 
 class Shift(NamedTuple):
@@ -83,6 +83,9 @@ def happen(layout: Layout, p: Problem, keys: list[Array], shift: Shift | None, k
     values, notes = state.flight
     flight = Packet(put(values, plan.sense[k], sense), put(notes, plan.note[k], noted))
 
+    def tell() -> Any:
+        return lanes.like(told(layout, p, k, state, plan.sample[k] >= 0), state.memories, layout.width)
+
     def deliver(slot: Array, memories: Any) -> Any:
         number = plan.arrive[k, slot]
         packet = jax.tree.map(partial(lax.dynamic_index_in_dim, index=number % layout.ring, keepdims=False), flight)
@@ -95,6 +98,8 @@ def happen(layout: Layout, p: Problem, keys: list[Array], shift: Shift | None, k
 
         return lax.cond(number >= 0, jumped, lambda memories: memories, memories)
 
+    if tells(layout):
+        state = state._replace(memories=lax.cond(plan.sense[k] >= 0, tell, lambda: state.memories))
     memories = lax.fori_loop(0, plan.arrive.shape[1], deliver, state.memories)
     return state._replace(memories=memories, flight=flight)
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import events_per_lane, events_shared, lanes, steps
+from pcbench.simulation import consistency, events_per_lane, events_shared, lanes, steps
 from pcbench.simulation.closed_loop import control
 from pcbench.simulation.metrics import Weights
 from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
@@ -67,10 +67,14 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
     last = steps.score(layout, p, end, state)  # of the last tick its error is all that is needed
     if isinstance(p.weights, Weights):  # or its command, where the input counts
         last = control(layout, p, end, last, drawn(end).command)
-    left = (last.streams, last.tracking, last.effort), last.watches, steps.errors(layout, p, end, state)
+    errors = steps.errors(layout, p, end, state)
+    squares = consistency.squares(layout, p, state, errors) if layout.consistency else ()
+    left = (last.streams, last.tracking, last.effort), last.watches, errors, squares
     sums, left = jax.tree.map(lambda a: lanes.whole(a, layout.width), (sums, left), is_leaf=lanes.is_lanes)
     streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])
-    return Outcome(streams=streams, watches=left[1], final=left[2], tracking=tracking, effort=effort)
+    return Outcome(
+        streams=streams, watches=left[1], final=left[2], tracking=tracking, effort=effort, consistency=left[3]
+    )
 
 
 def _events(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:

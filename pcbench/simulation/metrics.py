@@ -97,6 +97,7 @@ def read(
     tracking: Stream | None = None,
     effort: Effort | None = None,
     costs: bool = False,
+    squares: Any = None,
 ) -> dict[str, NDArray]:
     """Return every metric by name, [n, L]. Of `streams` [W, n, L] window 0 is before the tail, the others are the tail.
 
@@ -106,6 +107,7 @@ def read(
     Where there are `jumps`, `recovery_time` [s] is from a jump to the last exit before the next, the longest of them.
     Of a closed loop `tracking` [W, r, L] gives the rms of set point less state, of the first r states: [r, L]; and
     `effort` [W, L] the input's rms and, where it `costs`, the mean cost: one number a run, [1, L].
+    `squares` [n, L] and [L] (`consistency.Squares`) are those of an observer that says how wrong it is.
     A diverged run has NaN for every metric; `diverged` [L] and `first_bad_time` [L, s] (NaN where none) tell it apart.
     `unsettled` [n, L]: not diverged, and outside the band in the tail.
     """
@@ -128,6 +130,9 @@ def read(
     out["settling_time"] = np.asarray(watch.unsettled) * dt
     if jumps:
         out["recovery_time"] = np.asarray(watch.recovery) * dt
+    if squares is not None:
+        out |= {"nees": np.atleast_2d(squares.whole), "nees_states": np.atleast_2d(squares.states)}
+        out["signal_nees"] = np.asarray(squares.signal)
     bad = np.asarray(watch.first_bad) >= 0
     out = {name: np.where(bad, np.nan, values) for name, values in out.items()}
     out["unsettled"] = ~bad & (np.asarray(watch.unsettled) > tail)

@@ -30,6 +30,7 @@ class Layout(NamedTuple):
     commands: int = 0  # rows of the closed loop's ring of commands
     scattered: bool = False  # xhat(0) = xhat0 + scatter (2 uniform - 1) instead of xhat0
     pending: int = 0  # commands that a network on the way to the plant has room for; 0: there is an actuator line
+    consistency: bool = False  # errors are compared with the covariances that observers believe them to have
 
 
 class Problem(NamedTuple):
@@ -89,6 +90,7 @@ class Outcome(NamedTuple):
     final: dict[str, Array]  # [n, L] the error at tick N-1
     tracking: Any = ()  # Stream [W, r, L] of a closed loop
     effort: Any = ()  # Effort [W, L] of a closed loop
+    consistency: Any = ()  # by observer label, consistency.Squares of those that have a covariance
 
 
 def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:

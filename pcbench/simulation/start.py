@@ -95,9 +95,12 @@ def _everything(layout: Layout, p: Problem) -> steps.Happen:
 
     def happen(k: Array, state: State) -> State:
         packet = Packet(steps.measure(layout, p, k, state, noise), steps.note(layout, p, k, state))
+        before = state.memories
+        if steps.tells(layout):
+            state = state._replace(memories=steps.told(layout, p, k, state, row.fresh))
         memories = steps.jump(layout, p, k, state, row, packet)
         if random:  # what a jump changes at all, it changes in some lanes only
-            memories = lanes.unless_same(memories, state.memories, layout.width)
+            memories = lanes.unless_same(memories, before, layout.width)
         return state._replace(memories=memories, flight=packet)
 
     return happen

@@ -91,6 +91,25 @@ def note(layout: Layout, p: Problem, k: Array, state: State) -> Notes:
     return over(one_lane)(k, state.memories, state.commands)
 
 
+def told(layout: Layout, p: Problem, k: Array, state: State, fresh: PerLane) -> Memories:
+    """Return the memories after observers were told which channels [q] are sampled at tick k; `tells` says whether any is."""
+
+    def one_lane(k: Array, memories: Memories, commands: Any, watches: Any, fresh: Array) -> Memories:
+        now = present(p, k, False, commands)
+        after = memories | {
+            label: o.sampled(p.gains[label], memories[label], now, fresh) for label, o in layout.observers if o.sampled
+        }
+        return unless_diverged(watches, after, memories) if layout.controller else after
+
+    watches = state.watches if layout.controller else {}
+    return over(one_lane)(k, state.memories, state.commands, watches, fresh)
+
+
+def tells(layout: Layout) -> bool:
+    """Whether any observer is told at sampling time."""
+    return any(o.sampled for _, o in layout.observers)
+
+
 # 2. deliver
 
 

@@ -12,6 +12,7 @@ from jax import Array, lax
 
 from pcbench.simulation import lanes
 from pcbench.simulation.closed_loop import aims, held
+from pcbench.simulation.consistency import sigmas
 from pcbench.simulation.events_shared import Shift, prepare, where_any
 from pcbench.simulation.problem import Layout, PerLane, Problem, State
 from pcbench.simulation.start import drawing
@@ -26,6 +27,9 @@ class Recording(NamedTuple):
     u: Array  # [N+1, m] the input held over the tick
     arrived: Array  # [N+1, q] what arrived at this tick, NaN where nothing did
     target: Array  # [N+1, r] the set point of a closed loop
+    sigma: dict[
+        str, Array
+    ]  # [N+1, n or n + s] standard deviations that observers believe, of a layout with consistency
 
 
 def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
@@ -41,6 +45,9 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
             u=_whole(held(p, k, state)),
             arrived=_arrived(layout, p, k, state)[:, 0],
             target=aims(layout, p, k),
+            sigma={label: _whole(each) for label, each in sigmas(layout, p, state).items()}
+            if layout.consistency
+            else {},
         )
 
     def step(state: State, k: Array) -> tuple[State, Recording]:

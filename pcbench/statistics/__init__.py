@@ -20,10 +20,10 @@ from pcbench.statistics.estimates import Z95, positive, reached, root, student, 
 from pcbench.statistics.moments import Values, moments
 from pcbench.statistics.order_statistics import COLUMNS, QUANTILES, positions, ranks, read
 from pcbench.statistics.pairing import ZERO, Meeting, Pair, meet, verdict, verdicts
-from pcbench.statistics.stack import CHUNK, COMPARED, OF_RUN, POOLED, RUN_METRICS, Chunks, Results, stack
+from pcbench.statistics.stack import ASKED, CHUNK, COMPARED, OF_RUN, POOLED, RUN_METRICS, Chunks, Results, stack
 
 __all__ = [
-    "CHUNK", "COLUMNS", "COMPARED", "OF_RUN", "POOLED", "QUANTILES", "RUN_METRICS", "SAME", "SEEN", "Z95", "ZERO",
+    "ASKED", "CHUNK", "COLUMNS", "COMPARED", "OF_RUN", "POOLED", "QUANTILES", "RUN_METRICS", "SAME", "SEEN", "Z95", "ZERO",
     "Chunks", "Results", "Row", "Values",
     "compare", "compared", "describe", "efficiency", "fraction", "holm", "mean", "pairs", "pooled", "quantiles",
     "size", "summarise",

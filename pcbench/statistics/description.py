@@ -6,14 +6,22 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.statistics import selection
+from pcbench.statistics import consistency, selection
 from pcbench.statistics.estimates import Estimate, positive, reached, root, student, wilson
 from pcbench.statistics.moments import Moments, Values, merge, moments
 from pcbench.statistics.order_statistics import COLUMNS, positions, ranks, read
 from pcbench.statistics.stack import POOLED, RUN_METRICS, SIGNED, Chunks, SignalMetric, Stack, kept, stack
 
 Row = dict[str, Any]
-DESCRIBED = (*RUN_METRICS, *POOLED, "divergence", "unsettled", "efficiency")
+DESCRIBED = (
+    *RUN_METRICS,
+    *POOLED,
+    "divergence",
+    "unsettled",
+    "efficiency",
+    *consistency.BANDS.values(),
+    *consistency.INSIDE,
+)
 BLANK = dict.fromkeys(COLUMNS, float("nan"))
 
 
@@ -25,6 +33,7 @@ class Aggregate(NamedTuple):
     order: selection.Order  # [K]
     diverged: int
     unsettled: NDArray[np.int64]  # [signals]
+    inside: NDArray[np.int64]  # [3, states] within one, two, three sigma, of an observer that says how wrong it is
 
 
 def see(before: Aggregate | None, s: Stack) -> Aggregate:
@@ -32,14 +41,16 @@ def see(before: Aggregate | None, s: Stack) -> Aggregate:
     good = ~s.diverged
     values = kept(s.values, good)
     diverged, unsettled, found = int(s.diverged.sum()), kept(s.unsettled, good).sum(-1), moments(values)
+    inside = consistency.inside(values[[k for (m, _), k in s.rows.items() if m == "signal_nees"]])
     if before is None:
-        return Aggregate(s.rows, found, selection.add(selection.EMPTY, values), diverged, unsettled)
+        return Aggregate(s.rows, found, selection.add(selection.EMPTY, values), diverged, unsettled, inside)
     return Aggregate(
         s.rows,
         merge(before.moments, found),
         selection.add(before.order, values),
         before.diverged + diverged,
         before.unsettled + unsettled,
+        before.inside + inside,
     )
 
 
@@ -89,6 +100,8 @@ def described(s: Aggregate, quantiles: Values, bound: Values | None) -> list[Row
             put("efficiency", reached(bound[:many], pooled))
     put("divergence", wilson(np.full(many, s.diverged), means.n + s.diverged))
     put("unsettled", wilson(s.unsettled, means.n))
+    for metric, e in _known(s, means).items():
+        put(metric, e)
     for i in range(many):
         if bound is not None and np.isnan(bound[i]):
             del rows["efficiency", i]
@@ -98,6 +111,19 @@ def described(s: Aggregate, quantiles: Values, bound: Values | None) -> list[Row
         for metric in DESCRIBED
         if (row := rows.get((metric, i)))
     ]
+
+
+def _known(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
+    """What is known of an observer's own covariance: the bands of its normalised squares, and its sigma shares."""
+    if ("nees", 0) not in s.rows:
+        return {}
+    states = s.inside.shape[1]
+    counts = ~np.isnan(means.mean[[s.rows["signal_nees", i] for i in range(states)]])
+    shares = [wilson(count, means.n) for count in s.inside]
+    blank = [Estimate(e.n, *(np.where(counts, values, np.nan) for values in e[1:])) for e in shares]
+    whole = consistency.bands(means.n, means.mean[[s.rows["nees_states", 0]]])
+    each = consistency.bands(means.n, np.where(counts, 1.0, 0.0))
+    return dict(zip(consistency.INSIDE, blank, strict=True)) | {"nees_band": whole, "signal_nees_band": each}
 
 
 def columns(e: Estimate) -> list[Row]:

@@ -98,6 +98,14 @@ STUDIES = {
         seeds=256,
         options={"scenario": {"random_start": True}},
     ),
+    "late": Study(  # of one age all others of the family are dkf
+        name="late",
+        scenarios=["cart/gaussian"],
+        observers=["dkf", "kf-now", "kf-shift", "kf-discard", "kf-larsen", "kf-alexander", "open-loop"],
+        seeds=256,
+        axes={"delay": [0.0, 0.1, 0.2, 0.4, 0.8], "noise_std": [0.5], "process_std": [[0.02, 0.0]]},
+        options={"scenario": {"random_start": True, "consistency": True}},
+    ),
     "all": Study(name="all", scenarios=list(SCENARIOS), seeds=256),
     "variable-sampling": Study(
         name="variable-sampling",

@@ -157,8 +157,9 @@ def identity(cell: Cell, root_seed: int) -> str:
     said = {
         "scenario": cell.scenario.flat() | {"delay": delay},
         "parameters": cell.parameters,
-        "choices": cell.choices.model_dump()
-        | {"drift_sign": 1},  # once a choice: earlier folders know their cells by it
+        # drift_sign was once a choice, and consistency was none: earlier folders know their cells by it
+        "choices": cell.choices.model_dump(exclude=None if cell.choices.consistency else {"consistency"})
+        | {"drift_sign": 1},
         "root_seed": root_seed,
     }
     return _hashed(said)[:16]

@@ -58,6 +58,11 @@ def checked_options(study: Study, name: str, given: dict[str, Any], where: str) 
             raise unknown(f"{where}.path", "path", options.path, PATHS)
         if options.random_start and options.start_spread:
             raise UserError(f"{where}: got random_start and start_spread, expected one of them; leave the other out.")
+        if options.consistency and not options.random_start:
+            raise UserError(
+                f"{where}: got consistency where every run starts alike, expected starts drawn from what observers believe "
+                "of them; write random_start = true beside it."
+            )
     return options
 
 

@@ -29,6 +29,10 @@ class Choices(BaseModel):
         None, description="a controller acts on the state predicted to its command's arrival"
     )
     path: str | None = Field(None, description="what a controller follows: " + ", ".join(PATHS))
+    consistency: bool = Field(
+        False,
+        description="say whether observers know how wrong they are, of those that have a covariance (random_start)",
+    )
     precision: str = Field("float64", description="float64: no other is offered")
 
     def loop(self) -> dict[str, Any]:

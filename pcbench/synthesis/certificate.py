@@ -56,7 +56,9 @@ class Setting(NamedTuple):
         Any, ...
     ] = ()  # [n] of a tick's noise as assumed, or a root [n, n] of its covariance; empty: none
     error: int = 0  # [ticks] the believed delay less the true one
-    reach: int = 0  # [samples] the longest delay; it and `overtaking` are the most of a study's cells
+    reach: int = 0  # [samples] the longest delay; it, `overtaking` and `flight` are the most of a study's cells
+    flight: int = 1  # [samples] how many can be on their way at once, the one that is taken now too
+    latest: int = 0  # [ticks] the greatest age with which a sample can arrive, as the observer believes it
     unknown_std: tuple[float, ...] = ()  # [s] typical size of the unknown inputs or parameters
     unknown0: tuple[float, ...] = ()  # [s] what observers take for the unknowns at the start
     unknown_range: tuple[tuple[float, float], ...] = ()  # [s] where they look for them
@@ -79,6 +81,11 @@ class Setting(NamedTuple):
         if not S.size:
             return np.zeros_like(self.P0)
         return S @ S.T if S.ndim == 2 else np.diag(np.square(S))
+
+    def roomier(self, other: "Setting") -> "Setting":
+        """Return the same with as much room for samples as another has, where that is more."""
+        most = {name: max(getattr(self, name), getattr(other, name)) for name in ("overtaking", "reach", "flight")}
+        return self._replace(**most)
 
     @property
     def room(self) -> np.ndarray:

@@ -93,7 +93,7 @@ def setting(case: Case) -> Setting:
     many = 2 if chain else 0 if case.model.E is None else case.model.E.shape[1]
     return Setting(
         "case", case.model, case.h, case.ticks, (case.te,) * q, (case.d,) * q, (case.noise_std,) * q, prior,
-        case.input_intensity, unknown_std=(1.0,) * many, unknown0=(0.0,) * many,
+        case.input_intensity, flight=case.d // case.te + 1, latest=case.d, unknown_std=(1.0,) * many, unknown0=(0.0,) * many,
         unknown_range=((-np.inf, np.inf),) * many, parts=jax.tree_util.Partial(friction) if chain else None,
     )  # fmt: skip
 

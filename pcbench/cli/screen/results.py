@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
+from pcbench.cli.screen import consistency
 from pcbench.cli.screen.tables import Column, fits, printed
 from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
@@ -68,6 +69,7 @@ def closing(result: Result, console: Console, metric: str, signals: list[str] | 
             else:
                 notes |= dict.fromkeys(_tables(shown, console))
         _say_what_is_carried(whole, console)
+        consistency.said(whole, console)
         if said := result.unproven(name):
             console.print(said, highlight=False, markup=False, soft_wrap=True)
         _say_what_settles(known[name], list(result.study.axes), console)

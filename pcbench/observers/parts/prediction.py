@@ -46,11 +46,13 @@ class Memory(NamedTuple):
     g: Float[Array, " n"]  # input response from zero state
     xhat: Float[Array, " n"]  # estimate of now
     buffer: Buffer  # the recursion's state at the newest samples used
+    tick: Int[Array, ""]  # now
 
 
 def start(xhat0: Float[Array, " n"], state: Any, room: Room, outputs: int) -> Memory:
     """Start from xhat(0), as if a sample had been used at tick 0."""
-    return Memory(jnp.zeros_like(xhat0), xhat0, reordering.start(state, room, outputs, xhat0.shape[0]))
+    buffer = reordering.start(state, room, outputs, xhat0.shape[0])
+    return Memory(jnp.zeros_like(xhat0), xhat0, buffer, jnp.asarray(0))
 
 
 def origin(xhat0: Float[Array, " n"]) -> Point:
@@ -58,16 +60,17 @@ def origin(xhat0: Float[Array, " n"]) -> Point:
     return Point(xhat0, jnp.asarray(0))
 
 
-def note(gains: Any, memory: Memory, now: Now) -> Float[Array, " n"]:
-    """Note the input response at the sample's time."""
+def note(gains: Any, memory: Any, now: Now) -> Float[Array, " n"]:
+    """Note the input response at the sample's time; of any memory that has g."""
     return memory.g
 
 
-def flow(gains: Any, memory: Memory, now: Now) -> Memory:
-    """Advance by one tick under the held input: pccebo's (12)."""
+def flow(gains: Any, memory: Any, now: Now) -> Any:
+    """Advance by one tick under the held input, pccebo's (12); of any memory that has g, xhat and tick."""
     motion: Motion = gains.motion
     pushed = motion.Gamma @ now.u
-    return memory._replace(g=motion.Phi @ memory.g + pushed, xhat=motion.Phi @ memory.xhat + pushed)
+    g, xhat = motion.Phi @ memory.g + pushed, motion.Phi @ memory.xhat + pushed
+    return memory._replace(g=g, xhat=xhat, tick=memory.tick + 1)
 
 
 def at(motion: Motion, point: Point, tick: Int[Array, ""]) -> Float[Array, " n"]:
@@ -75,17 +78,26 @@ def at(motion: Motion, point: Point, tick: Int[Array, ""]) -> Float[Array, " n"]
     return after(motion.powers, tick - point.taken, point.free)
 
 
-def jumping(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, Memory, Now, Arrival], Memory]:
-    """Return the jump of an observer whose state at a sample's time follows `update` (gains, state, sample).
+def using(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, Memory, Now, Measurement], Memory]:
+    """Return what uses a sample, of an observer whose state at a sample's time follows `update` (gains, state, sample).
 
     It brings the state up to the sample, in the order in which samples were taken, and carries the estimate there to now.
     """
 
-    def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-        arrived = reordering.sample_of(now, arrival, gains.D)
+    def use(gains: Any, memory: Memory, now: Now, arrived: Measurement) -> Memory:
         buffer, newest = reordering.replay(partial(update, gains), memory.buffer, arrived)
         there = at(gains.motion, point_of(newest), now.tick)  # e^{A d} of the estimate less g, as noted with the sample
-        return Memory(memory.g, memory.g + there, buffer)  # pccebo's (11)
+        return memory._replace(xhat=memory.g + there, buffer=buffer)  # pccebo's (11)
+
+    return use
+
+
+def jumping(update: Update, point_of: Callable[[Any], Point]) -> Callable[[Any, Memory, Now, Arrival], Memory]:
+    """Return the jump of such an observer, which uses what arrives as a sample of its own time."""
+    use = using(update, point_of)
+
+    def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+        return use(gains, memory, now, reordering.sample_of(now, arrival, gains.D))
 
     return jump
 

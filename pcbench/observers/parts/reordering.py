@@ -51,21 +51,36 @@ def sample_of(now: Now, arrival: Arrival, D: Float[Leaf, "q m"]) -> Measurement:
     return Measurement(now.tick - age, arrival.value - known_input(D, now, arrival.age), arrival.fresh, arrival.note)
 
 
+def kept_of(sample: Measurement) -> Measurement:
+    """Return a sample as it is kept for later: 0 in place of what did not arrive."""
+    return sample._replace(value=jnp.where(sample.fresh, sample.value, 0.0))
+
+
 def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer, Any]:
     """Return the buffer with the sample that arrived in its place, and the state after the newest sample."""
     if not buffer.samples.taken.shape[0]:
         state = update(buffer.before, arrived)
         return Buffer(state, buffer.samples), state
     entries = _merged(buffer.samples, arrived)
+    newest, states = _through(update, buffer.before, entries)
+    before = jax.tree.map(lambda a: a[0], states)  # the oldest of K + 1 leaves the buffer
+    return Buffer(before, jax.tree.map(lambda a: a[1:], entries)), newest
 
-    def step(state: Any, sample: Measurement) -> tuple[Any, Any]:  # an empty place leaves the state as it is
+
+def newest(update: Update, buffer: Buffer) -> Any:
+    """Return the state after the newest sample that has arrived."""
+    return _through(update, buffer.before, buffer.samples)[0] if buffer.samples.taken.shape[0] else buffer.before
+
+
+def _through(update: Update, before: Any, entries: Measurement) -> tuple[Any, Any]:
+    """The state after samples in order, and after each of them; an empty place leaves it as it is."""
+
+    def step(state: Any, sample: Measurement) -> tuple[Any, Any]:
         there = jnp.any(sample.fresh)
         new = jax.tree.map(lambda a, b: jnp.where(there, a, b), update(state, sample), state)
         return new, new
 
-    newest, states = lax.scan(step, buffer.before, entries)
-    before = jax.tree.map(lambda a: a[0], states)  # the oldest of K + 1 leaves the buffer
-    return Buffer(before, jax.tree.map(lambda a: a[1:], entries)), newest
+    return lax.scan(step, before, entries)
 
 
 def _merged(samples: Measurement, arrived: Measurement) -> Measurement:

@@ -29,6 +29,7 @@ __all__ = [
     "ClosedJaxpr",
     "Jaxpr",
     "Literal",
+    "branches",
     "called",
     "fold_axes",
     "inner",
@@ -96,6 +97,11 @@ def scan(params: dict[str, Any]) -> Scan:
 def while_(params: dict[str, Any]) -> While:
     """Return what a while loop's parameters say."""
     return While(params["cond_jaxpr"], params["body_jaxpr"], params["cond_nconsts"], params["body_nconsts"])
+
+
+def branches(params: dict[str, Any]) -> tuple[Any, ...]:
+    """Return the programs that a cond chooses from by index, closed."""
+    return tuple(params["branches"])
 
 
 def slice_sizes(params: dict[str, Any]) -> tuple[int, ...]:

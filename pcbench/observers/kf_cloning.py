@@ -1,0 +1,32 @@
+"""kf-cloning: stochastic cloning, a Kalman filter whose state has copies of itself at the ticks at which samples were taken.
+
+K = h / s of the whole state (`parts/clones`): the present and every copy are corrected by each sample, through the copy
+of its time.
+
+Source: Roumeliotis, Burdick 2002 (stochastic cloning, there for relative measurements); on late measurements the
+augmented state of many. Keeps J + 1 states and their joint covariance, J the samples that can be on their way at once;
+costs an update of all.
+Found: it is `dkf` to rounding whatever is late, lost or overtaking, as said (arXiv 2508.21260); `dkf` gets there with n
+states. It must be told when a sample is taken, and of a lost one keeps the copy until it is overwritten.
+Time index: the estimate is of now, after the jump.
+"""
+
+from pcbench.observers.parts import clones, linear_filter, prediction
+from pcbench.protocols import Observer
+from pcbench.synthesis.certificate import Design, Setting
+
+Options = linear_filter.Options
+OBSERVER = Observer(
+    clones.init,
+    prediction.note,
+    clones.jumping(lambda h, s, near: h / s),
+    prediction.flow,
+    linear_filter.estimate,
+    covariance=clones.covariance,
+    sampled=clones.sampled,
+)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather what the filter assumes, with room for the copies."""
+    return linear_filter.design(setting, options, "kf-cloning", own=clones.room(setting, "kf-cloning"))

@@ -1,0 +1,49 @@
+"""kf-discard: the Kalman filter that uses what is young enough, at its own time, and drops what is older than a limit.
+
+Source: Kalman 1960, and a line in most trackers' configuration. Keeps and costs what `dkf` does for the samples it uses.
+Found: where nothing is older than the limit it is `dkf`; between the samples it keeps its covariance is that of the model
+alone, and it is honest about it: what it drops costs it error, not truth (`test_late_samples`).
+Time index: the estimate is of now, after the jump.
+"""
+
+import numpy as np
+from pydantic import Field
+
+from pcbench.observers.parts import linear_filter, prediction
+from pcbench.observers.parts.choosing import kept
+from pcbench.observers.parts.prediction import Memory
+from pcbench.protocols import Arrival, Gains, Now, Observer
+from pcbench.synthesis.certificate import Design, Setting
+
+
+class Options(linear_filter.Options):
+    """How old a sample may be."""
+
+    limit: float | None = Field(
+        None,
+        ge=0,
+        description="the oldest age [s] that is used; default: one sampling period, the shortest of the channels",
+    )
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Use what is no older than the limit [ticks]."""
+    fresh = arrival.fresh & (arrival.age <= gains.own)
+    return kept(fresh, linear_filter.jump(gains, memory, now, arrival._replace(fresh=fresh)), memory)
+
+
+OBSERVER = Observer(
+    linear_filter.init,
+    prediction.note,
+    jump,
+    prediction.flow,
+    linear_filter.estimate,
+    covariance=linear_filter.covariance,
+)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather what the filter assumes, and the limit in ticks."""
+    limit = min(setting.period) if options.limit is None else round(options.limit / setting.dt)
+    why = "" if limit >= max(setting.delay) else "it drops what is late"
+    return linear_filter.design(setting, options, "kf-discard", own=np.asarray(limit), unproven=why)

@@ -1,0 +1,123 @@
+"""kf-horizon: a Kalman filter that runs a fixed time behind, and a prediction of its estimate to now.
+
+Samples wait until they are as old as the horizon L, and are used then, in the order in which they were taken:
+
+    at every tick k: update with what was taken at k - L;   xhat(k) = e^{A (k - t_m)} xhat_m + I(t_m, k)
+
+so nothing is ever filtered twice, and what arrives later than L is lost.
+
+Source: Khosravian, Trumpf, Mahony, Hamel 2015, the form of PX4's EKF2, whose predictor follows the delayed filter by a
+slow correction; here it is the exact prediction. Keeps one mean and covariance and the samples that wait; costs one
+update at every tick.
+Found: it is `dkf` on the schedule on which every sample arrives at age L, not on its own: what comes sooner waits, and
+that wait is all it loses where nothing is later than L. Where all ages are L it is `dkf` to rounding.
+Time index: the estimate is of now, after the jump.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int
+from pydantic import Field
+
+from pcbench.errors import UserError
+from pcbench.observers.parts import linear_filter, prediction, reordering
+from pcbench.observers.parts.choosing import kept
+from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.reordering import Measurement
+from pcbench.protocols import Arrival, Gains, Leaf, Now, Observer, Room
+from pcbench.synthesis.certificate import Design, Setting
+
+
+class Own(NamedTuple):
+    """What it has besides a filter."""
+
+    horizon: Int[Leaf, ""]  # ticks
+    waiting: Room  # for samples that are younger than the horizon
+
+
+class Memory(NamedTuple):
+    """The estimate of now, what it came from, and the samples that wait."""
+
+    g: Float[Array, " n"]
+    xhat: Float[Array, " n"]
+    posterior: Posterior  # at the newest sample used
+    waiting: Measurement  # in no order; a place that is empty, or used, is not fresh
+    tick: Int[Array, ""]
+
+
+class Options(linear_filter.Options):
+    """How far behind the filter runs."""
+
+    horizon: float | None = Field(
+        None,
+        ge=0,
+        description="how far behind now the filter runs [s]; default: the greatest age that the schedule can bring",
+    )
+
+
+def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
+    """Start from the prior, with nothing that waits."""
+    first = linear_filter.prior(gains, xhat0)
+    waiting = reordering.start((), gains.own.waiting, gains.C.shape[0], first.mean.shape[0]).samples
+    return Memory(jnp.zeros_like(first.mean), first.mean, first, waiting, jnp.asarray(0))
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Let what is younger than the horizon wait, use what is as old, lose what is older."""
+    sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
+    due = now.tick - gains.own.horizon
+    place = jnp.arange(memory.waiting.taken.shape[0]) == jnp.argmin(memory.waiting.taken)
+
+    def put(room: Any, one: Any) -> Any:
+        return jnp.where(jnp.reshape(place, (-1, *[1] * one.ndim)), one[None], room)
+
+    waits = memory._replace(waiting=jax.tree.map(put, memory.waiting, sample))
+    chosen = kept(sample.fresh & (sample.taken > due), waits, memory)
+    return kept(sample.fresh & (sample.taken == due), _used(gains, memory, now.tick, sample), chosen)
+
+
+def _used(gains: Gains, memory: Memory, tick: Any, sample: Measurement) -> Memory:
+    """The memory after a sample was used, at a tick."""
+    posterior = linear_filter.update(gains, memory.posterior, sample)
+    there = prediction.at(gains.motion, linear_filter.point(posterior), tick)
+    return memory._replace(posterior=posterior, xhat=memory.g + there)
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Advance by one tick, and use what is as old as the horizon then; channels that were sampled together, together."""
+    memory = prediction.flow(gains, memory, now)
+    every, due = memory.waiting, memory.tick - gains.own.horizon
+    which = every.fresh & (every.taken == due)[:, None]
+    sample = Measurement(
+        due, jnp.sum(jnp.where(which, every.value, 0.0), 0), jnp.any(which, 0),
+        jnp.max(jnp.where(jnp.any(which, 1)[:, None], every.note, -jnp.inf), 0),
+    )  # fmt: skip
+    sample = sample._replace(note=jnp.where(jnp.any(which), sample.note, 0.0))
+    return kept(which, _used(gains, memory, memory.tick, sample), memory)
+
+
+def covariance(gains: Gains, memory: Memory) -> Float[Array, "signals signals"]:
+    """Return the covariance at the newest sample used, carried on to now."""
+    return linear_filter.spread(gains, memory, linear_filter.predicted(gains, memory.posterior, memory.tick).P)
+
+
+OBSERVER = Observer(init, prediction.note, jump, flow, linear_filter.estimate, covariance=covariance)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather what the filter assumes, the horizon in ticks, and room for all that can wait."""
+    latest = max(setting.latest, *setting.delay)
+    horizon = latest if options.horizon is None else round(options.horizon / setting.dt)
+    if horizon > setting.ticks:
+        raise UserError(
+            f"kf-horizon in {setting.scenario}: got a horizon of {horizon * setting.dt:g} s, expected at most the run's "
+            f"{setting.ticks * setting.dt:g} s; write a shorter one."
+        )
+    room = setting.flight * max(1, -(-horizon // max(latest, 1)))
+    why = "" if horizon == latest else "samples are used later than they could be, or not at all"
+    own = Own(np.asarray(horizon), np.zeros(room))
+    return linear_filter.design(setting, options, "kf-horizon", np.zeros(0), own, unproven=why)

@@ -1,0 +1,47 @@
+"""kf-shift: the innovation of a late sample's own time, added to the estimate of now; between them the input's integral.
+
+    P- = E P E' + Q,   xhat(now) <- xhat(now) + K (y - C (xhat(now) - (g(now) - g(t_m)))),   K = P- c (c'P- c + r)^-1
+
+g is the response to the input from zero state, as odometry is to a pose: the estimate of the sample's time is taken to be
+that of now less what g has moved since, and the correction is added to now. So pose estimators take in a camera's fix
+(WPILib).
+
+Source: WPILib, pose estimators, which have a constant K where here it is the filter's. Keeps one mean and one covariance;
+costs one update a sample. Found: it knows the input and takes the plant for an integrator, so what was wrong then is as
+wrong now. Of x' = B u without process noise that is so, and it is `dkf`, late, lost and overtaking samples included. With
+other modes the late sample is compared with an estimate that has moved on, and even a perfect start goes wrong
+(`test_late_samples`).
+Time index: the estimate is of now, after the jump.
+"""
+
+import numpy as np
+
+from pcbench.observers.parts import linear_filter, prediction, reordering
+from pcbench.observers.parts.prediction import Memory
+from pcbench.protocols import Arrival, Gains, Now, Observer
+from pcbench.synthesis.certificate import Design, Setting
+
+Options = linear_filter.Options
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Compare with the response to the input of the sample's own time, and correct now."""
+    sample = reordering.sample_of(now, arrival, gains.D)
+    return linear_filter.use(gains, memory, now, sample._replace(taken=now.tick))
+
+
+OBSERVER = Observer(
+    linear_filter.init,
+    prediction.note,
+    jump,
+    prediction.flow,
+    linear_filter.estimate,
+    covariance=linear_filter.covariance,
+)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather what the filter assumes; it needs no room, as every correction is one of now."""
+    return linear_filter.design(
+        setting, options, "kf-shift", np.zeros(0), unproven="it takes the plant for an integrator"
+    )

@@ -1,0 +1,59 @@
+"""oosm-lag: an out-of-sequence sample of several steps' lag by one retrodiction.
+
+All updates after the sample's time are taken for one equivalent update now. With x*, P* what the last posterior before
+the sample predicts for t_k without any of them,
+
+    u = P*^-1 (x - x*),   U = P*^-1 (P* - P) P*^-1
+
+and then as `oosm-a1`. A sample older than the posteriors kept is lost.
+
+Source: Bar-Shalom, Chen, Mallick 2004, the first of its two algorithms. Keeps `keep` past means and covariances; costs
+what `oosm-a1` does, and a solution of n equations. Found: with one step it is `oosm-a1`; with more it lies above `dkf`,
+for the noise between two of the updates is not seen by the earlier ones. Past posteriors are not mended when a late
+sample comes. P* must be regular (`test_late_samples`).
+Time index: the estimate is of now, after the jump.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+from pydantic import Field
+
+from pcbench.observers.parts import linear_filter, prediction, retrodiction
+from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.retrodiction import Last, Memory
+from pcbench.protocols import Observer
+from pcbench.synthesis.certificate import Design, Setting
+
+
+class Options(linear_filter.Options):
+    """How far it can go back."""
+
+    keep: int = Field(4, ge=1, le=64, description="past samples whose mean and covariance are kept")
+
+
+def equivalent(gains: Any, memory: Memory, taken: Any) -> Last:
+    """Return the update that all after `taken` amount to."""
+    known = memory.past.taken <= taken
+    newest = known & (jnp.cumsum(known[::-1])[::-1] == 1)  # the last that holds: several may be of one tick
+    before = Posterior(*(jnp.tensordot(newest.astype(a.dtype), a, 1) for a in memory.past))
+    there = linear_filter.predicted(gains, before, memory.posterior.taken)
+    x, P, _ = memory.posterior
+    inverse = jnp.linalg.inv(there.P)
+    return Last(there.P, inverse @ (x - there.mean), inverse @ (there.P - P) @ inverse)
+
+
+OBSERVER = Observer(
+    retrodiction.init,
+    prediction.note,
+    retrodiction.jumping(equivalent, zero=False),
+    prediction.flow,
+    linear_filter.estimate,
+    covariance=retrodiction.covariance,
+)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather what the filter assumes, and the maps back in time."""
+    own, why = retrodiction.own(setting, "oosm-lag", options.keep), "several updates are taken for one"
+    return linear_filter.design(setting, options, "oosm-lag", own=own, unproven="" if not setting.overtaking else why)

@@ -1,0 +1,192 @@
+"""The Kalman filter of a linear model, at the times of samples: what `dkf` and the shortcuts for late samples share.
+
+    P-_m = E P_(m-1) E' + Q,   K = P- c (c'P- c + r)^-1,   P_m = (I - K c') P- (I - K c')' + K r K'
+
+Means are less the response to the input, g (`parts/prediction`): they move without input, and a late sample needs g of
+its own time alone, which it brings as its note. R is the variance of one sample, the prior is N(xhat(0), P0). With
+`bias_variance` a constant input bias is estimated beside the state, and where a plant has an unknown input, that as a
+random walk.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+from pydantic import Field
+
+from pcbench.dynamics import linear
+from pcbench.dynamics.integrate import covariance_after
+from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.observability import require_detectable
+from pcbench.observers.parts import assumed_noise, kalman, prediction, reordering
+from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.prediction import Memory, Motion, Point
+from pcbench.observers.parts.reordering import Measurement
+from pcbench.protocols import Leaf, Room
+from pcbench.synthesis import riccati
+from pcbench.synthesis.certificate import Certificate, Design, Setting, certified, uncertified
+
+
+class Gains(NamedTuple):
+    """n states (the plant's, and what is estimated beside them), m inputs, q outputs."""
+
+    motion: Motion
+    noise: Float[Leaf, "2 R n n"]  # process noise covariance over as many ticks as each of motion.powers
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    R: Float[Leaf, " q"]  # variance of one sample
+    mix: Any  # [q, q] of the outputs, so that their noise is independent; None: it is
+    P0: Float[Leaf, "n n"]
+    room: Room  # for samples that may be overtaken
+    states: Float[Room, " plant"]  # what the estimate has of the filter's
+    inputs: Float[Room, " r"]  # unknown inputs, the last states of the filter
+    known: Any  # x[n] -> [r] the known part of f, or None
+    own: Any = ()  # what one observer of the family has besides
+
+
+class Options(assumed_noise.Options):
+    """What the filter assumes, where it is not what the scenario has."""
+
+    bias_variance: float | None = Field(
+        None, gt=0, description="prior variance of a constant input bias, estimated beside the state; default: no bias"
+    )
+    input_walk: float = Field(
+        1.0,
+        ge=0,
+        description="how far an unknown input walks: variance over the square of its size [1/s]; 0: not estimated",
+    )
+
+
+def prior(gains: Gains, xhat0: Float[Array, " plant"]) -> Posterior:
+    """Return the prior N(xhat(0), P0), what is beside the state from 0."""
+    whole = jnp.concatenate([xhat0, jnp.zeros(gains.P0.shape[0] - xhat0.shape[0])])
+    return Posterior(whole, gains.P0, jnp.asarray(0))
+
+
+def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
+    """Start from the prior."""
+    first = prior(gains, xhat0)
+    return prediction.start(first.mean, first, gains.room, gains.C.shape[0])
+
+
+def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
+    """Return what a sample says of outputs whose noise is independent."""
+    return sample.value if gains.mix is None else gains.mix @ sample.value
+
+
+def predicted(gains: Gains, before: Posterior, tick: Any) -> Posterior:
+    """Return mean and covariance carried on to a tick."""
+    free = prediction.at(gains.motion, Point(before.mean, before.taken), tick)
+    return Posterior(free, covariance_after(gains.motion.powers, gains.noise, tick - before.taken, before.P), tick)
+
+
+def update(gains: Gains, before: Posterior, sample: Measurement) -> Posterior:
+    """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
+    free, P, _ = predicted(gains, before, sample.taken)
+    value = value_of(gains, sample)
+    for channel in range(gains.C.shape[0]):
+        c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
+        K = kalman.gain(P @ c, c @ P @ c + r, fresh)
+        free = free + K * (value[channel] - c @ (sample.note + free))
+        P = kalman.covariance(P, K, c, r)
+    return Posterior(free, P, sample.taken)
+
+
+def read(gains: Gains, whole: Float[Array, " n"]) -> Float[Array, " plant+r"]:
+    """Return what is estimated of the filter's states: the plant's, and the unknown inputs."""
+    n, r = gains.states.shape[0], gains.inputs.shape[0]
+    xhat = whole[:n]
+    if not r:
+        return xhat
+    f = whole[-r:]
+    return jnp.append(xhat, f - gains.known(xhat) if gains.known else f)
+
+
+def estimate(gains: Gains, memory: Any) -> Float[Array, " plant+r"]:
+    """Return xhat of now, and the unknown inputs."""
+    return read(gains, memory.xhat)
+
+
+def point(after: Posterior) -> Point:
+    """Return the estimate alone."""
+    return Point(after.mean, after.taken)
+
+
+use = prediction.using(update, point)
+jump = prediction.jumping(update, point)
+
+
+def spread(gains: Gains, memory: Any, P: Float[Array, "n n"]) -> Float[Array, "signals signals"]:
+    """Return the covariance of the error of what `read` gives, where that of the filter's states is P."""
+    T = jax.jacfwd(lambda whole: read(gains, whole))(memory.xhat)
+    return T @ P @ T.T
+
+
+def covariance(gains: Gains, memory: Memory) -> Float[Array, "signals signals"]:
+    """Return what the filter believes of its error now: the covariance at the newest sample used, carried on."""
+    newest = reordering.newest(lambda state, sample: update(gains, state, sample), memory.buffer)
+    return spread(gains, memory, predicted(gains, newest, memory.tick).P)
+
+
+def design(
+    setting: Setting, options: Options, name: str, room: Room | None = None, own: Any = (), unproven: str = ""
+) -> Design:
+    """Gather what the filter assumes, and check its covariance recursion over the horizon at the (mean) periods.
+
+    `unproven` says why that recursion proves nothing of this observer.
+    """
+    where = f"{name} in {setting.scenario}"
+    require_detectable(setting.model, where)
+    model, P0, n = setting.model, setting.P0, len(setting.model.A)
+    if options.bias_variance is not None:
+        model, m = linear.with_input_bias(model), model.B.shape[1]
+        P0 = np.block([[P0, np.zeros((n, m))], [np.zeros((m, n)), options.bias_variance * np.eye(m)]])
+    q = assumed_noise.through(options.q, model.B.shape[1], setting.input_intensity, where)
+    inputs = np.zeros(0)
+    if model.E is not None and options.input_walk:
+        size = np.square(setting.unknown_std[: model.E.shape[1]])
+        model, inputs = linear.with_unknown_input(model), size
+        P0 = np.block([[P0, np.zeros((len(P0), len(size)))], [np.zeros((len(size), len(P0))), np.diag(size)]])
+    mix, C, R = assumed_noise.independent(setting, options.R, model.C, where)
+    moves = prediction.motion_of(model, setting)
+    Q = linear.input_noise(model, q, setting.dt, options.input_walk * inputs)
+    Q[:n, :n] += assumed_noise.process(setting, options.Q, where)
+    noise = linear.noise_powers(model, Q, setting.dt, setting.ticks)
+    gains = Gains(
+        motion=moves,
+        noise=noise,
+        C=C,
+        D=model.feedthrough,
+        R=R,
+        mix=mix,
+        P0=P0,
+        room=setting.room if room is None else room,
+        states=np.zeros(n),
+        inputs=np.zeros(
+            len(inputs) if len(inputs) == len(setting.unknown_std) else 0
+        ),  # all that is unknown, or nothing
+        known=setting.model.known if len(inputs) else None,
+        own=own(model) if callable(own) else own,
+    )
+    carries = True if len(inputs) else None
+    given = assumed_noise.option("Q", assumed_noise.process(setting, options.Q, where))
+    if unproven:
+        proof = uncertified(unproven)._replace(numbers={"R": gains.R, "q": q, **given})
+        return Design(gains, proof, carries)
+    proof = _certify(gains, model, Q, setting)
+    proof = proof._replace(numbers={**proof.numbers, "q": q, **given})
+    return Design(gains, certified(proof, where), carries)
+
+
+def _certify(gains: Gains, model: linear.Model, Q: Matrix, setting: Setting) -> Certificate:
+    """The margin is the least innovation variance over the horizon, relative to R, where the covariance stays >= 0."""
+    bits = linear.bits_for(setting.ticks)
+    doubled = linear.doublings(model, setting.dt, bits)
+    noise = linear.noise_doublings(model, Q, setting.dt, bits)
+    run = riccati.multirate(doubled, noise, gains.C, gains.R, gains.P0, setting.period, setting.ticks)
+    numbers = {"P_end": run.P, "K_end": run.K, "R": gains.R, "innovation_over_R": run.innovation}
+    margin = run.innovation if run.least > -1e-9 else float("nan")
+    return Certificate("c P c' + r > 0 and P >= 0 at every sample", margin, "recursion", "run", numbers)

@@ -1,0 +1,161 @@
+"""Out-of-sequence updates by retrodiction: the estimate goes back to the late sample's time, the filter does not.
+
+The filter stands at t_k, the time of the newest sample used. For one taken before, at tau, with F = e^{-A (t_k - tau)}, Q
+the process noise between, P- the covariance before the update at t_k, u = H'S^-1 nu and U = H'S^-1 H of that update:
+
+    v = Q u (or 0),   P_vv = Q - Q U Q (or Q),   P_xv = Q - P- U Q
+    x(tau) = F (x - v),   P(tau) = F (P + P_vv - P_xv - P_xv') F',   P(t_k, tau) = (P - P_xv) F'
+
+and the sample updates x through x(tau). It is the update of one copy (`kalman`), made when it is needed. No state is ever
+filtered twice. Means are less the response to the input (`prediction`).
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int
+
+from pcbench.dynamics import linear
+from pcbench.dynamics.integrate import after, covariance_after
+from pcbench.errors import UserError
+from pcbench.observers.parts import kalman, linear_filter, prediction, reordering
+from pcbench.observers.parts.choosing import kept
+from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.reordering import Measurement
+from pcbench.protocols import Arrival, Leaf, Now, Room
+from pcbench.synthesis.certificate import Setting
+
+SINGULAR = 1e12  # condition of a discrete model's A, beyond which there is no way back
+
+
+class Own(NamedTuple):
+    """What it has besides a filter."""
+
+    back: Float[Leaf, "2 R n n"]  # e^{-A h i R^level}
+    past: Room  # for posteriors of past samples
+
+
+class Last(NamedTuple):
+    """The update at the newest sample's time."""
+
+    P: Float[Array, "n n"]  # before it
+    u: Float[Array, " n"]  # H'S^-1 nu
+    U: Float[Array, "n n"]  # H'S^-1 H
+
+
+class Past(NamedTuple):
+    """Posteriors of past samples, the newest last."""
+
+    mean: Float[Array, "K N"]
+    P: Float[Array, "K N N"]
+    taken: Int[Array, " K"]
+
+
+class Memory(NamedTuple):
+    """The estimate of now, the filter at its newest sample, how it got there, and where it stood before."""
+
+    g: Float[Array, " n"]
+    xhat: Float[Array, " n"]
+    posterior: Posterior
+    last: Last
+    past: Past  # before it
+    tick: Int[Array, ""]
+
+
+Retrodict = Callable[[Any, Memory, Any], Last]  # (gains, memory, tau) -> what stands for all updates after tau
+
+
+def init(gains: Any, xhat0: Float[Array, " plant"]) -> Memory:
+    """Start from the prior; the past is the prior too."""
+    first, N = linear_filter.prior(gains, xhat0), gains.own.past.shape[0]
+    n = first.mean.shape[0]
+    none = Last(first.P, jnp.zeros(n), jnp.zeros((n, n)))
+    past = Past(jnp.tile(first.mean, (N, 1)), jnp.tile(first.P, (N, 1, 1)), jnp.zeros(N, int))
+    return Memory(jnp.zeros(n), first.mean, first, none, past, jnp.asarray(0))
+
+
+def forward(gains: Any, memory: Memory, sample: Measurement) -> Memory:
+    """Update at a sample that is as new as the newest, or newer; channels of one tick count as one update."""
+    before, again = memory.posterior, sample.taken == memory.posterior.taken
+    there = linear_filter.predicted(gains, before, sample.taken)
+    P = jnp.where(again, memory.last.P, there.P)
+    u, U = jnp.where(again, memory.last.u, 0.0), jnp.where(again, memory.last.U, 0.0)
+    value, known = linear_filter.value_of(gains, sample), there.mean - P @ u
+    for channel in range(gains.C.shape[0]):
+        c, fresh = gains.C[channel], sample.fresh[channel]
+        b = c - U @ (P @ c)
+        s = c @ P @ b + gains.R[channel]
+        nu = value[channel] - c @ (sample.note + known + P @ u)
+        u = u + jnp.where(fresh, b * nu / s, 0.0)
+        U = U + jnp.where(fresh, jnp.outer(b, b) / s, 0.0)
+    new = linear_filter.update(gains, before, sample)
+
+    def shifted(past: Array, one: Array) -> Array:
+        return jnp.where(again, past, jnp.concatenate([past[1:], jnp.reshape(one, (1, *past.shape[1:]))]))
+
+    past = Past(*(shifted(a, jnp.asarray(b)) for a, b in zip(memory.past, before, strict=True)))
+    return memory._replace(posterior=new, last=Last(P, u, U), past=past)
+
+
+def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: bool) -> Memory:
+    """Update the newest state by an older sample; with `zero` the noise between is taken for 0."""
+    (x, P, k), (prior, u, U) = memory.posterior, last
+    n, age = x.shape[0], k - sample.taken
+    Q = covariance_after(gains.motion.powers, gains.noise, age, jnp.zeros_like(P))
+    noise = jnp.zeros(n) if zero else Q @ u
+    vv = Q if zero else Q - Q @ U @ Q
+    xv = Q - prior @ U @ Q
+    there = after(gains.own.back, age, P + vv - xv - xv.T)
+    there = after(gains.own.back, age, there.T)
+    across = after(gains.own.back, age, (P - xv).T).T
+    z = jnp.concatenate([x, after(gains.own.back, age, x - noise)])
+    joint = jnp.block([[P, across], [across.T, there]])
+    value = linear_filter.value_of(gains, sample)
+    for channel in range(gains.C.shape[0]):
+        c, r, fresh = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), gains.R[channel], sample.fresh[channel]
+        K = kalman.gain(joint @ c, c @ joint @ c + r, fresh)
+        z = z + K * (value[channel] - gains.C[channel] @ sample.note - c @ z)
+        joint = kalman.covariance(joint, K, c, r)
+    return memory._replace(posterior=Posterior(z[:n], joint[:n, :n], k))
+
+
+def jumping(retrodict: Retrodict, zero: bool) -> Any:
+    """Return the jump of an observer that goes back by `retrodict`."""
+
+    def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+        sample = reordering.sample_of(now, arrival, gains.D)
+        late = sample.taken < memory.posterior.taken
+        old = kept(late, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero), memory)
+        reached = sample.taken >= memory.past.taken[0]
+        new = forward(gains, memory, sample._replace(taken=jnp.maximum(sample.taken, memory.posterior.taken)))
+        memory = kept(late, kept(reached, old, memory), new)
+        there = prediction.at(gains.motion, linear_filter.point(memory.posterior), now.tick)
+        return memory._replace(xhat=memory.g + there)
+
+    return jump
+
+
+def covariance(gains: Any, memory: Memory) -> Float[Array, "signals signals"]:
+    """Return the covariance at the newest sample used, carried on to now."""
+    return linear_filter.spread(gains, memory, linear_filter.predicted(gains, memory.posterior, memory.tick).P)
+
+
+def own(setting: Setting, name: str, past: int) -> Callable[[linear.Model], Own]:
+    """Return what makes of a model the maps back in time; they raise UserError where there is no way back."""
+
+    def of(model: linear.Model) -> Own:
+        A = model.A
+        if model.discrete and np.linalg.cond(A) > SINGULAR:
+            raise UserError(
+                f"{name} in {setting.scenario}: got a discrete model whose A is singular, expected one that can be run "
+                "backwards: it retrodicts; take dkf or kf-cloning."
+            )
+        back: linear.Matrix = np.asarray(np.linalg.inv(A) if model.discrete else -A, np.float64)
+        reverse = model._replace(A=back)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return Own(linear.powers(reverse, setting.dt, setting.ticks), np.zeros(past))
+
+    return of

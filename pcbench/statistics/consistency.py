@@ -1,0 +1,52 @@
+"""Whether an observer knows how wrong it is: normalised squared errors over runs, their band, the verdict. No jax.
+
+Of a true covariance the mean of N independent runs of e' P^-1 e / n lies in chi2(n N) / (n N), in 95 of 100 studies; above
+it the observer is over-confident, below it cautious. Within 1, 2, 3 sigma lie .683, .954, .997 of Gaussian errors.
+Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4.2.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtri
+
+from pcbench.statistics.estimates import Estimate
+from pcbench.statistics.moments import Values
+
+SIGMAS = (1, 2, 3)
+INSIDE = tuple(f"inside_{k}_sigma" for k in SIGMAS)
+BANDS = {"nees": "nees_band", "signal_nees": "signal_nees_band"}
+LEVEL = 0.05
+
+
+class Band(NamedTuple):
+    """Where the mean of normalised squares lies, of a true covariance."""
+
+    low: float
+    high: float
+
+
+def band(degrees: float) -> Band:
+    """Return the 95 % interval of chi2(degrees) / degrees."""
+    low, high = (float(chdtri(degrees, share)) / degrees for share in (1 - LEVEL / 2, LEVEL / 2))
+    return Band(low, high)
+
+
+def verdict(mean: float, within: Band) -> str:
+    """Return what a mean normalised square says."""
+    if np.isnan(mean):
+        return "unknown"
+    return "over-confident" if mean > within.high else "cautious" if mean < within.low else "consistent"
+
+
+def inside(signal: NDArray[Any]) -> NDArray[np.int64]:
+    """Return how many normalised squares [signals, n] lie within each of SIGMAS, [3, signals]."""
+    return np.stack([(signal <= k * k).sum(-1) for k in SIGMAS])
+
+
+def bands(n: int, degrees: Values) -> Estimate:
+    """Return the bands [K] of means over n runs of squares with so many degrees of freedom, about 1."""
+    known = [band(d * n) if n and d > 0 else Band(np.nan, np.nan) for d in degrees]
+    low, high = (np.array([getattr(b, end) for b in known]) for end in ("low", "high"))
+    return Estimate(n, np.where(np.isnan(low), np.nan, 1.0), np.full(len(known), np.nan), low, high)

@@ -1,0 +1,254 @@
+"""Shortcuts for late samples: each is what its source says, equals an independent reference, and believes what is true or not.
+
+The plant has three states, two inputs, two outputs and process noise; inputs differ at every tick. Four schedules with two
+clocks: nothing late; one sample late by less than a step; two clocks with late samples; and all of it late, lost or overtaking.
+Tolerances are rounding: 1e-10 of the signal's size, as everywhere.
+"""
+
+import re
+from functools import cache
+
+import driven
+import numpy as np
+import pytest
+from documents import PAGES
+from harness import ODD, Case, inputs, setting, starts
+from reference import irregular, late
+from reference.linear import Model
+
+import pcbench
+from pcbench.dynamics import linear
+from pcbench.errors import UserError
+from pcbench.observers import LATE, OBSERVERS
+from pcbench.statistics.consistency import Band, verdict
+
+TICKS, H = 150, 0.02
+CASE = Case(ODD, 12, 0, ticks=TICKS, h=H, noise_std=0.2, seed=5, xhat0=[0.5, -1.0, 2.0], input_intensity=0.4)
+MODEL = Model(ODD.A, ODD.B, ODD.C, H)
+W = CASE.input_intensity * ODD.B @ ODD.B.T
+R = np.array([0.04, 0.04])
+EQUAL = ("kf-rewind", "kf-cloning")
+
+
+def _wild():
+    """Periods 9 and 13, ages from 0 to 40, every fifth sample lost."""
+    rng = np.random.default_rng(11)
+    return [
+        [(t, None if rng.random() < 0.2 else t + int(rng.integers(0, 41))) for t in range(0, TICKS + 1, every)]
+        for every in (9, 13)
+    ]
+
+
+TIMES = {
+    "now": [[(t, t) for t in range(0, TICKS + 1, 12)], [(t, t) for t in range(0, TICKS + 1, 17)]],
+    "one step": [[(t, t) for t in range(0, TICKS + 1, 12)], [(t, t + 8) for t in range(7, TICKS + 1, 36)]],
+    "late": [[(t, t + 30) for t in range(0, TICKS + 1, 12)], [(t, t + 5) for t in range(0, TICKS + 1, 17)]],
+    "wild": _wild(),
+}
+KNOWN = setting(CASE)._replace(overtaking=9, flight=9, latest=40, period=(12, 17), delay=(20, 20))
+
+
+@cache
+def plant(schedule, noise=True, model=MODEL):
+    """The state [N+1, n], and the samples that arrive."""
+    rng = np.random.default_rng(3)
+    v = [rng.normal(size=TICKS + 1) * np.sqrt(R[j]) * noise for j in range(2)]
+    return irregular.simulate(model, inputs(CASE), starts(CASE)[0], TIMES[schedule], v)
+
+
+@cache
+def found(name, schedule, **options):
+    samples = plant(schedule)[1]
+    there = driven.traffic(TIMES[schedule], samples, TICKS, 2)
+    return driven.run(name, KNOWN, options, there, inputs(CASE), starts(CASE)[1])
+
+
+@cache
+def optimum(schedule):
+    return irregular.dkf(MODEL, inputs(CASE), plant(schedule)[1], starts(CASE)[1], KNOWN.P0, R, W)
+
+
+def given(schedule):
+    return MODEL, inputs(CASE), plant(schedule)[1]
+
+
+def same(a, b, size=None):
+    np.testing.assert_allclose(a, b, rtol=0, atol=1e-10 * (size or np.abs(b).max()))
+
+
+def apart(a, b):
+    return np.abs(a - b).max() > 1e-4 * np.abs(b).max()
+
+
+@pytest.mark.parametrize("schedule", TIMES)
+@pytest.mark.parametrize("name", EQUAL)
+def test_going_back_and_cloning_are_the_optimum_whatever_is_late_lost_or_overtaking(name, schedule):
+    options = {"keep": 9} if name == "kf-rewind" else {}
+    xhat, P = found(name, schedule, **options)
+    same(xhat, optimum(schedule))
+    same(P, found("dkf", schedule)[1])
+
+
+@pytest.mark.parametrize("name", LATE)
+def test_where_nothing_is_late_all_are_the_optimum(name):
+    options = {"horizon": 0.0} if name == "kf-horizon" else {"keep": 9} if name == "kf-rewind" else {}
+    if name == "kf-shift":  # it takes the plant for an integrator, but there is nothing to shift
+        same(found(name, "now")[0], optimum("now"))
+        return
+    xhat, P = found(name, "now", **options)
+    same(xhat, optimum("now"))
+    same(P, found("dkf", "now")[1])
+
+
+@pytest.mark.parametrize("schedule", ["late", "wild"])
+@pytest.mark.parametrize("name", ["kf-now", "kf-shift"])
+def test_taking_late_for_now_equals_the_reference(name, schedule):
+    want = late.as_of_now(*given(schedule), starts(CASE)[1], KNOWN.P0, R, W, name == "kf-shift")
+    for a, b in zip(found(name, schedule), want, strict=True):
+        same(a, b)
+    assert apart(want[0], optimum(schedule))
+
+
+@pytest.mark.parametrize("schedule", ["late", "wild"])
+def test_discarding_is_the_optimum_of_what_is_kept(schedule):
+    kept = [s for s in plant(schedule)[1] if s.arrival - s.taken <= 12]
+    want = irregular.dkf(MODEL, inputs(CASE), kept, starts(CASE)[1], KNOWN.P0, R, W)
+    same(found("kf-discard", schedule, limit=12 * H)[0], want)
+    assert 0 < len(kept) < len(plant(schedule)[1])
+
+
+@pytest.mark.parametrize(("schedule", "horizon"), [("late", 30), ("wild", 40), ("wild", 25)])
+def test_a_horizon_is_the_optimum_of_samples_that_all_arrive_so_late(schedule, horizon):
+    """Not, where they come sooner, that of those as they come: the finding."""
+    kept = [s for s in plant(schedule)[1] if s.arrival - s.taken <= horizon]
+    held = [s._replace(arrival=s.taken + horizon) for s in kept if s.taken + horizon <= TICKS]
+    want = irregular.dkf(MODEL, inputs(CASE), held, starts(CASE)[1], KNOWN.P0, R, W)
+    same(found("kf-horizon", schedule, horizon=horizon * H)[0], want)
+    assert apart(want, optimum(schedule))
+
+
+@pytest.mark.parametrize("schedule", ["one step", "wild"])
+def test_larsens_gain_is_the_best_for_its_innovation_and_its_covariance_true(schedule):
+    want = late.larsen(*given(schedule), starts(CASE)[1], KNOWN.P0, R, W)
+    for a, b in zip(found("kf-larsen", schedule), want, strict=True):
+        same(a, b)
+
+
+def test_larsen_is_the_optimum_with_one_sample_on_its_way_and_above_it_with_several():
+    quiet = found("kf-larsen", "now")[1], found("dkf", "now")[1]
+    same(*quiet)
+    for schedule in ("late", "wild"):
+        excess = np.trace(found("kf-larsen", schedule)[1] - found("dkf", schedule)[1], axis1=1, axis2=2)
+        assert excess.min() > -1e-9
+        assert excess.max() > 1e-3
+
+
+@pytest.mark.parametrize("schedule", ["one step", "late", "wild"])
+def test_alexander_equals_the_reference(schedule):
+    want = late.alexander(*given(schedule), TIMES[schedule], starts(CASE)[1], KNOWN.P0, R, W)
+    for a, b in zip(found("kf-alexander", schedule), want, strict=True):
+        same(a, b)
+
+
+def test_alexander_is_the_optimum_when_nothing_is_on_its_way_and_counts_on_what_is():
+    busy = np.zeros(TICKS + 1, bool)
+    for taken, arrival in TIMES["one step"][1]:
+        busy[taken:arrival] = True
+    xhat, best = found("kf-alexander", "one step")[0], optimum("one step")
+    same(xhat[~busy], best[~busy])
+    assert apart(xhat[busy], best[busy])
+    believed, true = (np.trace(found(name, "wild")[1], axis1=1, axis2=2) for name in ("kf-alexander", "dkf"))
+    assert (believed <= true + 1e-9).all(), "it believes what it could know if nothing were late or lost"
+    assert (believed < 0.9 * true).any()
+
+
+RETRODICTED = {
+    "oosm-a1": {},
+    "oosm-b1": {"zero": True},
+    "oosm-lag": {"several": True, "steps": 4},
+}
+
+
+@pytest.mark.parametrize("schedule", ["one step", "late", "wild"])
+@pytest.mark.parametrize("name", RETRODICTED)
+def test_retrodiction_equals_the_reference(name, schedule):
+    want = late.retrodicted(*given(schedule), starts(CASE)[1], KNOWN.P0, R, W, **RETRODICTED[name])
+    for a, b in zip(found(name, schedule), want, strict=True):
+        same(a, b, 100 * np.abs(b).max() if name == "oosm-lag" else None)  # it inverts a covariance
+
+
+def test_one_step_back_is_exact_by_a1_above_by_b1_and_the_same_by_lag():
+    best, P = optimum("one step"), found("dkf", "one step")[1]
+    a1, b1, lag = (found(name, "one step") for name in RETRODICTED)
+    same(a1[0], best)
+    same(a1[1], P)
+    same(lag[0], best, 100 * np.abs(best).max())
+    assert apart(b1[0], best)
+    excess = np.trace(b1[1] - P, axis1=1, axis2=2)
+    assert excess.min() > -1e-9
+    assert excess.max() > 1e-5
+
+
+INTEGRATOR = linear.Model(np.zeros((2, 2)), np.array([[1.0, 0.3], [0.2, -1.0]]), np.array([[1.0, 0.5], [0.0, 2.0]]))
+
+
+@pytest.mark.parametrize("schedule", ["late", "wild"])
+def test_shifting_is_the_optimum_of_an_integrator_without_process_noise(schedule):
+    case = Case(INTEGRATOR, 12, 0, ticks=TICKS, h=H, noise_std=0.2, xhat0=[0.5, -1.0])
+    model, known = Model(INTEGRATOR.A, INTEGRATOR.B, INTEGRATOR.C, H), setting(case)._replace(overtaking=9)
+    rng = np.random.default_rng(4)
+    v = [rng.normal(size=TICKS + 1) * 0.2 for _ in range(2)]
+    _, samples = irregular.simulate(model, inputs(case), starts(case)[0], TIMES[schedule], v)
+    want = irregular.dkf(model, inputs(case), samples, starts(case)[1], known.P0, R)
+    there = driven.traffic(TIMES[schedule], samples, TICKS, 2)
+    same(driven.run("kf-shift", known, {}, there, inputs(case), starts(case)[1])[0], want)
+
+
+def test_rewinding_loses_what_is_older_than_it_keeps_and_says_so():
+    assert apart(found("kf-rewind", "wild", keep=1)[0], optimum("wild"))
+    short = OBSERVERS["kf-rewind"].design(KNOWN, OBSERVERS["kf-rewind"].options(keep=1)).certificate
+    assert "9 may arrive before one" in short.inequality
+    enough = OBSERVERS["kf-rewind"].design(KNOWN, OBSERVERS["kf-rewind"].options(keep=9)).certificate
+    assert enough.margin < float("inf")
+
+
+SINGULAR = linear.Model(np.diag([0.5, 0.0]), np.ones((2, 1)), np.eye(2), discrete=True)
+REFUSED = [
+    ("kf-cloning", KNOWN._replace(flight=17), {}, "up to 17 samples on their way at once, expected at most 16"),
+    ("kf-alexander", KNOWN._replace(error=2), {}, "assumed_delay_error of 0.04 s, expected 0"),
+    ("kf-horizon", KNOWN, {"horizon": 99.0}, "a horizon of 99 s, expected at most the run's 3 s"),
+    ("oosm-a1", setting(Case(SINGULAR, 5, 5, ticks=20)), {}, "discrete model whose A is singular"),
+]
+
+
+@pytest.mark.parametrize(("name", "known", "options", "sentence"), REFUSED, ids=[row[0] for row in REFUSED])
+def test_what_cannot_be_is_refused_in_a_sentence(name, known, options, sentence):
+    with pytest.raises(UserError, match=sentence) as caught:
+        OBSERVERS[name].design(known, OBSERVERS[name].options(**options))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "option"),
+    [("kf-discard", "limit"), ("kf-horizon", "horizon"), ("kf-rewind", "keep"), ("oosm-lag", "keep")],
+)
+@pytest.mark.parametrize("value", [-1, float("nan"), float("inf")])
+def test_options_that_are_no_times_or_counts_are_refused(name, option, value):
+    with pytest.raises(ValueError, match=option):
+        OBSERVERS[name].options(**{option: value})
+
+
+@pytest.mark.slow
+def test_the_guides_table_is_what_comes_out():
+    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+ \|.*?) \| (\d+) \|$", PAGES["how_late.md"], re.M)
+    stats, costs = pcbench.run("late").stats, pcbench.costs("late").set_index(["cell", "observer"])
+    stats = stats[stats.signal == "position"].set_index(["observer", "metric", "delay"])
+    assert len(rows) == 7
+    for name, said, products in rows:
+        *errors, believes = said.split(" | ")
+        found = stats.loc[name, "tail_rmse"]["mean"].sort_index()
+        np.testing.assert_allclose(found, [float(e) for e in errors], rtol=0.01)
+        assert costs.loc[(1, name), "sample"] == int(products)
+        if name != "open-loop":
+            mean, band = stats.loc[(name, "nees", 0.8)], stats.loc[(name, "nees_band", 0.8)]
+            assert verdict(mean["mean"], Band(band.ci_low, band.ci_high)) == believes

@@ -1,0 +1,16 @@
+"""Observers that must know when a sample is taken are told, on schedules that all runs share and on those of their own."""
+
+import numpy as np
+import pytest
+
+import pcbench
+
+AXES = [{"delay": [0.3], "loss": [0.3], "delay_jitter": [0.4]}, pytest.param({"delay": [0.5]}, marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("axes", AXES, ids=str)
+def test_cloning_is_the_optimum_in_every_run(axes):
+    runs = pcbench.run("cart/gaussian", observers=["dkf", "kf-cloning"], seeds=3, axes=axes).runs
+    wide = runs[runs.signal == "position"].set_index(["observer", "seed"])["tail_rmse"]
+    np.testing.assert_allclose(wide["kf-cloning"], wide["dkf"], rtol=1e-8)
+    assert len(set(wide["dkf"])) == len(wide["dkf"]), "every run has its own samples"

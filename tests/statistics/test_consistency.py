@@ -1,0 +1,93 @@
+"""Who knows how wrong it is: bands, shares and verdicts, against draws whose covariance is known."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.scenarios import SCENARIOS
+from pcbench.simulation.consistency import normalised
+from pcbench.statistics.consistency import INSIDE, Band, band, inside, verdict
+
+P = np.array([[2.0, 0.6, -0.3], [0.6, 1.0, 0.2], [-0.3, 0.2, 0.5]])
+DRAWS = np.random.default_rng(5).normal(size=(400, 64, 3)) @ np.linalg.cholesky(P).T
+
+
+@pytest.mark.parametrize(("n", "runs", "low", "high"), [(2, 256, 0.881, 1.126), (4, 1024, 0.957, 1.044)])
+def test_the_bands_worked_out_beforehand(n, runs, low, high):
+    assert band(n * runs) == pytest.approx((low, high), abs=6e-4)
+
+
+def test_normalised_squares_are_those_of_the_inverse_and_leave_out_what_is_known():
+    e = DRAWS[0, 0]
+    found = normalised(jnp.asarray(e), jnp.asarray(P), jnp.ones(3))
+    assert found.whole == pytest.approx(e @ np.linalg.solve(P, e) / 3, rel=1e-12)
+    np.testing.assert_allclose(found.signal, e**2 / np.diag(P), rtol=1e-12)
+    known = P * np.outer([1.0, 1e-12, 1.0], [1.0, 1e-12, 1.0])
+    less = normalised(jnp.asarray(e), jnp.asarray(known), jnp.ones(3))
+    two = np.ix_([0, 2], [0, 2])
+    assert less.states == 2
+    assert less.whole == pytest.approx(e[[0, 2]] @ np.linalg.solve(P[two], e[[0, 2]]) / 2, rel=1e-12)
+    assert np.isnan(less.signal).tolist() == [False, True, False]
+
+
+def share_of(covariance, word):
+    """The share of 400 studies of 64 runs of which the verdict is this word."""
+    means = np.einsum("sri,ij,srj->s", DRAWS, np.linalg.inv(covariance), DRAWS) / (64 * 3)
+    return np.mean([verdict(mean, band(3 * 64)) == word for mean in means])
+
+
+def test_a_true_covariance_is_called_inconsistent_in_one_study_of_twenty_and_half_of_one_in_nearly_all():
+    assert 1 - share_of(P, "consistent") == pytest.approx(0.05, abs=0.035)  # three standard errors of 400
+    assert share_of(P / 2, "over-confident") > 0.99
+    assert share_of(P * 2, "cautious") > 0.99
+    assert verdict(float("nan"), Band(0.9, 1.1)) == "unknown"
+
+
+def test_shares_within_one_two_and_three_sigma_are_the_normal_ones():
+    squares = np.random.default_rng(6).normal(size=(1, 100_000)) ** 2
+    np.testing.assert_allclose(inside(squares)[:, 0] / 1e5, [0.6827, 0.9545, 0.9973], atol=0.005)
+
+
+STUDY = {
+    "name": "honest",
+    "scenarios": ["cart/gaussian"],
+    "observers": ["dkf", "dkf-bold", "kf-now", "open-loop"],
+    "seeds": 192,
+    "options": {"scenario": {"random_start": True, "consistency": True}},
+}
+
+
+def test_the_filter_with_a_true_model_is_consistent_with_a_quarter_of_the_noise_over_confident():
+    options = STUDY["options"] | {"dkf-bold": {"R": 0.25}}
+    axes = {"noise_std": [1.0], "delay": [0.3]}
+    result = pcbench.run(STUDY | {"options": options}, axes=axes)
+    wide = result.stats.set_index(["signal", "metric", "observer"])[["mean", "ci_low", "ci_high"]]
+
+    def word(observer):
+        within = wide.loc["position", "nees_band", observer]
+        return verdict(wide.loc["position", "nees", observer]["mean"], Band(within.ci_low, within.ci_high))
+
+    assert [word(o) for o in ("dkf", "dkf-bold", "kf-now")] == ["consistent", "over-confident", "over-confident"]
+    assert wide.loc["position", INSIDE[0], "dkf"]["mean"] == pytest.approx(0.683, abs=0.1)
+    assert ("position", "nees", "open-loop") not in wide.index, "it has no covariance"
+    assert "nees" not in set(result.pairs.metric), "neither a large nor a small one is better"
+
+
+def test_consistency_needs_starts_that_are_drawn():
+    with pytest.raises(UserError, match="write random_start = true"):
+        pcbench.run(STUDY | {"observers": ["dkf"], "options": {"scenario": {"consistency": True}}})
+
+
+def test_a_trace_has_the_standard_deviation_that_is_believed():
+    """Before anything has arrived no less than the prior's, then less."""
+    study = {"name": "t", "scenarios": ["cart/gaussian"], "options": STUDY["options"]}
+    found = pcbench.trace(study, ["dkf", "open-loop"])
+    sigma = found["dkf.position.sigma"]
+    prior = SCENARIOS["cart/gaussian"].belief.prior_std[0]
+    waits = found["y1"].isna().to_numpy()
+    assert 0 < waits.sum() < len(waits) / 4
+    assert (sigma[waits] >= prior).all()
+    assert (sigma[~waits] < prior).all()
+    assert "open-loop.position.sigma" not in found
