@@ -119,7 +119,8 @@ def _batches(plans: Iterable[Plan], asked: Asked) -> Iterator[list[Item]]:
     for number, p in enumerate(plans):
         if (bend := bent(p)) > ROUNDING:  # nothing is compiled for it
             light = p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={}))
-            yield [Item(light, number, 0, 1, False, _signals(p), Realised(p.layout, p.problem, ()), bend)]
+            one = Realised(p.layout, p.problem, ())
+            yield [Item(light, number, place=0, many=1, random=False, sizes=_signals(p), one=one, bend=bend)]
             continue
         mixed = over_losses(p) if losses_alone(p) and len(p.layout.observers) == 1 else None
         drawn = random(p) and mixed is None
@@ -128,7 +129,7 @@ def _batches(plans: Iterable[Plan], asked: Asked) -> Iterator[list[Item]]:
         for seed in range(many):
             one = mixed or realised(p, asked.root_seed, seed)
             group = groups.setdefault((one.layout, shared_of(one.problem)), [])
-            group.append(Item(light, number, seed, many, drawn, _signals(p), one))
+            group.append(Item(light, number, place=seed, many=many, random=drawn, sizes=_signals(p), one=one))
             if len(group) == MANY:
                 yield group[:]
                 group.clear()

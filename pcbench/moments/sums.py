@@ -46,7 +46,7 @@ class Read(NamedTuple):
 def nothing(signals: int, targets: int | None, cells: int) -> Sums:
     """Return the sums before tick 0; `targets` of a closed loop."""
     two, one = jnp.zeros((2, signals, cells)), jnp.zeros((signals, cells))
-    sums = Sums(two, two, one, one, one, one, one)
+    sums = Sums(square=two, absolute=two, mean=one, std=one, reach=one, apart=one, size=one)
     if targets is None:
         return sums
     both = jnp.zeros((2, cells))
