@@ -68,6 +68,7 @@ def test_without_axes_a_column_is_a_signal_with_its_unit(result):
     class One:
         study = result.study
         scenarios, signals = result.scenarios, result.signals
+        ranks = staticmethod(lambda metric: metric)
         stats_of = staticmethod(lambda name, signal: One.stats[One.stats.signal == signal])
         pairs_of = staticmethod(lambda name, signal: One.pairs[One.pairs.signal == signal])
 
@@ -83,6 +84,7 @@ def test_along_more_axes_a_row_is_a_cell(result):
     class Two:
         study, pairs = result.study, result.pairs
         scenarios, signals = result.scenarios, result.signals
+        ranks = staticmethod(lambda metric: metric)
         stats_of = staticmethod(lambda name, signal: Two.stats[Two.stats.signal == signal])
         pairs_of = staticmethod(lambda name, signal: Two.pairs[Two.pairs.signal == signal])
 
