@@ -37,10 +37,19 @@ def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
     return UserError(f"{where}: '{short(got)}' is no {kind}; {hint}valid: {', '.join(names)}.")
 
 
+EXTRAS = dict.fromkeys(("cvxpy", "clarabel", "scs", "optax"), "design") | {
+    "matplotlib": "report",
+    "jinja2": "report",
+    "distributed": "dask",
+    "control": "control",
+}  # by package, which of pcbench's extras brings it
+
+
 def missing(module: str) -> str:
     """Say that a library is not installed, as where pcbench was installed without what it depends on."""
     package = module.split(".")[0].replace("_", "-")
-    return f"got no package '{package}', expected it for this command; install it: pip install {package}."
+    named = f"'pcbench[{EXTRAS[package]}]'" if package in EXTRAS else package
+    return f"got no package '{package}', expected it for this command; install it: pip install {named}."
 
 
 def short(text: str) -> str:

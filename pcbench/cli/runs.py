@@ -1,6 +1,7 @@
 """Commands that simulate: a study into a folder, or one run tick by tick."""
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
@@ -78,7 +79,7 @@ def run(
             progress=stoppable(ahead.importing(progress, ahead.CLOSING + (() if quiet else ahead.SHOWING))),
             say=say,
         )
-    if result.study.use:
+    if result.study.use and find_spec("matplotlib"):
         from pcbench.plots import one_run
         from pcbench.report.pictures import Shown, cell_of
 

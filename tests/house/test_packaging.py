@@ -13,6 +13,7 @@ import pytest
 from documents import GUIDE, ROOT
 
 import pcbench
+from pcbench.errors import EXTRAS
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 CITATION = (ROOT / "CITATION.cff").read_text()
@@ -77,8 +78,10 @@ def test_wheel_and_sdist_build_install_and_run_outside_the_checkout(tmp_path):
     assert where.stdout.startswith(str(place))
 
 
-@pytest.mark.parametrize("package", ["pandas", pytest.param("cvxpy", marks=pytest.mark.slow)])
-def test_a_missing_library_is_a_sentence_that_says_what_to_install(package, tmp_path):
+@pytest.mark.parametrize(
+    ("package", "named"), [("pandas", "pandas"), pytest.param("cvxpy", "'pcbench[design]'", marks=pytest.mark.slow)]
+)
+def test_a_missing_library_is_a_sentence_that_says_what_to_install(package, named, tmp_path):
     code = f"import sys; sys.modules['{package}'] = None; from pcbench import cli; cli.main()"
     done = subprocess.run(
         [sys.executable, "-c", code, "design", "cart/nominal", "pccebo", "--method", "h2"],
@@ -90,5 +93,33 @@ def test_a_missing_library_is_a_sentence_that_says_what_to_install(package, tmp_
     assert done.returncode == 2
     assert (
         done.stderr
-        == f"pcbench: got no package '{package}', expected it for this command; install it: pip install {package}.\n"
+        == f"pcbench: got no package '{package}', expected it for this command; install it: pip install {named}.\n"
+    )
+
+
+def test_every_library_that_an_extra_brings_is_known_by_it():
+    extras = PROJECT["project"]["optional-dependencies"]
+    for package, extra in EXTRAS.items():
+        assert any(re.match(rf"{package}\b", requirement) for requirement in extras[extra]), package
+    for extra in ("design", "plots", "report", "dask", "control"):
+        assert {re.match(r"[\w-]+", requirement)[0] for requirement in extras[extra]} <= set(EXTRAS), extra
+    assert not any(re.match(rf"{package}\b", d) for package in EXTRAS for d in PROJECT["project"]["dependencies"])
+
+
+@pytest.mark.slow
+def test_the_core_alone_runs_what_needs_no_extra(tmp_path):
+    code = f"import sys; sys.modules |= dict.fromkeys({sorted(EXTRAS)}); from pcbench import cli; cli.main()"
+
+    def said(*words):
+        command = [sys.executable, "-c", code, *words]
+        environment = os.environ | {"PCBENCH_CACHE": str(tmp_path)}
+        return subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
+
+    done = said("run", "cart/white", "--observers", "dkf,open-loop", "--seeds", "4", "--out", "out")
+    assert done.returncode == 0, done.stderr
+    assert "dkf" in done.stdout
+    done = said("report", "out")
+    assert (done.returncode, done.stderr) == (
+        2,
+        "pcbench: got no package 'matplotlib', expected it for this command; install it: pip install 'pcbench[report]'.\n",
     )
