@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.gains.tune import tune as tune
     from pcbench.machine.process import setup as setup
     from pcbench.observers import Entry as Entry
+    from pcbench.observers.parts.options import tunable as tunable
     from pcbench.plants import PlantEntry as PlantEntry
     from pcbench.plants import plant as plant
     from pcbench.protocols import Arrival as Arrival
@@ -70,6 +71,7 @@ _LAZY = {
     "Now": "protocols",
     "Arrival": "protocols",
     "Entry": "observers",
+    "tunable": "observers.parts.options",
     "plant": "plants",
     "PlantEntry": "plants",
     "Controller": "protocols",

@@ -87,7 +87,7 @@ MEANING = {
     "se": "its standard error",
     "ci_low": "lower end of its 95 % interval over seeds",
     "ci_high": "upper end of its 95 % interval over seeds",
-    "mean_diff": "mean of metric(a) - metric(b) over common draws: negative where a is better",
+    "mean_diff": "mean of metric(a) - metric(b) over common draws on which neither diverged: negative where a is better",
     "prob_a_better": "fraction of runs in which a is better; a tie (equal to 1e-9) counts half, a diverged run loses",
     "p_value": "two-sided paired t-test of mean_diff = 0; null where the runs do not vary",
     "p_holm": "p_value with Holm's correction over the study's comparisons of this scenario, signal and metric",

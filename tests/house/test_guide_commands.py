@@ -13,7 +13,7 @@ CHEAP = {  # what would take minutes in a command of this name: fewer runs, or a
     "tune": ["--budget", "3", "--train", "1000:1016", "--judge", "2000:2016"],
 }
 ELSEWHERE = (  # another machine, seeds without end, or what a test of its own runs, in minutes
-    *("tcp://", "elsewhere/", "--until-se"),
+    *("tcp://", "elsewhere/", "--until-se", "verify by-runs"),
     *("reproduce all", "run all", "run fair"),
 )
 FILES = {  # what a page says to save, by the page and what is in it

@@ -82,7 +82,7 @@ def test_every_block_of_python_is_run_by_a_test():
     for block in blocks("python"):
         ast.parse(block)
     left = [b for b in blocks("python") if not b.startswith(RUN_ELSEWHERE) and b not in [*OF_A_RESULT, *ALONE]]
-    assert left == blocks("python", "README.md", "first_study.md")
+    assert left == blocks("python", "README.md", "exact_answers.md", "first_study.md")
 
 
 OF_A_RESULT = blocks("python", "reading_results.md")
@@ -101,6 +101,13 @@ def test_what_reads_a_result_runs(tmp_path, monkeypatch):
 def test_what_needs_no_result_runs(block, capsys):
     exec(compile(block, "guide", "exec"), {})
     assert capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_exact_answers_come_out(capsys):
+    (block,) = blocks("python", "exact_answers.md")
+    exec(compile(block, "exact_answers.md", "exec"), {})
+    assert "tail_pooled_rmse" in capsys.readouterr().out
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ import pytest
 import pcbench
 from pcbench import planning
 from pcbench.dataset import pickled
+from pcbench.gains import parameters
 from pcbench.observers import OBSERVERS
 from pcbench.planning import plan
 from pcbench.simulation import batch
@@ -37,6 +38,14 @@ def test_a_name_in_a_list_has_its_last_word_as_label(here):
     assert list(cell.options) == ["nudge", "dkf"]
     assert cell.options["nudge"].share == 0.1
     assert cell.entry("nudge").observer is sys.modules[f"mine_{asked._own['nudge'].code.digest}"].nudge
+
+
+def test_an_option_made_by_tunable_may_be_tuned_and_no_other(here):
+    asked = {"observers": ["mine.py:nudge"]}
+    assert parameters.tunable(study(**asked)[1][0].entry("nudge")) == []
+    text = SOURCE.read_text()
+    (here / "mine.py").write_text(text.replace("float = 0.1", "float = pcbench.tunable(0.1, between=(0, 1))"))
+    assert parameters.tunable(study(**asked)[1][0].entry("nudge")) == ["share"]
 
 
 def test_two_labels_may_use_one_observer_each_with_its_options(here):

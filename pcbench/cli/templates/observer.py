@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from pydantic import BaseModel, Field
+from pydantic import BaseModel
 
 import pcbench
 
@@ -34,9 +34,11 @@ class Gains(NamedTuple):
 
 
 class Options(BaseModel):
-    """What a study may set: [observers.NAME] share = 0.2."""
+    """What a study may set: [observers.NAME] share = 0.2. What `pcbench tune` may change is made by pcbench.tunable."""
 
-    share: float = Field(0.3, gt=0, lt=1, description="part of the innovation that corrects the estimate")
+    share: float = pcbench.tunable(
+        0.3, between=(0, 1), gt=0, lt=1, description="part of the innovation that corrects the estimate"
+    )
 
 
 def design(setting: pcbench.Setting, options: Options) -> pcbench.Design:

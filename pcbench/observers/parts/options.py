@@ -15,7 +15,7 @@ TUNABLE, WAY = "tunable", "way"  # keys in a field's extra
 def tunable(default: Any, between: tuple[float, float] | None = None, **how: Any) -> Any:
     """Return a field as pydantic's `Field` does, of an option that may be tuned: gains depend on it smoothly.
 
-    `between` are the numbers within which it lies, where both bound it.
+    `between` are the numbers within which it lies, where both bound it. With gt=0 or ge=0 alone it stays positive.
     """
     return Field(default, json_schema_extra={TUNABLE: list(between or ())}, **how)
 
