@@ -39,12 +39,12 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
     rows: list[Row] = []
     progress.begin("exact cells", len(owned.cells))
     for key, parts in itertools.groupby(exact.solved(owned.cells, "std"), key=lambda m: m.planned.cell.key):
-        frames: list[Any] = []
+        frames: list[dict[str, Any]] = []
         for m in parts:
             rows += exact.rows(m)
             frames += exact.over_time(m, max(1, m.planned.cell.times.ticks // POINTS))
         if frames:
-            table = columns.table({name: np.concatenate([f[name].to_numpy() for f in frames]) for name in frames[0]})
+            table = columns.table({name: np.concatenate([f[name] for f in frames]) for name in frames[0]})
             store.put_table(target, place(*key), parquet.sealed(table))
         progress.step(1)
     refused = list(dict.fromkeys(row["reason"] for row in rows if row["metric"] == "mse" and row["reason"]))
