@@ -55,15 +55,16 @@ class Exact:
         frames = []
         for m in self.solved(self._chosen(scenario, cell), "std"):
             head = columns.keys(self.grid.study.name, m.planned.cell)
-            frames += [each.assign(**{k: [v] * len(each) for k, v in head.items()}) for each in self.over_time(m)]
+            for each in map(pd.DataFrame, self.over_time(m)):
+                frames.append(each.assign(**{k: [v] * len(each) for k, v in head.items()}))
         if not frames:
             return pd.DataFrame()
         whole = pd.concat(frames, ignore_index=True)
         last = list(OVER_TIME)
         return whole[[c for c in whole if c not in last] + last]
 
-    def over_time(self, m: CellMoments, every: int = 1) -> Iterator[pd.DataFrame]:
-        """Yield for each observer and signal of a cell that has an exact answer its moments at every so many ticks."""
+    def over_time(self, m: CellMoments, every: int = 1) -> Iterator[dict[str, NDArray[Any]]]:
+        """Yield for each observer and signal of a cell that has an exact answer its moments at so many ticks, by column."""
         names = [name for name, _ in signals_of(m.planned.cell.scenario)]
         t = m.planned.cell.scenario.dt * np.arange(0, m.planned.cell.times.ticks + 1, every)
         for label, place in m.signals.items():
@@ -72,8 +73,8 @@ class Exact:
             for i, z in enumerate(range(place.start, place.stop)):
                 mean = m.rows.mean[::every, z]
                 std = np.sqrt(np.maximum(m.rows.covariance[::every, z, 0].mean(-1) + mean.var(-1), 0.0))
-                each = (label, names[i], t, mean.mean(-1), std)
-                yield pd.DataFrame(dict(zip(OVER_TIME, each, strict=True)))
+                said = (np.full(len(t), word, object) for word in (label, names[i]))
+                yield dict(zip(OVER_TIME, (*said, t, mean.mean(-1), std), strict=True))
 
     def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
         """Return the joint covariance of all errors of one cell, whose observers see the same noise.

@@ -28,9 +28,9 @@ Row = dict[str, Any]
 
 def made(target: store.Target, owned: Owned, say: Callable[[str], None], progress: Progress = SILENT) -> bool:
     """Make the exact part of a study, unless it stands; return whether it was made, and `say` what has no exact answer."""
-    of = _of(owned)
+    mark = of(owned)
     there = whole(target)
-    if there is not None and not owned.fresh and (there.schema.metadata or {}).get(OF) == of:
+    if there is not None and not owned.fresh and (there.schema.metadata or {}).get(OF) == mark:
         return False
     ownership.begin(target, owned)
     for name in [n for n in store.names(target) if n == NAME or n.startswith(FOLDER)]:
@@ -39,15 +39,13 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
     rows: list[Row] = []
     progress.begin("exact cells", len(owned.cells))
     for key, parts in itertools.groupby(exact.solved(owned.cells, "std"), key=lambda m: m.planned.cell.key):
-        frames: list[Any] = []
+        frames: list[dict[str, Any]] = []
         for m in parts:
             rows += exact.rows(m)
             frames += exact.over_time(m, max(1, m.planned.cell.times.ticks // POINTS))
         if frames:
-            table = columns.table({name: np.concatenate([f[name].to_numpy() for f in frames]) for name in frames[0]})
-            store.put_table(
-                target, f"{FOLDER}/scenario={key[0].replace('/', '%2F')}/cell={key[1]}.parquet", parquet.sealed(table)
-            )
+            table = columns.table({name: np.concatenate([f[name] for f in frames]) for name in frames[0]})
+            store.put_table(target, place(*key), parquet.sealed(table))
         progress.step(1)
     refused = list(dict.fromkeys(row["reason"] for row in rows if row["metric"] == "mse" and row["reason"]))
     for sentence in refused[:SAID]:
@@ -56,7 +54,7 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
         say(f"{target.name}: {len(refused) - SAID} more have no exact answer; the column reason of stats says why.")
     table = columns.rows_table(rows, columns.stats_order(columns.axes_of(rows[0])))
     store.put_table(
-        target, NAME, parquet.sealed(table.replace_schema_metadata((table.schema.metadata or {}) | {OF: of}))
+        target, NAME, parquet.sealed(table.replace_schema_metadata((table.schema.metadata or {}) | {OF: mark}))
     )
     return True
 
@@ -116,6 +114,12 @@ def pairs(rows: list[Row]) -> list[Row]:
 ABOUT = ("observer", "carries_input", "certified")
 
 
-def _of(owned: Owned) -> bytes:
-    said = f"{digest(owned.study, owned.cells)} {sorted(provenance.versions().items())}"
-    return said.encode()
+def place(scenario: str, cell: int) -> str:
+    """Return the name of a cell's file of moments."""
+    return f"{FOLDER}/scenario={scenario.replace('/', '%2F')}/cell={cell}.parquet"
+
+
+def of(owned: Owned) -> bytes:
+    """Return the mark of a study and of these releases; it is the same for all seeds, as exact numbers are."""
+    study = owned.study.model_copy(update={"first_seed": 0, "seeds": 1})
+    return f"{digest(study, owned.cells)} {sorted(provenance.versions().items())}".encode()

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, fill, kept_code, ownership, parquet, store, summary
+from pcbench.dataset import block_files, exact_merge, fill, kept_code, ownership, parquet, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, common, counted
@@ -42,7 +42,7 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
     targets = [store.target(each) for each in given]
     holdings = [ownership.opened(target) for target in targets]
     for target, owned in zip(targets[1:], holdings[1:], strict=True):
-        if changed := ownership.differences(holdings[0], owned):
+        if changed := [*ownership.differences(holdings[0], owned), *_asked(holdings[0], owned)]:
             raise UserError(
                 f"{target.name}: is of another study than {targets[0].name} ({'; '.join(changed[:3])}), expected the same "
                 "study with other seeds; merge datasets of one study."
@@ -58,6 +58,8 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
         for _ in _pieces(mine):
             progress.step(1)
     whole = _whole(holdings)
+    for _ in exact_merge.pieces(targets, holdings, whole):
+        pass
     ownership.begin(into, whole)
     for target in targets:
         kept_code.copy(target, into)
@@ -68,7 +70,19 @@ def merge(given: Sequence[str | Path], out: str | Path, progress: Progress = SIL
             if content is not None:
                 store.put(into, name, content)
             progress.step(1)
+    for name, table in exact_merge.pieces(targets, holdings, whole):
+        store.put_table(into, name, table)
     return _closed(into, whole, targets, doubled)
+
+
+def _asked(a: Owned, b: Owned) -> Iterator[str]:
+    """Yield what a study may change in its folder, but parts must share: how its numbers are found."""
+    for name, one, other in (
+        ("method", a.study.method, b.study.method),
+        ("schedules", a.study.schedules, b.study.schedules),
+    ):
+        if one != other:
+            yield f"{name}: {one} there, {other} here"
 
 
 def _parts(targets: list[store.Target], holdings: list[Owned]) -> dict[tuple[str, int, str], list[Part]]:

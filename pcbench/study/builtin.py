@@ -106,6 +106,16 @@ STUDIES = {
         axes={"delay": [0.0, 0.1, 0.2, 0.4, 0.8], "noise_std": [0.5], "process_std": [[0.02, 0.0]]},
         options={"scenario": {"random_start": True, "consistency": True}},
     ),
+    "map": Study(  # which period and which delay can I afford? 20 x 20, without a seed
+        name="map",
+        scenarios=["cart/gaussian"],
+        observers=["pccebo", "kfbo", "dkf"],
+        method="exact",
+        axes={
+            "sampling_period": [round(0.02 * i, 2) for i in range(1, 21)],
+            "delay": [round(0.02 * i, 2) for i in range(20)],
+        },
+    ),
     "all": Study(name="all", scenarios=list(SCENARIOS), seeds=256),
     "variable-sampling": Study(
         name="variable-sampling",

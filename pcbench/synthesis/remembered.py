@@ -23,7 +23,7 @@ from pcbench.synthesis import solvers
 def remembered(kind: Any, name: str, problem: tuple[np.ndarray, ...], solve: Callable[[], Any]) -> Any:
     """Return `kind` (a NamedTuple of arrays, numbers and strings) from the cache, or solve and remember it."""
     bits = b"".join(np.ascontiguousarray(a, float).tobytes() + str(np.shape(a)).encode() for a in problem)
-    said = f"{name} {version('cvxpy')} {version('clarabel')} {version('scs')}".encode()
+    said = f"{name} {_solvers()}".encode()
     key = hashlib.sha256(bits + said + _source(kind.__module__) + _source(solvers.__name__)).hexdigest()[:32]
     path = folder() / "gains" / f"{name}-{key}.json"
     try:
@@ -33,6 +33,12 @@ def remembered(kind: Any, name: str, problem: tuple[np.ndarray, ...], solve: Cal
         found = solve()
         keep(path, _said(found))
         return found
+
+
+@cache
+def _solvers() -> str:
+    """The versions of the solvers: looked up once, as each takes milliseconds."""
+    return f"{version('cvxpy')} {version('clarabel')} {version('scs')}"
 
 
 @cache

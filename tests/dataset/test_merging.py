@@ -1,12 +1,23 @@
 """Several folders of one study made one."""
 
+import shutil
+
+import pandas as pd
+import pyarrow.compute as pc
 import pytest
 from commands import call
-from small_study import STUDY, same
+from small_study import STUDY, same, tables
 
 import pcbench
-from pcbench.dataset import block_files, merge, ownership, store
+from pcbench.dataset import block_files, exact_part, merge, ownership, parquet, store, verify
+from pcbench.dataset.result import opened
 from pcbench.errors import UserError
+
+LTI = {
+    "A": [[0.0, 1.0], [-2.0, -0.4]], "B": [[0.0], [1.0]], "C": [[1.0, 0.0]], "x0": [1.0, 0.0], "prior_std": [0.3, 0.2],
+    "tick": 0.1, "horizon": 2.0, "tail": 1.0, "noise_std": 0.1, "sampling_period": 0.2, "delay": 0.1, "input": "sine",
+}  # fmt: skip
+SURE = {"name": "sure", "lti": LTI, "observers": ["dkf", "open-loop"], "axes": {"noise_std": [0.1, 0.5]}}
 
 
 def test_two_halves_merged_are_the_whole(whole, tmp_path):
@@ -60,3 +71,56 @@ def test_other_studies_are_not_merged(whole, tmp_path):
     pcbench.run(STUDY | {"options": {"kfbo": {"R": 0.7}}}, out=tmp_path / "b", seeds=3)
     with pytest.raises(UserError, match=r"options of cart/slow.kfbo.R: 0.3 there, 0.7 here"):
         merge.merge([whole, tmp_path / "b"], tmp_path / "both")
+
+
+@pytest.fixture(scope="module")
+def exact_parts(in_a_hurry, tmp_path_factory):
+    a, b = (tmp_path_factory.mktemp("exact") / name for name in "ab")
+    pcbench.run(SURE, out=a, seeds=4, method="exact")
+    pcbench.run(SURE | {"axes": {"noise_std": [0.5, 0.1]}}, out=b, seeds=4, first_seed=4, method="exact")
+    return a, b
+
+
+def test_a_part_without_exact_numbers_takes_the_others_cell_by_cell(exact_parts, tmp_path):
+    a, b = (shutil.copytree(part, tmp_path / part.name) for part in exact_parts)
+    (a / "exact.parquet").unlink()
+    shutil.rmtree(a / "moments")
+    merge.merge([a, b], tmp_path / "both")
+    one, both = opened(exact_parts[0]), opened(tmp_path / "both")
+    pd.testing.assert_frame_equal(one.stats, both.stats, rtol=1e-12)
+    pd.testing.assert_frame_equal(one.moments, both.moments, rtol=1e-12)
+
+
+def test_what_is_merged_is_whole_and_not_made_again(exact_parts, tmp_path):
+    assert merge.merge(exact_parts, tmp_path / "both").missing == 0
+    before = tables(tmp_path / "both")
+    assert before["exact.parquet"]
+    assert len([name for name in before if name.startswith("moments/")]) == 2
+    assert not verify.verify(tmp_path / "both", None, 0).wrong
+    owned = ownership.opened(store.target(tmp_path / "both"))
+    assert not exact_part.made(store.target(tmp_path / "both"), owned, pytest.fail)
+
+
+@pytest.mark.parametrize(("factor", "refused"), [(1 + 1e-12, False), (1 + 1e-6, True)])
+def test_more_than_rounding_is_refused(exact_parts, tmp_path, factor, refused):
+    b = store.target(shutil.copytree(exact_parts[1], tmp_path / "b"))
+    table = exact_part.whole(b)
+    i = table.schema.get_field_index("mean")
+    column = pc.multiply(table["mean"], factor)
+    store.put_table(b, "exact.parquet", parquet.sealed(table.set_column(i, table.schema.field(i), column)))
+    if refused:
+        with pytest.raises(UserError, match=r"exact.parquet: differs from .*by more than rounding"):
+            merge.merge([exact_parts[0], b.root], tmp_path / "both")
+        assert not (tmp_path / "both").exists()
+    else:
+        merge.merge([exact_parts[0], b.root], tmp_path / "both")
+
+
+def test_a_damaged_part_and_another_method_are_refused(exact_parts, tmp_path):
+    pcbench.run(SURE, out=tmp_path / "c", seeds=4, method="both")
+    with pytest.raises(UserError, match="method: exact there, both here"):
+        merge.merge([exact_parts[0], tmp_path / "c"], tmp_path / "both")
+    b = shutil.copytree(exact_parts[1], tmp_path / "b")
+    (b / "exact.parquet").write_bytes((b / "exact.parquet").read_bytes()[:-9] + b"123456789")
+    with pytest.raises(UserError, match=r"exact.parquet: is damaged"):
+        merge.merge([exact_parts[0], b], tmp_path / "both")
