@@ -55,7 +55,7 @@ def test_every_design_says_what_it_promises_and_can_be_read_back(observer, tmp_p
     path.write_text(design.to_toml(table))
     proof = tomllib.loads(path.read_text())["resolved"]["certificate"]
     proven = proof.pop("certified", None)
-    unproven = ("ekf", "high-gain", "kf-now", "kf-shift", "kf-larsen", "kf-alexander")
+    unproven = ("ekf", "high-gain", "no-delay", "kf-now", "kf-shift", "kf-larsen", "kf-alexander")
     assert proven == (None if observer == "open-loop" else observer not in unproven), "in the files as well"
     assert set(proof) == {"inequality", "margin", "solver", "status", "fallback", "decay_rate"}
     again = pcbench.design(path, observer)

@@ -28,8 +28,13 @@ def where(tmp_path, monkeypatch):
         jax.config.update(name, value)
 
 
-def test_nothing_is_kept_unless_setup_says_where():
-    assert kept_programs.folder() is None
+def test_nothing_is_kept_where_jax_keeps_its_own_elsewhere(tmp_path):
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+    try:
+        assert kept_programs.folder() is None
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
 
 
 def test_a_program_comes_back_with_its_bits(where):

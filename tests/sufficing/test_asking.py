@@ -7,7 +7,7 @@ from commands import call
 import pcbench
 from pcbench.dataset import verify
 from pcbench.errors import DesignError, UserError
-from pcbench.planning import arrays
+from pcbench.planning import once
 from pcbench.scenarios import SCENARIOS
 from pcbench.study.raw import raw_of
 from pcbench.study.read import described
@@ -97,14 +97,14 @@ def test_stopped_it_goes_on_to_the_same_answer(asked, tmp_path):
 
 
 def test_an_observer_without_gains_at_some_values_is_left_out_there(tmp_path, monkeypatch):
-    real = arrays.designed
+    real = once.designed
 
     def picky(observer, entry, known, given):
         if observer == "dkf" and known.noise_std[0] > 1:
             raise DesignError("cart/slow: dkf has no gains there.")
         return real(observer, entry, known, given)
 
-    monkeypatch.setattr(arrays, "designed", picky)
+    monkeypatch.setattr(once, "designed", picky)
     how = {"between": (0.5, 2.0), "within": 1.0, "max_seeds": 4, "seeds": 4, "over": "noise_std", "below": 1e3}
     table = pcbench.suffices("cart/slow", observers=["dkf", "open-loop"], out=tmp_path / "out", **how)
     row = table.set_index("observer").loc["dkf"]
