@@ -164,7 +164,7 @@ def stats(**means):
                 rows.append(
                     {"study": "t", "scenario": "cart/white", "plant": "cart", "observer": observer, "cell": cell}
                     | {"delay": 0.2 + cell, "signal": "position", "unit": "m", "carries_input": None, "metric": metric}
-                    | {"certified": None}
+                    | {"certified": None, "method": "runs"}
                     | row(value, value - 0.01, value + 0.01, n=10 - lost, diverged=lost, p50=mean)
                 )
     return pd.DataFrame(rows)
