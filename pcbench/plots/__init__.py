@@ -10,14 +10,14 @@ how wide a column is [inches], and the size and font of text; `plots.save` write
 shows is found in `frames`.
 """
 
-from pcbench.plots.cost import cost
+from pcbench.plots.error_and_cost import cost
 from pcbench.plots.files import save
 from pcbench.plots.gains import fair, trade_off
 from pcbench.plots.lines import convergence, curves, distributions
 from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.palette import styles
 from pcbench.plots.paper import Paper
-from pcbench.plots.quantiles import quantiles
+from pcbench.plots.quantile_plot import quantiles
 from pcbench.plots.time_series import time
 
 __all__ = ["Paper", "convergence", "cost", "curves", "distributions", "divergence", "fair", "heatmaps", "quantiles",

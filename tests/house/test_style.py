@@ -27,3 +27,13 @@ def test_what_is_looked_for_is_seen():
     assert crowded("a.Share(1, 2, 3, 4, 5, 6, 7)\nShare(1, 2, 3, 4, 5, 6, x=7)\nSHARE(1, 2, 3, 4, 5, 6, 7)") == [
         (1, "Share", 7)
     ]
+
+
+def test_no_module_has_the_name_of_what_its_package_offers():
+    """The API reference cannot hold both."""
+    for package in ROOT.rglob("__init__.py"):
+        names = {node.value for node in ast.walk(ast.parse(package.read_text())) if isinstance(node, ast.Constant)}
+        text = re.search(r"__all__ = \[(.*?)\]", package.read_text(), re.S)
+        offered = set(re.findall(r'"(\w+)"', text[1])) & names if text and package.parent != ROOT else set()
+        modules = {path.stem for path in package.parent.glob("*.py")}
+        assert not offered & modules, package
