@@ -18,19 +18,11 @@ a newer one is put in its place (`parts/reordering`), so the estimate uses all t
 Source: Kalman 1960; a late sample is filtered at its own time, and what has come since is filtered again.
 """
 
-from pcbench.observers.parts import linear_filter, prediction
-from pcbench.protocols import Observer
+from pcbench.observers.parts import linear_filter
 from pcbench.synthesis.certificate import Design, Setting
 
 Options = linear_filter.Options
-OBSERVER = Observer(
-    linear_filter.init,
-    prediction.note,
-    linear_filter.jump,
-    prediction.flow,
-    linear_filter.estimate,
-    covariance=linear_filter.covariance,
-)
+OBSERVER = linear_filter.FILTER
 
 
 def design(setting: Setting, options: Options) -> Design:

@@ -9,10 +9,10 @@ Time index: the estimate is of now, after the jump.
 import numpy as np
 from pydantic import Field
 
-from pcbench.observers.parts import linear_filter, prediction
+from pcbench.observers.parts import linear_filter
 from pcbench.observers.parts.choosing import kept
 from pcbench.observers.parts.prediction import Memory
-from pcbench.protocols import Arrival, Gains, Now, Observer
+from pcbench.protocols import Arrival, Gains, Now
 from pcbench.synthesis.certificate import Design, Setting
 
 
@@ -32,14 +32,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return kept(fresh, linear_filter.jump(gains, memory, now, arrival._replace(fresh=fresh)), memory)
 
 
-OBSERVER = Observer(
-    linear_filter.init,
-    prediction.note,
-    jump,
-    prediction.flow,
-    linear_filter.estimate,
-    covariance=linear_filter.covariance,
-)
+OBSERVER = linear_filter.FILTER._replace(jump=jump)
 
 
 def design(setting: Setting, options: Options) -> Design:

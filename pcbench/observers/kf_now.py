@@ -15,9 +15,9 @@ Time index: the estimate is of now, after the jump. Not claimed: perfect start.
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench.observers.parts import linear_filter, prediction
+from pcbench.observers.parts import linear_filter
 from pcbench.observers.parts.prediction import Memory
-from pcbench.protocols import Arrival, Gains, Now, Observer
+from pcbench.protocols import Arrival, Gains, Now
 from pcbench.synthesis.certificate import Design, Setting
 
 Options = linear_filter.Options
@@ -28,14 +28,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return linear_filter.jump(gains, memory, now, arrival._replace(age=jnp.zeros_like(arrival.age), note=memory.g))
 
 
-OBSERVER = Observer(
-    linear_filter.init,
-    prediction.note,
-    jump,
-    prediction.flow,
-    linear_filter.estimate,
-    covariance=linear_filter.covariance,
-)
+OBSERVER = linear_filter.FILTER._replace(jump=jump)
 
 
 def design(setting: Setting, options: Options) -> Design:

@@ -16,9 +16,9 @@ Time index: the estimate is of now, after the jump.
 
 import numpy as np
 
-from pcbench.observers.parts import linear_filter, prediction, reordering
+from pcbench.observers.parts import linear_filter, reordering
 from pcbench.observers.parts.prediction import Memory
-from pcbench.protocols import Arrival, Gains, Now, Observer
+from pcbench.protocols import Arrival, Gains, Now
 from pcbench.synthesis.certificate import Design, Setting
 
 Options = linear_filter.Options
@@ -30,14 +30,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return linear_filter.use(gains, memory, now, sample._replace(taken=now.tick))
 
 
-OBSERVER = Observer(
-    linear_filter.init,
-    prediction.note,
-    jump,
-    prediction.flow,
-    linear_filter.estimate,
-    covariance=linear_filter.covariance,
-)
+OBSERVER = linear_filter.FILTER._replace(jump=jump)
 
 
 def design(setting: Setting, options: Options) -> Design:

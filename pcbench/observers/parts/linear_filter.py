@@ -25,7 +25,7 @@ from pcbench.observers.parts import assumed_noise, kalman, prediction, reorderin
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.protocols import Leaf, Room
+from pcbench.protocols import Leaf, Observer, Room
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified, uncertified
 
@@ -129,6 +129,9 @@ def covariance(gains: Gains, memory: Memory) -> Float[Array, "signals signals"]:
     """Return what the filter believes of its error now: the covariance at the newest sample used, carried on."""
     newest = reordering.newest(lambda state, sample: update(gains, state, sample), memory.buffer)
     return spread(gains, memory, predicted(gains, newest, memory.tick).P)
+
+
+FILTER = Observer(init, prediction.note, jump, prediction.flow, estimate, covariance=covariance)
 
 
 def design(
