@@ -153,7 +153,7 @@ def filled(grid: Grid, execute: executors.Executor) -> Turn:
     with tempfile.TemporaryDirectory() as out:
         target = store.target(out)
         owned = ownership.claim(target, grid)
-        cost = fill.fill(target, owned, [], execute, fill.everything(owned, []), fill.Sizes(LANES, apart=True), planned)
+        cost = fill.fill(target, owned, [], execute, fill.everything(owned, []), fill.Sizes(LANES), planned)
         took = perf_counter() - began[0], of_workers() - began[1]
         if (busy := len({name for name, _ in cost.compiled})) != 2:
             raise SystemExit(f"own_code: got {busy} workers that worked, expected 2.")

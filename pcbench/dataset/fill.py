@@ -17,7 +17,6 @@ from pcbench.dataset.columns import SCHEMA
 from pcbench.dataset.cost import Cost, added
 from pcbench.dataset.executors import Executor
 from pcbench.dataset.ownership import Owned
-from pcbench.dataset.pickled import pack
 from pcbench.dataset.seeds import Seeds, counted, gaps
 from pcbench.errors import UserError
 from pcbench.machine import provenance
@@ -41,7 +40,6 @@ class Sizes(NamedTuple):
 
     block: int | None = None  # seeds a block
     memory: float = float("inf")  # bytes that results may take at a time
-    apart: bool = False  # whether tasks are done by other processes
 
 
 def everything(owned: Owned, there: list[Block], more: Mapping[str, int] = MappingProxyType({})) -> SeedsOf:
@@ -150,7 +148,7 @@ def fill(
     work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
     heard = close(*_expected(there, todo)) if close else None
     compiled: dict[Any, float] = {}
-    for report in execute(work, took.each("planning", planned.tasks(wanted, sizes.apart))):
+    for report in execute(work, took.each("planning", planned.tasks(wanted))):
         _alike(report)
         compiled[report.program] = report.compile_seconds
         spent = Cost(report.runs, {}, 0.0, report.computing_seconds, report.writing_seconds)
@@ -216,13 +214,12 @@ class Planned(NamedTuple):
         """Yield the cells' drafts."""
         yield from planning.drafts(self.owned.cells, self.todo, self.ask, lambda cell: wanted(cell).many)
 
-    def tasks(self, wanted: SeedsOf, apart: bool) -> Iterator[task.Task]:
-        """Yield the tasks, cell by cell; as bytes where they go to other processes."""
+    def tasks(self, wanted: SeedsOf) -> Iterator[task.Task]:
+        """Yield the tasks, cell by cell."""
         for p in self.drafts(wanted):
             ranges = {label: each for label, each in self.todo.get(p.cell.key, {}).items() if label in p.labels}
             if ranges:
-                fitted = padding.fitted(p, self.room)
-                yield from task.tasks(pack(fitted) if apart else fitted, p.layout.width, ranges)
+                yield from task.tasks(padding.fitted(p, self.room), p.layout.width, ranges)
 
 
 def _planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:

@@ -56,7 +56,7 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         owned = ownership.claim(target, grid, how.fresh)
         precision.check(goal, owned)
         share = executors.share(how.memory, how.dask, how.workers, how.devices)
-        sizes = fill.Sizes(how.block, share, how.dask is not None)
+        sizes = fill.Sizes(how.block, share)
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
         there = [] if owned.fresh else fill.whole(target, owned, say)

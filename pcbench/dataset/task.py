@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench.dataset import block_files, columns, store
-from pcbench.dataset.pickled import unpack
+from pcbench.dataset.pickled import pack, unpack
 from pcbench.dataset.seeds import Seeds
 from pcbench.errors import UserError
 from pcbench.machine import process, provenance
@@ -42,6 +42,11 @@ class Task(NamedTuple):
 
     parcel: bytes | Plan  # the planned cell
     pieces: tuple[tuple[Seeds, tuple[str, ...]], ...]  # seeds and observers: the blocks to write
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Go to another process as bytes, that it can read whosever code the cell has."""
+        planned = pack(self.parcel) if isinstance(self.parcel, Plan) else self.parcel
+        return Task, (planned, self.pieces)
 
     @property
     def runs(self) -> int:

@@ -1,5 +1,6 @@
 """Observers of a user's own by name: in a list, a table, a file, of an installed package; what cannot be is one sentence."""
 
+import pickle
 import shutil
 import sys
 from functools import partial
@@ -10,6 +11,7 @@ import pytest
 import pcbench
 from pcbench import planning
 from pcbench.dataset import pickled
+from pcbench.dataset.task import Task
 from pcbench.gains import parameters
 from pcbench.observers import OBSERVERS
 from pcbench.planning import plan
@@ -128,11 +130,12 @@ def strip_metadata(text):
 def test_a_planned_cell_takes_its_code_along(here):
     """Another process needs no file: types of the user's own are found again in the code that travels."""
     (p,) = plan(read.study_of(BASE | {"observers": ["mine.py:nudge"]}, {}, []))
-    parcel = pickled.pack(p)
-    assert isinstance(parcel, bytes)
+    sent = pickle.dumps(Task(p, ()))
     name = f"mine_{p.cell.own['nudge'].code.digest}"
     del sys.modules[name]
     (here / "mine.py").unlink()
+    parcel = pickle.loads(pickle.dumps(pickle.loads(sent))).parcel  # and is sent on
+    assert isinstance(parcel, bytes)
     back = pickled.unpack(parcel)
     assert type(back.problem.gains["nudge"]) is sys.modules[name].Gains
     assert (back.problem.gains["nudge"].L == p.problem.gains["nudge"].L).all()
