@@ -80,12 +80,10 @@ def run(
             say=say,
         )
     if result.study.use and find_spec("matplotlib"):
-        from pcbench.plots import one_run
-        from pcbench.report.pictures import Shown, cell_of
+        from pcbench.report import pictures
 
-        shown = Shown(metric=metric, signals=where)
-        for scenario in result.study.scenarios:  # while the code of the user's own observers is at hand
-            one_run.of(result.study, scenario, into, cell_of(result, scenario, shown))
+        shown = pictures.Shown(metric=metric, signals=where)
+        pictures.places(result, list(result.study.scenarios), shown)  # while the user's own code is at hand
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": asked.name, "out": into, "provenance": result.provenance, "stats": stats}

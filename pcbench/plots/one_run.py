@@ -7,37 +7,38 @@ where they are found again: one file for each scenario, of the cell and seed tha
 
 import hashlib
 import json
-import warnings
 from pathlib import Path
-from typing import Any
 
-import jax
-import numpy as np
 import pandas as pd
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from pcbench.dataset import parquet, store
 from pcbench.errors import UserError
-from pcbench.machine import process, provenance
-from pcbench.planning import alone, drafts, padding
-from pcbench.planning.padding import Plan
-from pcbench.plants import signals_of
-from pcbench.plots import outputs
+from pcbench.machine import provenance
+from pcbench.machine.progress import SILENT, Progress
+from pcbench.plots import recorded
+from pcbench.plots.recorded import POINTS, RUNS
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells
 from pcbench.study.own_observers import is_absent
 
 KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
 FORM = 2  # of the file
-POINTS = 240  # ticks that are kept, or up to twice as many
-RUNS = 32  # beside one another, where runs differ: nine in ten of their errors lie in the band
 
 
 def of(
     study: Study, scenario: str, out: str | Path | None, cell: int = 0, seed: int | None = None
 ) -> pd.DataFrame | None:
-    """Return signal, series, kind, t [s], value of one run; made where it does not stand in the folder `out`.
+    """Return one run of a scenario as `several` does."""
+    return several(study, {scenario: cell}, out, seed)[scenario]
+
+
+def several(
+    study: Study, at: dict[str, int], out: str | Path | None, seed: int | None = None, progress: Progress = SILENT
+) -> dict[str, pd.DataFrame | None]:
+    """Return signal, series, kind, t [s], value of one run of each scenario, in the cell that `at` says of it.
+
+    What does not stand in the folder `out` is made, all together, and put there.
 
     `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, error (truth less estimate), low and
     high (between which nine in ten errors of RUNS runs lie at that time) and rms (over them), measured (as it has arrived and
@@ -45,29 +46,48 @@ def of(
     schedules of their own, have no low, high and rms. None where it does not stand there and the code of an observer of a
     user's own is not here. Raises UserError for a cell that the scenario has not.
     """
-    every = {each.number: each for each in cells(study, scenario)}
-    if cell not in every:
-        raise UserError(
-            f"--cell: got {cell}, expected one of 0 .. {len(every) - 1}, the cells of {scenario}; take one."
-        )
+    chosen = {scenario: _cell(study, scenario, number) for scenario, number in at.items()}
     seed = study.first_seed if seed is None else seed
     if not 0 <= seed < 2**32 - RUNS:
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32 - {RUNS}.")
     target = None if out is None else store.target(str(out))
-    name = f"examples/{scenario.replace('/', '%2F')}.parquet"
-    key = _key(study, every[cell], seed)
-    found = None if target is None else store.get(target, name)
+    found = {scenario: _kept(target, scenario, _key(study, cell, seed)) for scenario, cell in chosen.items()}
+    missing = {
+        scenario: cell
+        for scenario, cell in chosen.items()
+        if found[scenario] is None and not any(map(is_absent, [*cell.own.values(), *cell.scenario.own.values()]))
+    }
+    for scenario, made in recorded.several(missing, study.root_seed, seed, progress).items():
+        found[scenario] = made
+        if target is not None:
+            _keep(target, scenario, made, _key(study, chosen[scenario], seed))
+    return found
+
+
+def _cell(study: Study, scenario: str, number: int) -> Cell:
+    every = {each.number: each for each in cells(study, scenario)}
+    if number not in every:
+        raise UserError(
+            f"--cell: got {number}, expected one of 0 .. {len(every) - 1}, the cells of {scenario}; take one."
+        )
+    return every[number]
+
+
+def _file(scenario: str) -> str:
+    return f"examples/{scenario.replace('/', '%2F')}.parquet"
+
+
+def _kept(target: store.Target | None, scenario: str, key: bytes) -> pd.DataFrame | None:
+    """A scenario's runs as they are kept, where they are of this key."""
+    found = None if target is None else store.get(target, _file(scenario))
     kept = None if found is None else parquet.whole(found)
-    if kept is not None and kept.schema.metadata.get(KEY) == key:
-        return kept.to_pandas()
-    if any(map(is_absent, [*every[cell].own.values(), *every[cell].scenario.own.values()])):
-        return None
-    made = _made(study, every[cell], seed)
-    if target is not None:
-        table = pa.Table.from_pandas(made, preserve_index=False)
-        about = {**(table.schema.metadata or {}), KEY: key}
-        store.put_table(target, name, parquet.sealed(table.replace_schema_metadata(about)))
-    return made
+    return kept.to_pandas() if kept is not None and kept.schema.metadata.get(KEY) == key else None
+
+
+def _keep(target: store.Target, scenario: str, made: pd.DataFrame, key: bytes) -> None:
+    table = pa.Table.from_pandas(made, preserve_index=False)
+    about = {**(table.schema.metadata or {}), KEY: key}
+    store.put_table(target, _file(scenario), parquet.sealed(table.replace_schema_metadata(about)))
 
 
 def _key(study: Study, cell: Cell, seed: int) -> bytes:
@@ -75,63 +95,3 @@ def _key(study: Study, cell: Cell, seed: int) -> bytes:
     options = {o: given.model_dump() for o, given in cell.options.items()}
     said = [cell.digest, options, cell.told, seed, provenance.versions(), POINTS, RUNS, FORM]
     return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest().encode()
-
-
-def _made(study: Study, cell: Cell, seed: int) -> pd.DataFrame:
-    with process.float64():
-        plans = padding.fit(list(drafts([cell])))
-        parts = [part for i, plan in enumerate(plans) for part in _series(plan, study.root_seed, seed, first=i == 0)]
-    return pd.concat(parts, ignore_index=True)
-
-
-def _series(plan: Plan, root_seed: int, seed: int, first: bool) -> list[pd.DataFrame]:
-    """The series of one plan: all observers of an open loop, one of a closed loop."""
-    from pcbench.simulation import trace
-
-    cell, many = plan.cell, RUNS if _differ(plan) else 1
-    plan = alone(plan, root_seed, seed)
-    every = -(-(cell.times.ticks + 1) // (2 * POINTS)) if cell.times.ticks >= POINTS else 1
-    rows = cell.times.ticks // every + 1
-    seeds = np.arange(seed, seed + many)
-    made = trace.compiled_some()(plan.layout, every, rows, plan.problem, np.asarray(root_seed), seeds)
-    made = jax.tree.map(np.asarray, made)
-    t, closed = every * np.arange(rows) * cell.scenario.dt, bool(cell.scenario.loop.controller)
-    labels, shown = list(plan.labels), outputs.shows(cell.scenario)
-    out = []
-    for i, (signal, _) in enumerate(signals_of(cell.scenario)):
-        series: dict[tuple[str, str], Any] = {
-            (f"plant under {labels[0]}" if closed else "plant", "truth"): made.x[:, i, 0]
-        }
-        for label, (called, _) in zip(labels, plan.layout.observers, strict=True):
-            found = made.estimates[called]
-            if i < found.shape[1]:
-                error = made.x[:, i] - found[:, i]
-                series |= {(label, "estimate"): found[:, i, 0], (label, "error"): error[:, 0]}
-                series |= {(label, kind): values for kind, values in _reach(error).items()}
-        if first and i < made.target.shape[1]:
-            series |= {("target", "target"): made.target[:, i]}
-        if signal in shown and not closed:
-            series |= {("measured", "measured"): made.held[:, shown[signal], 0]}
-        out += [
-            pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
-            for (name, kind), values in series.items()
-        ]
-    return out
-
-
-def _differ(plan: Plan) -> bool:
-    """Say whether runs differ and stand on one schedule."""
-    p, layout = plan.problem, plan.layout
-    noisy = np.any(p.noise_std) and not layout.continuous
-    drawn = layout.random_start or layout.scattered or layout.drifting or layout.pending or np.any(p.process_std)
-    return bool(noisy or drawn) and not plan.cell.times.random
-
-
-def _reach(errors: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """How far errors [K, L] reach: 5 and 95 % of them, and their root mean square; nothing of one run."""
-    if errors.shape[1] < 2:
-        return {}
-    with warnings.catch_warnings(), np.errstate(over="ignore", invalid="ignore"):
-        warnings.simplefilter("ignore", RuntimeWarning)
-        low, high = np.nanquantile(errors, [0.05, 0.95], axis=1)
-        return {"low": low, "high": high, "rms": np.sqrt(np.nanmean(errors**2, axis=1))}

@@ -19,8 +19,9 @@ def write(
     """Write every picture of the page, and return the names of the files, without their kind."""
     target, names = store.target(str(out)), []
     store.make(target)
+    places = pictures.places(result, result.scenarios, shown, progress)
     progress.begin("figures", None)
-    for picture in drawn(result, shown):
+    for picture in drawn(places):
         for kind in kinds:
             store.put(target, f"{picture.name}.{kind}", saved(picture.figure, kind))
         names.append(picture.name)
@@ -28,11 +29,10 @@ def write(
     return names
 
 
-def drawn(result: Result, shown: Shown) -> Iterator[Picture]:
+def drawn(places: dict[str, pictures.Place]) -> Iterator[Picture]:
     """Yield every picture, scenario after scenario."""
-    for scenario in result.scenarios:
-        here = pictures.place(result, scenario, shown)
-        for signal in frames.ranked(result, scenario, shown.signals, shown.metric):
+    for scenario, here in places.items():
+        for signal in frames.ranked(here.result, scenario, here.shown.signals, here.shown.metric):
             yield from pictures.of_signal(here, signal)
         yield from pictures.of_all_signals(here)
 

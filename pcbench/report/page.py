@@ -66,10 +66,11 @@ def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> s
     stood = summary.stood(result, shown.metric, shown.signals)
     rows, won = summary.rows(result, stood), summary.tally(stood)
     names = list(dict.fromkeys([*(row.scenario for row in rows), *result.scenarios]))
+    places = pictures.places(result, names, shown, progress)
     progress.begin("scenarios", len(names))
     sections = []
     for number, name in enumerate(names):
-        sections.append(_section(result, name, f"scenario-{number}", shown))
+        sections.append(_section(places[name], f"scenario-{number}"))
         progress.step(1)
     explained = [shown.metric, *(m for m in ALWAYS if m in set(result.stats.metric))]
     return str(
@@ -102,8 +103,8 @@ _OF_STATS = {
 }
 
 
-def _section(result: Result, scenario: str, anchor: str, shown: Shown) -> Section:
-    here, parts = pictures.place(result, scenario, shown), []
+def _section(here: pictures.Place, anchor: str) -> Section:
+    (result, scenario, _, _, shown), parts = here, []
     for signal in frames.ranked(result, scenario, shown.signals, shown.metric):
         tables = headline.headlines(result, scenario, signal, shown.metric, here.cell)
         whole = frames.rows(result, scenario, signal, shown.metric)

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from pcbench import plots
 from pcbench.dataset.result import Result
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.plants import signals_of
 from pcbench.plots import frames, one_run, time_series
 from pcbench.plots.paper import PAPER, Paper
@@ -58,10 +59,11 @@ class Place(NamedTuple):
     shown: Shown
 
 
-def place(result: Result, scenario: str, shown: Shown) -> Place:
-    """Return a scenario with its run in time, simulated where it is not kept."""
-    cell = cell_of(result, scenario, shown)
-    return Place(result, scenario, cell, one_run.of(result.study, scenario, result.out, cell, shown.seed), shown)
+def places(result: Result, scenarios: list[str], shown: Shown, progress: Progress = SILENT) -> dict[str, Place]:
+    """Return scenarios with their runs in time, simulated together where they are not kept."""
+    at = {scenario: cell_of(result, scenario, shown) for scenario in scenarios}
+    runs = one_run.several(result.study, at, result.out, shown.seed, progress)
+    return {scenario: Place(result, scenario, cell, runs[scenario], shown) for scenario, cell in at.items()}
 
 
 def of_signal(where: Place, signal: str) -> Iterator[Picture]:

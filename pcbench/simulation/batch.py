@@ -19,7 +19,7 @@ import numpy as np
 
 from pcbench.errors import UserError
 from pcbench.machine import process
-from pcbench.simulation import kept_programs, loop
+from pcbench.simulation import compiling, kept_programs, loop
 from pcbench.simulation.problem import Layout, Outcome, Problem
 
 WIDTH = 1024  # lanes a call
@@ -86,37 +86,13 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     options, start = ONE_THREAD if device.platform == "cpu" else None, perf_counter()
     kinds = jax.tree.unflatten(tree, [f"{kind}{shape}" for shape, kind in shapes])
-    call = _made(layout, device, given, options, kept_programs.asked(layout, kinds, device, options))
-    took = perf_counter() - start
-    return Program(lambda *a: call(*jax.device_put(a, device)), device, layout.width, took, call, _memory(call))
-
-
-def _made(layout: Layout, device: Any, given: Any, options: Any, asked: str | None) -> Any:
-    """The compiled call: loaded where it is kept, else traced and made."""
-    where = kept_programs.folder()
-    text = kept_programs.known(where, asked) if where and asked else None
-    if where and text and (found := kept_programs.load(where, text, device)) is not None:
-        return found
 
     def simulate(*a: Any) -> Outcome:
         return loop.simulate(layout, *a)
 
-    simulate.__name__ = name = (
-        f"simulate_{asked[:16]}" if asked else "simulate"
-    )  # jax's cache is not to know it by another
-    lowered = jax.jit(simulate).lower(*given)
-    if where is None:
-        return lowered.compile(options)
-    text = kept_programs.of_text(lowered.as_text().replace(name, "simulate"), device, options)
-    made = kept_programs.load(where, text, device)
-    if made is not None:
-        kept_programs.keep(where, text, asked)
-        return made
-    with kept_programs.found_by_jax() as found:
-        made = lowered.compile(options)
-    if not found:
-        kept_programs.keep(where, text, asked, made)
-    return made
+    call = compiling.compiled(simulate, given, device, options, kept_programs.asked(layout, kinds, device, options))
+    took = perf_counter() - start
+    return Program(lambda *a: call(*jax.device_put(a, device)), device, layout.width, took, call, _memory(call))
 
 
 def _memory(call: Any) -> int:

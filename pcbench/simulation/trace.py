@@ -115,9 +115,3 @@ def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Ar
     shape = jax.eval_shape(lambda: read(ticks[0], state))
     table = jax.tree.map(lambda a: jnp.zeros((rows + 1, *a.shape), a.dtype), shape)
     return jax.tree.map(lambda a: a[:rows], lax.scan(step, (state, none, table), ticks)[0][2])
-
-
-@cache
-def compiled_some() -> Any:
-    """Return `record_some` compiled, once for each shape in a process."""
-    return jax.jit(record_some, static_argnums=(0, 1, 2))

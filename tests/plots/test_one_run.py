@@ -1,6 +1,7 @@
 """A run that is shown in time is the trace of the study's first seed in its first cell, thinned over the whole of it."""
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import pcbench
@@ -61,3 +62,14 @@ def test_runs_that_are_alike_have_no_band_and_a_cell_that_is_none_is_one_sentenc
     assert set(one_run.of(study, "cart/nominal", None).kind) == {"truth", "estimate", "error", "measured"}
     with pytest.raises(UserError, match="--cell: got 7, expected one of 0"):
         one_run.of(study, "cart/nominal", None, cell=7)
+
+
+def test_scenarios_shown_together_are_those_shown_alone():
+    """They share a program; a run is not another's for that."""
+    raw = {"name": "t", "scenarios": ["cart/slow", "cart/nominal"], "observers": ["pccebo"]}
+    study = read.parse(raw, "t")
+    together = one_run.several(study, dict.fromkeys(study.scenarios, 0), None)
+    assert list(together) == ["cart/slow", "cart/nominal"]
+    assert not together["cart/slow"].equals(together["cart/nominal"])
+    for name, frame in together.items():
+        pd.testing.assert_frame_equal(frame, one_run.of(study, name, None), check_exact=True)

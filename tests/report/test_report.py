@@ -108,7 +108,7 @@ def test_its_pictures_have_the_means_the_intervals_and_the_winners_of_the_tables
     at = frames.values_at(found.assign(cell=found.cell), cell)
     drawn = [
         p
-        for p in pictures.of_signal(pictures.place(result, "cart/white", pictures.SHOWN), "position")
+        for p in pictures.of_signal(pictures.places(result, ["cart/white"], pictures.SHOWN)["cart/white"], "position")
         if "over-delay" in p.name
     ]
     (ax,) = drawn[0].figure.axes

@@ -75,6 +75,35 @@ def test_over_equals_vmap(name, shared):
     np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
 
 
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("shared", [False, True], ids=["both differ", "matrix shared"])
+def test_forms_alone_are_those_of_the_numbers(name, shared):
+    """What `settle` asks for: what is a Lanes, its shape, rows and type."""
+    f, x = FUNCTIONS[name], jnp.asarray(RNG.normal(size=(3, L)))
+    A = jnp.asarray(RNG.normal(size=(3, 3) if shared else (3, 3, L)))
+    given = (lanes.split(x), A if shared else lanes.split(A))
+    want = jax.eval_shape(over(f), *given)
+    before = lanes.FORMS_ONLY.set(True)
+    try:
+        got = jax.eval_shape(over(f), *given)
+    finally:
+        lanes.FORMS_ONLY.reset(before)
+    assert jax.tree.structure(got) == jax.tree.structure(want)
+    assert [(a.shape, a.dtype) for a in jax.tree.leaves(got)] == [(a.shape, a.dtype) for a in jax.tree.leaves(want)]
+
+
+def test_lanes_without_numbers_have_none_in_their_forms_either():
+    empty = over(lambda x: (x[:0], jnp.sin(x[:0]), jnp.append(x[:0], 1.0)))
+    given = lanes.split(jnp.ones((2, L)))
+    want = jax.eval_shape(empty, given)
+    before = lanes.FORMS_ONLY.set(True)
+    try:
+        got = jax.eval_shape(empty, given)
+    finally:
+        lanes.FORMS_ONLY.reset(before)
+    assert jax.tree.structure(got) == jax.tree.structure(want)
+
+
 @pytest.mark.parametrize("axes", [0, 1, 2, (0, 2), (2, 1), (0, 1, 2)])
 @pytest.mark.parametrize("fold", [jnp.sum, jnp.prod, jnp.max, jnp.min, jnp.any, jnp.all])
 def test_folds_go_over_the_axes_that_are_named(fold, axes):

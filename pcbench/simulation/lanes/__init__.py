@@ -5,12 +5,15 @@ all lanes stays an ordinary array and is computed once. A long table that is rea
 together instead: one array [rows, L] for each entry of a row. `entrywise` evaluates one-lane functions on all of this.
 """
 
+from contextvars import ContextVar
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+
+FORMS_ONLY = ContextVar("FORMS_ONLY", default=False)  # whether it matters only what is a Lanes, and of which shape
 
 
 @jax.tree_util.register_pytree_node_class
@@ -149,9 +152,16 @@ def put_back(tree: Any, some: Any, lane: jax.Array) -> Any:
 
 
 def settle(step: Any, tree: Any, width: int) -> Any:
-    """Spread whatever `step` (tree -> tree of the same shape) makes different between lanes, until nothing changes."""
+    """Spread whatever `step` (tree -> tree of the same shape) makes different between lanes, until nothing changes.
+
+    Only the form of what it returns is asked for: meanwhile `entrywise` computes no numbers.
+    """
     while True:
-        out = jax.eval_shape(step, tree)
+        before = FORMS_ONLY.set(True)
+        try:
+            out = jax.eval_shape(step, tree)
+        finally:
+            FORMS_ONLY.reset(before)
         wider = like(tree, jax.tree.map(_the_wider, tree, out, is_leaf=is_lanes), width)
         if _forms(wider) == _forms(tree):
             return tree

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.simulation.lanes import (
+    FORMS_ONLY,
     Lanes,
     entries,
     is_lanes,
@@ -66,12 +67,23 @@ def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
         return _scan(eqn, args)
     if differs and name == "while" and (found := _while(eqn, args)) is not None:
         return found
+    if differs and FORMS_ONLY.get():
+        return [_form(v.aval, args, name) for v in eqn.outvars]
     args = [entries(a) for a in args]
     if differs and name == "gather" and rules.takes_rows(eqn, args):
         return [rules.rows_of_table(eqn, args)]
     if differs and name in _RULES and not (name == "dot_general" and rules.products(eqn) > rules.WRITTEN_OUT):
         return [_RULES[name](eqn, args)]
     return _fallback(jaxpr, eqn, args)
+
+
+def _form(aval: Any, args: list[Any], name: str) -> Any:
+    """What a primitive makes of Lanes, without its numbers."""
+    size = int(np.prod(aval.shape))
+    if not size and name in STRUCTURAL:
+        return jnp.zeros(aval.shape, aval.dtype)
+    width = next((jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a)), 0)
+    return lanes_of(aval.shape, [np.zeros(width, aval.dtype)] * size)
 
 
 def _scan(eqn: Any, args: list[Any]) -> list[Any]:

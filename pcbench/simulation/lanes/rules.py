@@ -1,11 +1,12 @@
 """Single primitives over lanes: elementwise, structural, folds, products, rows of a table."""
 
-from functools import reduce
+from functools import cache, reduce
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from pcbench.simulation.lanes import (
     Lanes,
@@ -14,7 +15,7 @@ from pcbench.simulation.lanes import (
     primitives,
 )
 
-WAYS = (jnp.add, jnp.maximum, jnp.minimum, jnp.multiply, jnp.logical_and, jnp.logical_or)
+WAYS = (lax.add, lax.max, lax.min, lax.mul, lax.bitwise_and, lax.bitwise_or)
 FOLDS = dict(zip(primitives.FOLDS, WAYS, strict=True))
 WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
 
@@ -45,16 +46,22 @@ def structural(eqn: Any, args: list[Any]) -> Any:
     """Apply a primitive that moves numbers about, to their places."""
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     entries = [e for a, s in zip(args, shapes, strict=True) for e in entries_of(a, s).flat]
-    offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
-    with jax.ensure_compile_time_eval():  # where each entry goes: the primitive applied to the entries' numbers
-        numbers = [
-            jnp.asarray(o + np.arange(int(np.prod(s))).reshape(s)) for o, s in zip(offsets, shapes, strict=False)
-        ]
-        places = np.asarray(eqn.primitive.bind(*numbers, **eqn.params))
+    places = _places(eqn.primitive, tuple(eqn.params.items()), tuple(shapes))
     if not places.size:  # nothing is left that could differ
         return jnp.zeros(places.shape, eqn.outvars[0].aval.dtype)
     width = next(jnp.shape(e) for e in entries if jnp.ndim(e))
     return lanes_of(places.shape, [jnp.broadcast_to(entries[p], width) for p in places.flat])
+
+
+@cache
+def _places(primitive: Any, params: tuple[tuple[str, Any], ...], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
+    """Where each entry goes: the primitive applied to the entries' numbers."""
+    offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
+    with jax.ensure_compile_time_eval():
+        numbers = [
+            jnp.asarray(o + np.arange(int(np.prod(s))).reshape(s)) for o, s in zip(offsets, shapes, strict=False)
+        ]
+        return np.asarray(primitive.bind(*numbers, **dict(params)))
 
 
 def fold(eqn: Any, args: list[Any]) -> Lanes:
@@ -87,12 +94,26 @@ def dot(eqn: Any, args: list[Any]) -> Lanes:
 
     a, b = arranged(lhs, ba, ca), arranged(rhs, bb, cb)
     sums = [
-        reduce(jnp.add, (a[k, i, c] * b[k, j, c] for c in range(inner)))
+        reduce(_add, (_mul(a[k, i, c], b[k, j, c]) for c in range(inner)))
         for k in range(a.shape[0])
         for i in range(a.shape[1])
         for j in range(b.shape[1])
     ]
     return lanes_of(out, sums)
+
+
+def _alike(a: Any, b: Any) -> tuple[Any, Any]:
+    """Two entries, one of them perhaps the same in all lanes, as wide as each other."""
+    width = jnp.broadcast_shapes(jnp.shape(a), jnp.shape(b))
+    return jnp.broadcast_to(a, width), jnp.broadcast_to(b, width)
+
+
+def _add(a: Any, b: Any) -> Any:
+    return lax.add(*_alike(a, b))
+
+
+def _mul(a: Any, b: Any) -> Any:
+    return lax.mul(*_alike(a, b))
 
 
 def rows_of_table(eqn: Any, args: list[Any]) -> Lanes:

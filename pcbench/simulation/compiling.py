@@ -1,0 +1,39 @@
+"""A function compiled for arguments of some shapes: loaded where it is kept, else traced, made, and kept."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from pcbench.simulation import kept_programs
+
+
+def compiled(function: Callable[..., Any], given: tuple[Any, ...], device: Any, options: Any, asked: str | None) -> Any:
+    """Return a function compiled for `given`, a tree of shapes on a device, with the compiler's options.
+
+    `asked` tells the program from all others before it is traced (`kept_programs.asked`); None: it is traced in any case.
+    """
+    where = kept_programs.folder()
+    text = kept_programs.known(where, asked) if where and asked else None
+    if where and text and (found := kept_programs.load(where, text, device)) is not None:
+        return found
+    plain = function.__name__
+    name = f"{plain}_{asked[:16]}" if asked else plain  # jax's own cache is not to know it by another
+
+    def call(*a: Any) -> Any:
+        return function(*a)
+
+    call.__name__ = name
+    lowered = jax.jit(call).lower(*given)
+    if where is None:
+        return lowered.compile(options)
+    text = kept_programs.of_text(lowered.as_text().replace(name, plain), device, options)
+    made = kept_programs.load(where, text, device)
+    if made is not None:
+        kept_programs.keep(where, text, asked)
+        return made
+    with kept_programs.found_by_jax() as found:
+        made = lowered.compile(options)
+    if not found:
+        kept_programs.keep(where, text, asked, made)
+    return made
