@@ -23,17 +23,18 @@ def bound(cell: Cell, known: Setting, ask: once.Once = once.anew) -> NDArray[np.
         return None
     sees = known.model, known.dt, known.ticks, known.noise_std, known.P0, s.truth.process_std
     key = once.key_of((*sees, cell.times.tail)), tuple(clocks)
-    found: NDArray[np.float64] = ask("bound", key, lambda: _bound(cell, known))
+    alike = once.key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
+    found: NDArray[np.float64] = ask("bound", key, lambda: _bound(cell, known, ask("steps", alike, riccati.no_steps)))
     return found
 
 
-def _bound(cell: Cell, known: Setting) -> NDArray[np.float64]:
+def _bound(cell: Cell, known: Setting, steps: riccati.Steps) -> NDArray[np.float64]:
     s, clocks = cell.scenario, cell.times.clocks
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
     samples = [(s.arrives, s.taken, s.channel) for s in shared.samples(clocks, known.ticks)]
     added = known._replace(process_std=s.truth.process_std).process_noise  # what is, not what designers assume
     noise = linear.noise_doublings(known.model, added, known.dt, len(doubled))
     variance = riccati.posterior_variance(
-        doubled, noise, known.model.C, known.noise_variance, known.P0, samples, known.ticks
+        doubled, noise, known.model.C, known.noise_variance, known.P0, samples, known.ticks, steps
     )
     return np.sqrt(variance[cell.times.tail :].mean(0))

@@ -100,8 +100,33 @@ def multirate(
     return CovarianceRun(P, K, innovation, least)
 
 
+class Steps(NamedTuple):
+    """What covariance recursions of one model, noise and R have found on their way, for others of the same."""
+
+    after: dict[
+        tuple[bytes, int, int], Matrix
+    ]  # (P to the bit, ticks, channel) -> P that many ticks on, with its sample
+    over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, the covariance that noise adds
+    flow: list[tuple[Matrix, Matrix]]  # the same for 0, 1, 2, ... ticks, one by one
+
+
+ROOM = 1 << 16  # covariances that `Steps` hold: some ten megabytes
+
+
+def no_steps() -> Steps:
+    """Return what is known before the first recursion."""
+    return Steps({}, {}, [])
+
+
 def posterior_variance(
-    doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, P0: Matrix, samples: list[tuple[int, int, int]], ticks: int
+    doubled: Matrix,
+    noise: Matrix,
+    C: Matrix,
+    R: Matrix,
+    P0: Matrix,
+    samples: list[tuple[int, int, int]],
+    ticks: int,
+    steps: Steps | None = None,
 ) -> Matrix:
     """Return the variance [N, n] that no causal estimator can beat at ticks 0 .. N-1.
 
@@ -109,9 +134,9 @@ def posterior_variance(
 
     With x(0) ~ N(xhat0, P0) this is the Bayesian (posterior Cramer-Rao) bound: at tick k it uses every sample that has
     arrived. `samples` are (arrival, taken, channel) in ticks, in any order; R[q] variances. Source: Kalman; Van Trees. It
-    exists only where R > 0.
+    exists only where R > 0. `steps` of earlier calls with the same `doubled`, `noise`, C and R save time, and change no bit.
     """
-    over = cache(lambda gap: _over(doubled, noise, gap))
+    steps = no_steps() if steps is None else steps
     arriving: dict[int, list[tuple[int, int]]] = {}
     for arrival, taken, channel in samples:
         arriving.setdefault(arrival, []).append((taken, channel))
@@ -124,17 +149,11 @@ def posterior_variance(
             known.insert(place, one)
             del stages[place + 1 :]
             for taken, channel in known[place:]:
-                gap = taken - stages[-1][0]
-                E, Q = over(gap)
-                P = update(E @ stages[-1][1] @ E.T + Q, C[channel : channel + 1], R[channel : channel + 1, None])
-                stages.append((taken, P))
+                at, P = stages[-1]
+                stages.append((taken, _after(steps, doubled, noise, C, R, P, taken - at, channel)))
         since[tick] = stages[-1]
     edges = [tick for tick in since if tick < ticks] + [ticks]
-    powers, added = [np.eye(len(P0))], [np.zeros_like(P0)]
-    for _ in range(max(end - 1 - since[tick][0] for tick, end in pairwise(edges))):
-        powers.append(doubled[0] @ powers[-1])
-        added.append(doubled[0] @ added[-1] @ doubled[0].T + noise[0])
-    F, G = np.stack(powers), np.stack(added)
+    F, G = _flow(steps, doubled, noise, 1 + max(end - 1 - since[tick][0] for tick, end in pairwise(edges)))
     pieces = []
     for tick, end in pairwise(edges):
         at, P = since[tick]
@@ -142,3 +161,30 @@ def posterior_variance(
         later = np.diagonal(G[tick - at : end - at], axis1=1, axis2=2)
         pieces.append(np.einsum("kij,kij->ki", moved @ P, moved) + later)
     return np.concatenate(pieces)
+
+
+def _after(
+    steps: Steps, doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, P: Matrix, ticks: int, channel: int
+) -> Matrix:
+    """The covariance some ticks on, after a sample of one channel: once it repeats itself, nothing is computed."""
+    key = P.tobytes(), ticks, channel
+    if (found := steps.after.get(key)) is not None:
+        return found
+    if ticks not in steps.over:
+        steps.over[ticks] = _over(doubled, noise, ticks)
+    E, Q = steps.over[ticks]
+    if len(steps.after) >= ROOM:
+        steps.after.clear()
+    found = steps.after[key] = update(E @ P @ E.T + Q, C[channel : channel + 1], R[channel : channel + 1, None])
+    return found
+
+
+def _flow(steps: Steps, doubled: Matrix, noise: Matrix, many: int) -> tuple[Matrix, Matrix]:
+    """The maps over 0, 1 ... ticks and what noise adds over them, [many, n, n] each."""
+    if not steps.flow:
+        steps.flow.append((np.eye(len(doubled[0])), np.zeros_like(doubled[0])))
+    while len(steps.flow) < many:
+        E, Q = steps.flow[-1]
+        steps.flow.append((doubled[0] @ E, doubled[0] @ Q @ doubled[0].T + noise[0]))
+    powers, added = zip(*steps.flow[:many], strict=True)
+    return np.stack(powers), np.stack(added)

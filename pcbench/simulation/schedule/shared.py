@@ -117,8 +117,8 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
                 out.number[tick, slot, s.channel] = s.number
         last = tick
     out.event[:] = (out.sense >= 0) | (out.note >= 0) | (out.arrive >= 0).any(1)
-    for tick in range(ticks - 1, -1, -1):
-        out.next_event[tick] = tick + 1 if out.event[tick + 1] else out.next_event[tick + 1]
+    due = np.where(out.event, np.arange(n), n)
+    out.next_event[:-1] = np.minimum.accumulate(due[::-1])[::-1][1:]
     return out
 
 
