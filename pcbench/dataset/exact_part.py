@@ -5,7 +5,9 @@ moments are at ticks 0 .. N, of long horizons at every so many that `POINTS` are
 """
 
 import itertools
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,7 @@ from pcbench.study.cells import Grid
 NAME, FOLDER = "exact.parquet", "moments"
 OF = b"pcbench.of"  # the key in its metadata: of which study it is
 POINTS = 1000
+WRITERS = 4  # files under way at a time: a cell's takes 1 ms to make and 5 to reach the disk
 SAID = 3  # refusals that are said
 Row = dict[str, Any]
 
@@ -38,15 +41,7 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
     exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules)
     rows: list[Row] = []
     progress.begin("exact cells", len(owned.cells))
-    for key, parts in itertools.groupby(exact.solved(owned.cells, "std"), key=lambda m: m.planned.cell.key):
-        frames: list[dict[str, Any]] = []
-        for m in parts:
-            rows += exact.rows(m)
-            frames += exact.over_time(m, max(1, m.planned.cell.times.ticks // POINTS))
-        if frames:
-            table = columns.table({name: np.concatenate([f[name] for f in frames]) for name in frames[0]})
-            store.put_table(target, place(*key), parquet.sealed(table))
-        progress.step(1)
+    _put(target, _cells(owned, exact, rows, progress))
     refused = list(dict.fromkeys(row["reason"] for row in rows if row["metric"] == "mse" and row["reason"]))
     for sentence in refused[:SAID]:
         say(sentence)
@@ -57,6 +52,30 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
         target, NAME, parquet.sealed(table.replace_schema_metadata((table.schema.metadata or {}) | {OF: mark}))
     )
     return True
+
+
+def _cells(owned: Owned, exact: Exact, rows: list[Row], progress: Progress) -> Iterator[tuple[str, pa.Table]]:
+    """Yield the files of moments, name and table each; `rows` gets what is known of every cell."""
+    for key, parts in itertools.groupby(exact.solved(owned.cells, "std"), key=lambda m: m.planned.cell.key):
+        frames: list[dict[str, Any]] = []
+        for m in parts:
+            rows += exact.rows(m)
+            frames += exact.over_time(m, max(1, m.planned.cell.times.ticks // POINTS))
+        if frames:
+            yield place(*key), columns.table({name: np.concatenate([f[name] for f in frames]) for name in frames[0]})
+        progress.step(1)
+
+
+def _put(target: store.Target, files: Iterator[tuple[str, pa.Table]]) -> None:
+    """Put files while the next are made: what they wait for is the disk."""
+    with ThreadPoolExecutor(WRITERS) as pool:
+        waiting: deque[Future[None]] = deque()
+        for name, table in files:
+            waiting.append(pool.submit(lambda n, t: store.put_table(target, n, parquet.sealed(t)), name, table))
+            if len(waiting) > 2 * WRITERS:
+                waiting.popleft().result()
+        for each in waiting:
+            each.result()
 
 
 def whole(target: store.Target) -> pa.Table | None:

@@ -107,7 +107,7 @@ class Steps(NamedTuple):
         tuple[bytes, int, int], Matrix
     ]  # (P to the bit, ticks, channel) -> P that many ticks on, with its sample
     over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, the covariance that noise adds
-    flow: list[tuple[Matrix, Matrix]]  # the same for 0, 1, 2, ... ticks, one by one
+    flow: dict[str, Matrix]  # the same for 0, 1, 2, ... ticks, one by one: "maps" and "noise" [ticks, n, n]
 
 
 ROOM = 1 << 16  # covariances that `Steps` hold: some ten megabytes
@@ -115,7 +115,7 @@ ROOM = 1 << 16  # covariances that `Steps` hold: some ten megabytes
 
 def no_steps() -> Steps:
     """Return what is known before the first recursion."""
-    return Steps({}, {}, [])
+    return Steps({}, {}, {})
 
 
 def posterior_variance(
@@ -181,10 +181,10 @@ def _after(
 
 def _flow(steps: Steps, doubled: Matrix, noise: Matrix, many: int) -> tuple[Matrix, Matrix]:
     """The maps over 0, 1 ... ticks and what noise adds over them, [many, n, n] each."""
-    if not steps.flow:
-        steps.flow.append((np.eye(len(doubled[0])), np.zeros_like(doubled[0])))
-    while len(steps.flow) < many:
-        E, Q = steps.flow[-1]
-        steps.flow.append((doubled[0] @ E, doubled[0] @ Q @ doubled[0].T + noise[0]))
-    powers, added = zip(*steps.flow[:many], strict=True)
-    return np.stack(powers), np.stack(added)
+    if not steps.flow or len(steps.flow["maps"]) < many:
+        maps, added = [np.eye(len(doubled[0]))], [np.zeros_like(doubled[0])]
+        for _ in range(many - 1):
+            maps.append(doubled[0] @ maps[-1])
+            added.append(doubled[0] @ added[-1] @ doubled[0].T + noise[0])
+        steps.flow.update(maps=np.stack(maps), noise=np.stack(added))
+    return steps.flow["maps"][:many], steps.flow["noise"][:many]
