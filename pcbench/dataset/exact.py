@@ -72,9 +72,11 @@ class Exact:
                 continue
             for i, z in enumerate(range(place.start, place.stop)):
                 mean = m.rows.mean[::every, z]
-                std = np.sqrt(np.maximum(m.rows.covariance[::every, z, 0].mean(-1) + mean.var(-1), 0.0))
+                variance, middle = m.rows.covariance[::every, z, 0].mean(-1), mean[:, 0]
+                if m.random:
+                    variance, middle = variance + mean.var(-1), mean.mean(-1)
                 said = (np.full(len(t), word, object) for word in (label, names[i]))
-                yield dict(zip(OVER_TIME, (*said, t, mean.mean(-1), std), strict=True))
+                yield dict(zip(OVER_TIME, (*said, t, middle, np.sqrt(np.maximum(variance, 0.0))), strict=True))
 
     def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
         """Return the joint covariance of all errors of one cell, whose observers see the same noise.

@@ -154,13 +154,11 @@ def posterior_variance(
         since[tick] = stages[-1]
     edges = [tick for tick in since if tick < ticks] + [ticks]
     F, G = _flow(steps, doubled, noise, 1 + max(end - 1 - since[tick][0] for tick, end in pairwise(edges)))
-    pieces = []
-    for tick, end in pairwise(edges):
-        at, P = since[tick]
-        moved = F[tick - at : end - at]
-        later = np.diagonal(G[tick - at : end - at], axis1=1, axis2=2)
-        pieces.append(np.einsum("kij,kij->ki", moved @ P, moved) + later)
-    return np.concatenate(pieces)
+    lengths = np.diff(edges)
+    known_from, covariances = zip(*(since[tick] for tick in edges[:-1]), strict=True)
+    gone = np.arange(edges[-1]) - np.repeat(known_from, lengths)
+    moved, P = F[gone], np.repeat(np.stack(covariances), lengths, axis=0)
+    return np.einsum("kij,kij->ki", moved @ P, moved) + np.diagonal(G, axis1=1, axis2=2)[gone]
 
 
 def _after(
