@@ -14,6 +14,7 @@ class Cost(NamedTuple):
     computing_seconds: float = 0.0  # of all threads that compute
     writing_seconds: float = 0.0  # of all that write
     closing_seconds: float = 0.0  # of this thread, beside the others
+    exact_seconds: float = 0.0  # of what has an exact answer, from planning to files; 0: nothing was made
 
     @property
     def compile_seconds(self) -> float:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from pcbench.dataset import block_files, exact_part, executors, fill, ownership, precision, store, summary
-from pcbench.dataset.cost import added
+from pcbench.dataset.cost import Cost, added
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
 from pcbench.machine import process
@@ -60,8 +60,10 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
         there = [] if owned.fresh else fill.whole(target, owned, say)
+        exact, exactly = Cost(), perf_counter()
         if grid.study.method != "runs" and exact_part.made(target, owned, say, how.progress):
             owned, there = owned._replace(fresh=False), block_files.settled(block_files.present(target))
+            exact = Cost(exact_seconds=perf_counter() - exactly)
         left = exact_part.simulated(target, owned)
         wanted = fill.everything(left, there, how.more)
         closing: list[summary.Closing] = []
@@ -71,7 +73,7 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
             return closing[0].done
 
         once = None if goal else beside  # more seeds would make its tables anew
-        cost = fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress, once)
+        cost = added(exact, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress, once))
         for wanted in precision.rounds(goal, target, left, say):
             there = block_files.settled(block_files.present(target))
             cost = added(cost, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress))
@@ -82,6 +84,7 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
                 "started": began.isoformat(timespec="seconds"),
                 "wall_seconds": round(perf_counter() - start, 3),
                 "compile_seconds": round(cost.compile_seconds, 3),
+                "exact_seconds": round(cost.exact_seconds, 3),
                 "planning_seconds": round(cost.planning_seconds, 3),
                 "computing_seconds": round(cost.computing_seconds, 3),
                 "writing_seconds": round(cost.writing_seconds, 3),

@@ -10,6 +10,7 @@ from rich.console import Console
 
 from pcbench.cli.screen import claims, comparison, gains, results
 from pcbench.dataset.compare import Comparison
+from pcbench.dataset.cost import Cost
 from pcbench.reproduce.claim import FINDING, VERDICTS, Claim
 from pcbench.statistics import wording
 from pcbench.study import STUDIES, Study
@@ -196,3 +197,25 @@ def test_the_closing_table_has_the_least_first_and_who_diverges_last():
     assert "20 % (19 .. 21)" in "\n".join(lines)
     (second,) = (line for line in lines if "worse" in line and "+0.20 ± 0.10" in line)
     assert "0.500 ± 0.010" in second
+
+
+def test_timings_say_where_the_time_went_and_nothing_where_nothing_was_done():
+    took = {f"{part}_seconds": 2.0 for part in ("compile", "planning", "computing", "writing", "closing")}
+    about = {"wall_seconds": 3.0, "runs_added": 8} | took
+
+    def said(cost):
+        return results.timings(SimpleNamespace(provenance=about, cost=cost), seconds=4.5)
+
+    assert said(Cost()) == []
+    exact = said(Cost(exact_seconds=1.25))
+    assert [line.split("  ")[0] for line in exact] == [
+        "from the command to the study",
+        "exact numbers",
+        "the study in all",
+    ]
+    assert "1.50 s" in exact[0]
+    assert "1.25 s" in exact[1]
+    both = said(Cost(runs=8, exact_seconds=1.25))
+    assert [line.split("  ")[0] for line in both][1:4] == ["exact numbers", "planning", "computing"]
+    assert both[-1].endswith("8 runs")
+    assert len(said(Cost(runs=8))) == len(both) - 1

@@ -232,17 +232,24 @@ def took(result: Result, folder: str) -> str:
 def timings(result: Result, seconds: float) -> list[str]:
     """Return where the time of a run went, a line each; `seconds` since the command began."""
     p = result.provenance
-    if not result.cost.runs:
+    if not result.cost.runs and not result.cost.exact_seconds:
         return []
-    rows = {
-        "from the command to the study": (
-            max(seconds - p["wall_seconds"], 0.0),
-            "imports, reading, designs that are tuned",
-        ),
+    before = max(seconds - p["wall_seconds"], 0.0), "imports, reading, designs that are tuned"
+    rows = {"from the command to the study": before}
+    if result.cost.exact_seconds:
+        rows["exact numbers"] = result.cost.exact_seconds, "planning, solving and writing them"
+    if not result.cost.runs:
+        rows["the study in all"] = p["wall_seconds"], ""
+        return _took(rows)
+    rows |= {
         "planning": (p["planning_seconds"], "designs, schedules, bounds"),
         "computing": (p["computing_seconds"], f"on all threads, {p['compile_seconds']:.1f} s of it making programs"),
         "writing": (p["writing_seconds"], "on all threads"),
         "closing tables, beside": (p["closing_seconds"], "while others compute"),
         "the study in all": (p["wall_seconds"], f"{p['runs_added']:,} runs"),
     }
-    return [f"{what:<30}{took:9.2f} s   {how}" for what, (took, how) in rows.items()]
+    return _took(rows)
+
+
+def _took(rows: dict[str, tuple[float, str]]) -> list[str]:
+    return [f"{what:<30}{took:9.2f} s   {how}".rstrip() for what, (took, how) in rows.items()]
