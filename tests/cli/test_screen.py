@@ -137,7 +137,8 @@ def test_the_command_takes_signals_and_a_metric(tmp_path):
     assert call("report", tmp_path / "out", "--signal", "velocity", "--metric", "peak", "--out", page).returncode == 0
     text = page.read_text()
     assert "peak [m/s]" in text
-    assert "largest |error| of velocity" in text
+    assert "Error of velocity [m/s]" in text
+    assert "Error of position" not in text
     assert "of position" not in text
     done = call("report", tmp_path / "out", "--signal", "speed")
     assert "--signal: 'speed' is no signal of the study" in done.stderr
