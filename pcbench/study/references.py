@@ -38,7 +38,8 @@ def renamed(study: dict[str, Any], change: Callable[[Named], str]) -> dict[str, 
     """Return a study, as a dict, with every name of what may be a user's own changed."""
     out = dict(study)
     if isinstance(use := out.get("use"), dict):
-        out["use"] = {label: change(Named("observer", label, text)) for label, text in use.items()}
+        mine = {label: text for label, text in use.items() if isinstance(text, str)}
+        out["use"] = use | {label: change(Named("observer", label, text)) for label, text in mine.items()}
     if isinstance(tables := out.get("tables"), dict):
         out["tables"] = {name: _changed(table, ("plant", "controller"), change) for name, table in tables.items()}
     if "scenario" in out:

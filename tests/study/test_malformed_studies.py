@@ -54,6 +54,8 @@ REFUSED = {
     "a label of two lines": (CART + '[options."dkf-a\\nb"]\nR = 1.0', r"'dkf-a\\nb' is no observer with options"),
     "observers of a plant": (lti(observers="['dfk']"), r"lti\.observers: 'dfk' is no observer; did you mean 'dkf'\?"),
     "an observer twice": (lti(observers="['dkf', 'dkf']"), r"lti\.observers: got 'dkf' twice"),
+    "a number for an observer's file": (CART + "use.mine = 0", r"use\.mine: got 0, expected a valid string"),
+    "a list for an observer's file": (CART + "use.mine = []", r"use\.mine: got \[\], expected a valid string"),
     # the same thing said twice
     "an option twice": (CART + "[options.kfbo]\nlag-aware = true\nlag_aware = false", "kfbo: got lag-aware twice"),
     "an axis twice": (CART + "[axes]\n'plant.lam' = [1.0]\nplant.lam = [2.0]", r"axes: got plant\.lam twice"),
