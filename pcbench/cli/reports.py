@@ -60,6 +60,6 @@ def report(
             from pcbench.report import page
 
             written = page.write(folder, where, progress, shown)
-            size = f"{written / 1e6:.1f} MB" if written >= 1e5 else f"{written / 1e3:.0f} kB"
-            said = f"{where}: one page of {size}, which opens in any browser"
+            large = f"{written / 1e6:.1f} MB" if written >= 1e5 else f"{written / 1e3:.0f} kB"
+            said = f"{where}: one page of {large}, which opens in any browser"
     print(where if quiet else said)

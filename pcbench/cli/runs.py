@@ -93,7 +93,7 @@ def run(
     elif quiet:
         print(into)
     else:
-        from pcbench.cli.screen import results
+        from pcbench.cli.screen import results, took
 
         screen = console()
         results.closing(result, screen, metric, where)
@@ -101,8 +101,8 @@ def run(
             from pcbench.cli.screen import gains
 
             gains.fair(result.fair, screen)
-        screen.print(results.took(result, into), highlight=False, markup=False, soft_wrap=True)
-        for line in results.timings(result, perf_counter() - began) if timings else []:
+        screen.print(took.sentence(result, into), highlight=False, markup=False, soft_wrap=True)
+        for line in took.timings(result, perf_counter() - began) if timings else []:
             screen.print(line, highlight=False, markup=False, soft_wrap=True)
         screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)
 

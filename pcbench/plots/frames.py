@@ -4,6 +4,7 @@ Every frame is of one signal of one scenario. Axes that vary are those with more
 """
 
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import pandas as pd
@@ -187,16 +188,24 @@ def standings(
 
     `best` has the least mean, `alike` names those it is not surely better than; see `statistics.winning.standing`.
     """
-    part = rows(result, scenario, signal, metric)
-    scenario, signal = part.scenario.iloc[0], part.signal.iloc[0]
-    pairs = result.pairs_of(scenario, signal)
-    pairs = pairs[pairs.metric == result.ranks(metric)]
-    met, out = dict(iter(pairs.groupby("cell"))), []
-    for cell, mine in part.groupby("cell", sort=False):
-        found = winning.standing(mine, met.get(cell, pairs.iloc[:0]))
-        best = mine[mine.observer == found.order[0]].iloc[0]
+    scenario, metric = scenario_of(result, scenario), result.ranks(metric)
+    key, known = (scenario, signal_of(result, scenario, signal), metric), _STANDINGS.setdefault(result, {})
+    if key not in known:
+        known[key] = _standings(result, *key)
+    return known[key].copy()
+
+
+_STANDINGS: WeakKeyDictionary[Result, dict[tuple[str, str, str], pd.DataFrame]] = WeakKeyDictionary()  # asked for again
+
+
+def _standings(result: Result, scenario: str, signal: str, metric: str) -> pd.DataFrame:
+    part, pairs, out = rows(result, scenario, signal, metric), result.pairs_of(scenario, signal), []
+    axes, met = varying(part), winning.by_cell(pairs[pairs.metric == metric])
+    for cell, mine in winning.by_cell(part).items():
+        found = winning.stood(mine, met.get(cell, []))
+        best = next(row for row in mine if row["observer"] == found.order[0])
         lost = not np.isfinite(best["mean"])
-        known = {name: best[name] for name in varying(part)}
+        known = {name: best[name] for name in axes}
         text = found.winner or ("all diverge" if lost else "tie")
         out.append(
             known

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from functools import partial
 from math import isfinite
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,11 +13,12 @@ from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError
-from pcbench.plots import frames, scales
+from pcbench.plots import fine_maps, frames, scales, small_maps
+from pcbench.plots.fine_maps import Marks
 from pcbench.plots.palette import Style, pale, styles
 from pcbench.plots.paper import PAPER, Paper
 from pcbench.plots.sheet import Key
-from pcbench.plots.small_maps import Cell, Map, Over, drawn
+from pcbench.plots.small_maps import Cell, Map, Over
 from pcbench.plots.words import about, named, times, title_of, unit_of
 
 ERRORS = LinearSegmentedColormap.from_list("errors", ["#F3F6FA", "#A9C1DA", "#5A88B8", "#1B4674"])  # dark: more
@@ -34,11 +36,13 @@ def heatmaps(
     signal: str | None = None,
     metric: str = frames.METRIC,
     at: dict[str, Any] | None = None,
+    marks: Marks = MappingProxyType({}),
     paper: Paper = PAPER,
 ) -> Figure:
     """Return a map of a metric's mean over two axes (None: the first two that vary) for each observer, on one scale.
 
-    Raises UserError where fewer than two axes vary, or for a word that is none.
+    Where an axis has more than 24 values it is an image, with lines of equal value, and `marks` on it: by what is said of each,
+    its place (x, y). Raises UserError where fewer than two axes vary, or for a word that is none.
     """
     whole = frames.rows(result, scenario, signal, metric)
     x, y = two_axes(whole, x, y)
@@ -46,7 +50,7 @@ def heatmaps(
     title = title_of(metric, whole.signal.iloc[0], unit_of(whole))
     held = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
     part = part.assign(value=part["mean"])
-    return _small_maps(result, part, (x, y), title, held, ERRORS, _norm(part["mean"]), paper)
+    return _maps(result, part, (x, y), title, held, ERRORS, _norm(part["mean"]), paper, marks)
 
 
 def divergence(
@@ -64,7 +68,7 @@ def divergence(
     part = frames.fixed(whole, [x, y], at)
     held = {name: part[name].iloc[0] for name in frames.varying(whole) if name not in (x, y)}
     part = part.assign(value=100 * part["mean"], unit="%")
-    return _small_maps(result, part, (x, y), "diverged runs [%]", held, LOST, Normalize(0, 100), paper)
+    return _maps(result, part, (x, y), "diverged runs [%]", held, LOST, Normalize(0, 100), paper)
 
 
 def winners(
@@ -100,7 +104,7 @@ def winners(
     ]
     keys = [Key(name, look[name], "patch") for name in look if name in set(found.best)]
     title = f"least {named(metric, whole.signal.iloc[0])}, {about(result, whole, at or {})}"
-    return drawn(made, _over(result, whole, x), _over(result, whole, y), title, keys, paper, False)
+    return _drawn(made, _over(result, whole, x), _over(result, whole, y), title, keys, paper, False)
 
 
 def two_axes(part: pd.DataFrame, x: str | None, y: str | None) -> tuple[str, str]:
@@ -127,7 +131,7 @@ def _won(look: dict[str, Style], row: dict[str, Any]) -> Cell:
     return Cell(pale(colour), (f"tie\n{tied}", "tie"), f"tie: {' = '.join((row['best'], *row['alike']))}")
 
 
-def _small_maps(
+def _maps(
     result: Result,
     part: pd.DataFrame,
     axes: tuple[str, str],
@@ -136,6 +140,7 @@ def _small_maps(
     colours: Any,
     norm: Any,
     paper: Paper,
+    marks: Marks = MappingProxyType({}),
 ) -> Figure:
     """Draw a map of the column `value` for each observer, in colours."""
     x, y = axes
@@ -150,10 +155,20 @@ def _small_maps(
     maps = [Map(str(o), _cells(mine, x, y, painted)) for o, mine in part.groupby("observer", sort=False)]
     log = isinstance(norm, LogNorm)
     low, high = float(norm.vmin), float(norm.vmax)
-    levels = [v for v in scales.of([low, high], log).ticks if low <= v <= high]
-    keys = [Key(scales.number(v), Style(to_hex(colours(float(norm(v)))), (), ""), "patch") for v in levels]
+    scale = scales.of([low, high], log)
+    levels = [(v, said) for v, said in zip(scale.ticks, scale.words, strict=True) if low <= v <= high]
+    keys = [Key(said, Style(to_hex(colours(float(norm(v)))), (), ""), "patch") for v, said in levels]
     said = f"{title}, {about(result, part, held)}"
-    return drawn(maps, _over(result, part, x), _over(result, part, y), said, keys, paper, log)
+    return _drawn(maps, _over(result, part, x), _over(result, part, y), said, keys, paper, log, marks)
+
+
+def _drawn(
+    maps: list[Map], x: Over, y: Over, title: str, keys: list[Key], paper: Paper, log: bool,
+    marks: Marks = MappingProxyType({}),
+) -> Figure:  # fmt: skip
+    if fine_maps.is_fine(x, y):
+        return fine_maps.drawn(maps, x, y, title, keys, paper, log, marks)
+    return small_maps.drawn(maps, x, y, title, keys, paper, log)
 
 
 def _cells(rows: pd.DataFrame, x: str, y: str, cell: Callable[[dict[str, Any]], Cell]) -> dict[tuple[Any, Any], Cell]:
@@ -171,6 +186,8 @@ def _norm(values: pd.Series) -> Any:
     if not len(found):
         return Normalize(0, 1)
     low, high = float(found.min()), float(found.max())
+    if high - low <= scales.SAME * abs(high):
+        return Normalize(min(0.0, low), max(0.0, high) or 1.0)
     return (
         LogNorm(low, high)
         if low > 0 and high > 10 * low

@@ -10,6 +10,7 @@ from matplotlib.ticker import MaxNLocator
 WIDE = 30.0  # values whose largest is so many times the least are drawn on a logarithmic axis
 DECADES = 12.0  # at most so many on one axis: what is smaller lies at its lower edge
 MOST = 6  # ticks
+SAME = 1e-3  # a map whose values differ by a smaller part is of one colour, and has no lines
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
 
 from pcbench.plots import scales
 from pcbench.plots.palette import INK, on
@@ -101,10 +102,23 @@ def _goes_in(text: str, room: tuple[float, float], size: float, paper: Paper) ->
 
 def _contours(ax: Axes, each: Map, x: Over, y: Over, log: bool) -> None:
     """Lines of equal value between the cells' middles."""
+    grid = grid_of(each, x, y)
+    if levels := levels_of(grid, log):
+        ax.contour(range(len(x.values)), range(len(y.values)), grid, levels=levels, colors=INK, linewidths=0.6)
+
+
+def grid_of(each: Map, x: Over, y: Over) -> NDArray[np.float64]:
+    """Return the values of a map, [up, across]; NaN where it has none."""
     grid = np.full((len(y.values), len(x.values)), np.nan)
+    rows, columns = ({v: i for i, v in enumerate(over.values)} for over in (y, x))
     for (a, b), cell in each.cells.items():
-        grid[y.values.index(b), x.values.index(a)] = cell.value
-    if np.isfinite(grid).any():
-        levels = [v for v in scales.of(grid, log).ticks if np.nanmin(grid) < v < np.nanmax(grid)]
-        if levels:
-            ax.contour(range(len(x.values)), range(len(y.values)), grid, levels=levels, colors=INK, linewidths=0.6)
+        grid[rows[b], columns[a]] = cell.value
+    return grid
+
+
+def levels_of(grid: NDArray[np.float64], log: bool) -> list[float]:
+    """Return the values of which lines are drawn."""
+    found = grid[np.isfinite(grid)]
+    if not found.size or np.ptp(found) <= scales.SAME * np.abs(found).max():
+        return []
+    return [v for v in scales.of(found, log).ticks if found.min() < v < found.max()]

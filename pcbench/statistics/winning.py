@@ -1,6 +1,6 @@
 """Who wins a cell, and how surely. No jax."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pandas as pd
@@ -9,6 +9,7 @@ from pcbench.statistics.description import columns
 from pcbench.statistics.estimates import wilson
 
 ALPHA = 0.05
+Row = dict[str, Any]  # of stats or pairs, by column
 
 
 class Standing(NamedTuple):
@@ -33,20 +34,38 @@ def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
     do not vary, and of exact numbers (n = 0), there is no test, and a difference is one. No observer is the best where all
     have diverged.
     """
-    order = ranked(rows)
-    best, others = order.iloc[0], order.iloc[1:]
+    return stood(_records(rows), _records(pairs))
+
+
+def stood(rows: list[Row], pairs: list[Row]) -> Standing:
+    """Return the same from rows that are dicts: of many cells in a small part of the time."""
+    order = sorted(rows, key=_rank)
+    best, others, names = order[0], order[1:], tuple(str(row["observer"]) for row in order)
     if not np.isfinite(best["mean"]):
-        return Standing(tuple(order.observer), tuple(order.observer), np.nan, np.nan)
-    alike = [str(o["observer"]) for o in others.to_dict("records") if not _apart(pairs, best, o)]
-    met = pairs[(pairs.observer_a == best.observer) | (pairs.observer_b == best.observer)].p_holm
-    second = float(others["mean"].iloc[0]) if len(others) else np.nan
+        return Standing(names, names, np.nan, np.nan)
+    met = [pair for pair in pairs if best["observer"] in (pair["observer_a"], pair["observer_b"])]
+    alike = [str(o["observer"]) for o in others if not _apart(met, best, o)]
+    second = float(others[0]["mean"]) if others else np.nan
     factor = second / float(best["mean"]) if best["mean"] > 0 else np.inf if second > 0 else np.nan
-    return Standing(tuple(map(str, order.observer)), tuple(alike), float(met.max()) if len(met) else np.nan, factor)
+    tested = [float(pair["p_holm"]) for pair in met if not np.isnan(pair["p_holm"])]
+    return Standing(names, tuple(alike), max(tested, default=np.nan), factor)
 
 
-def ranked(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return rows of one metric and cell, the best first: the fewest diverged runs, then the least mean."""
-    return rows.sort_values(["diverged", "mean"], kind="stable", na_position="last")
+def _rank(row: Row) -> tuple[Any, ...]:
+    """What rows are ordered by, the best first: the fewest diverged runs, then the least mean, last those without one."""
+    return row["diverged"], bool(np.isnan(row["mean"])), row["mean"]
+
+
+def by_cell(rows: pd.DataFrame) -> dict[int, list[Row]]:
+    """Return the rows of stats or pairs of each cell, in their order, as `stood` takes them."""
+    out: dict[int, list[Row]] = {}
+    for row in _records(rows):
+        out.setdefault(row["cell"], []).append(row)
+    return out
+
+
+def _records(rows: pd.DataFrame) -> list[Row]:
+    return cast(list[Row], rows.to_dict("records"))
 
 
 def winner(rows: pd.DataFrame, pairs: pd.DataFrame) -> str:
@@ -56,6 +75,8 @@ def winner(rows: pd.DataFrame, pairs: pd.DataFrame) -> str:
 
 def diverges_more(best: Any, other: Any) -> bool:
     """Say whether one row of stats surely has more diverged runs than another."""
+    if not other["diverged"]:
+        return False
     high, low = (fraction_of(int(row["diverged"]), int(row["n"])) for row in (best, other))
     return bool(low["ci_low"] > high["ci_high"])
 
@@ -65,15 +86,14 @@ def fraction_of(diverged: int, kept: int) -> dict[str, float]:
     return columns(wilson(np.array([diverged]), diverged + kept))[0]
 
 
-def _apart(pairs: pd.DataFrame, best: Any, other: Any) -> bool:
+def _apart(pairs: list[Row], best: Row, other: Row) -> bool:
     if diverges_more(best, other):
         return True
-    names = {best.observer, other["observer"]}
-    row = pairs[pairs.observer_a.isin(names) & pairs.observer_b.isin(names)]
-    if row.empty:
+    row = next((pair for pair in pairs if other["observer"] in (pair["observer_a"], pair["observer_b"])), None)
+    if row is None:
         return False
-    p, alike = float(row.p_holm.iloc[0]), float(row.prob_a_better.iloc[0]) == 0.5
-    several, sign = int(row.n.iloc[0]) != 1, 1 if row.observer_a.iloc[0] == best.observer else -1
-    if sign * float(row.mean_diff.iloc[0]) > 0:  # fewer runs diverged, not surely, and the others are worse
+    p, alike = float(row["p_holm"]), float(row["prob_a_better"]) == 0.5
+    several, sign = int(row["n"]) != 1, 1 if row["observer_a"] == best["observer"] else -1
+    if sign * float(row["mean_diff"]) > 0:  # fewer runs diverged, not surely, and the others are worse
         return False
     return several and not alike if np.isnan(p) else p <= ALPHA

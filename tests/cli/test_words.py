@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from rich.console import Console
 
-from pcbench.cli.screen import claims, comparison, gains, results
+from pcbench.cli.screen import claims, comparison, gains, results, took
 from pcbench.dataset.compare import Comparison
 from pcbench.dataset.cost import Cost
 from pcbench.reproduce.claim import FINDING, VERDICTS, Claim
@@ -200,11 +200,11 @@ def test_the_closing_table_has_the_least_first_and_who_diverges_last():
 
 
 def test_timings_say_where_the_time_went_and_nothing_where_nothing_was_done():
-    took = {f"{part}_seconds": 2.0 for part in ("compile", "planning", "computing", "writing", "closing")}
-    about = {"wall_seconds": 3.0, "runs_added": 8} | took
+    spent = {f"{part}_seconds": 2.0 for part in ("compile", "planning", "computing", "writing", "closing")}
+    about = {"wall_seconds": 3.0, "runs_added": 8} | spent
 
     def said(cost):
-        return results.timings(SimpleNamespace(provenance=about, cost=cost), seconds=4.5)
+        return took.timings(SimpleNamespace(provenance=about, cost=cost), seconds=4.5)
 
     assert said(Cost()) == []
     exact = said(Cost(exact_seconds=1.25))

@@ -79,3 +79,22 @@ def test_the_bound_equals_the_reference_recursion(te, d):
     model = linear.Model(CART.A, CART.B, CART.C, 1e-3)
     want = np.diagonal(moments.posterior_covariance(model, ticks, [te], [d], R, P0), axis1=1, axis2=2)
     np.testing.assert_allclose(got, want[:-1], rtol=1e-10, atol=1e-12)
+
+
+def test_the_bound_has_the_same_bits_whatever_was_found_before():
+    """Other periods, delays and horizons, samples that overtake: what they have found on their way is known by all it is of."""
+    P0, R, h, steps = np.diag([1.0, 4.0, 9.0]), np.array([0.6, 0.2]), 0.01, riccati.no_steps()
+    doubled = synthesis.doublings(ODD, h, 9)
+    noise = synthesis.noise_doublings(ODD, synthesis.input_noise(ODD, 0.3, h), h, len(doubled))
+    for ticks, te, d in [
+        (300, [60, 60], [60, 60]),
+        (300, [30, 60], [60, 60]),
+        (400, [40, 25], [130, 40]),
+        (100, [7, 7], [0, 20]),
+    ]:
+        samples = [(taken + d[j], taken, j) for j in range(2) for taken in range(te[j], ticks + 1, te[j])]
+        given = (doubled, noise, ODD.C, R, P0, samples, ticks)
+        np.testing.assert_array_equal(
+            riccati.posterior_variance(*given, steps=steps), riccati.posterior_variance(*given)
+        )
+    assert steps.after

@@ -12,7 +12,7 @@ from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
 from pcbench.plants import settles_alone
 from pcbench.scenarios import Scenario
-from pcbench.statistics.winning import winner
+from pcbench.statistics.winning import by_cell, stood
 from pcbench.statistics.wording import difference, fraction, interval, marked
 from pcbench.study import scenarios_of
 
@@ -194,9 +194,8 @@ def _axis(value: Any) -> str:
 def _counted(shown: View, console: Console) -> list[str]:
     """Print how many cells each observer wins; return what a reader has to know."""
     part, metric = shown.stats[shown.stats.metric == shown.metric], shown.metric
-    won = pd.Series(
-        [winner(rows, shown.pairs[shown.pairs.cell == cell]) for cell, rows in part.groupby("cell")]
-    ).value_counts()
+    met = by_cell(shown.pairs)
+    won = pd.Series([stood(rows, met.get(cell, [])).winner for cell, rows in by_cell(part).items()]).value_counts()
     each = part.groupby("observer", sort=False)
     order = sorted(each, key=lambda item: (-won.get(item[0], 0), np.nan_to_num(item[1]["mean"].median(), nan=np.inf)))
     unit = unit_of(metric, part.unit.iloc[0])
@@ -216,40 +215,3 @@ def _counted(shown: View, console: Console) -> list[str]:
     return [
         f"A cell is won where the best is surely better than every other (Holm, 5 %); {ties:,} of {cells:,} are not."
     ]
-
-
-def took(result: Result, folder: str) -> str:
-    """Return what a run took, in a sentence."""
-    p = result.provenance
-    if not result.cost.runs and result.exact and not p["blocks"]:
-        return f"Exact numbers of {result.stats.groupby(['scenario', 'cell']).ngroups:,} cells are in {folder}."
-    if not result.cost.runs:
-        return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
-    spent = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"
-    return f"{p['runs_added']:,} runs added; {p['blocks']} blocks and their statistics in {folder} after {spent}."
-
-
-def timings(result: Result, seconds: float) -> list[str]:
-    """Return where the time of a run went, a line each; `seconds` since the command began."""
-    p = result.provenance
-    if not result.cost.runs and not result.cost.exact_seconds:
-        return []
-    before = max(seconds - p["wall_seconds"], 0.0), "imports, reading, designs that are tuned"
-    rows = {"from the command to the study": before}
-    if result.cost.exact_seconds:
-        rows["exact numbers"] = result.cost.exact_seconds, "planning, solving and writing them"
-    if not result.cost.runs:
-        rows["the study in all"] = p["wall_seconds"], ""
-        return _took(rows)
-    rows |= {
-        "planning": (p["planning_seconds"], "designs, schedules, bounds"),
-        "computing": (p["computing_seconds"], f"on all threads, {p['compile_seconds']:.1f} s of it making programs"),
-        "writing": (p["writing_seconds"], "on all threads"),
-        "closing tables, beside": (p["closing_seconds"], "while others compute"),
-        "the study in all": (p["wall_seconds"], f"{p['runs_added']:,} runs"),
-    }
-    return _took(rows)
-
-
-def _took(rows: dict[str, tuple[float, str]]) -> list[str]:
-    return [f"{what:<30}{took:9.2f} s   {how}".rstrip() for what, (took, how) in rows.items()]

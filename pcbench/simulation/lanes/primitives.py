@@ -36,6 +36,7 @@ __all__ = [
     "jaxpr_as_fun",
     "key",
     "products_of",
+    "said",
     "scan",
     "slice_sizes",
     "takes_rows",
@@ -128,6 +129,11 @@ def takes_rows(params: dict[str, Any], operand: tuple[int, ...], rank: int) -> b
     first_axis = d.start_index_map == d.collapsed_slice_dims == (0,) and not d.operand_batching_dims
     whole = d.offset_dims == tuple(range(rank - 1, rank - 2 + len(sizes)))
     return first_axis and whole and sizes == (1, *operand[1:])
+
+
+def said(eqn: Any) -> tuple[tuple[str, Any], ...]:
+    """Return what an equation's parameters are, name by name."""
+    return tuple(eqn.params.items())
 
 
 def inner(params: dict[str, Any]) -> list[Any]:

@@ -46,7 +46,7 @@ def structural(eqn: Any, args: list[Any]) -> Any:
     """Apply a primitive that moves numbers about, to their places."""
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     entries = [e for a, s in zip(args, shapes, strict=True) for e in entries_of(a, s).flat]
-    places = _places(eqn.primitive, tuple(eqn.params.items()), tuple(shapes))
+    places = _places(eqn.primitive, primitives.said(eqn), tuple(shapes))
     if not places.size:  # nothing is left that could differ
         return jnp.zeros(places.shape, eqn.outvars[0].aval.dtype)
     width = next(jnp.shape(e) for e in entries if jnp.ndim(e))

@@ -1,0 +1,82 @@
+"""A map of many cells is an image: every cell where it belongs, lines where the value is, marks at their place."""
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+
+from pcbench.plots import fine_maps, small_maps
+from pcbench.plots.paper import PAPER
+from pcbench.plots.sheet import Key
+from pcbench.plots.small_maps import Cell, Map, Over
+
+X = Over("sampling period [s]", [round(0.01 * i, 2) for i in range(1, 31)])
+Y = Over("delay [s]", [round(0.02 * i, 2) for i in range(30)])
+COLOURS = ("#112233", "#DDEEFF")
+
+
+def a_map(value, title="dkf"):
+    """A map of a value over both axes, in two colours: above 0.3 and below."""
+    cells = {(a, b): Cell(COLOURS[value(a, b) < 0.3], value=value(a, b)) for a in X.values for b in Y.values}
+    return Map(title, cells)
+
+
+@pytest.fixture
+def figure():
+    keys: list[Key] = []
+    maps = [a_map(lambda a, b: a + b), a_map(lambda a, b: a - b + 1, "kfbo"), a_map(lambda a, b: 1.0 + 1e-6 * a)]
+    return fine_maps.drawn(maps, X, Y, "error [m]", keys, PAPER, False, {"Table 2": (0.2, 0.21)})
+
+
+def test_what_is_fine_has_many_values_on_an_axis_of_numbers():
+    few = Over("x", X.values[:24])
+    assert fine_maps.is_fine(X, few)
+    assert not fine_maps.is_fine(few, few)
+    assert not fine_maps.is_fine(X, Over("y", ["none", "uniform"]))
+
+
+def test_every_cell_has_its_colour_at_its_place(figure):
+    (image,) = figure.axes[0].images
+    pixels = np.asarray(image.get_array())
+    assert pixels.shape == (30, 30, 3)
+    for i, a in enumerate(X.values):
+        for j, b in enumerate(Y.values):
+            assert tuple(pixels[j, i]) == to_rgb(COLOURS[a + b < 0.3])
+    assert image.origin == "lower"
+
+
+def test_lines_stand_where_the_value_is_and_none_where_it_does_not_vary(figure):
+    first, second, third = figure.axes
+    lines = [line for each in first.collections for line in each.get_paths()]
+    assert lines
+    assert second.collections
+    assert not third.collections
+    for path in lines:
+        across, up = path.vertices.T
+        values = np.interp(across, np.arange(30), X.values) + np.interp(up, np.arange(30), Y.values)
+        np.testing.assert_allclose(values, values[0], atol=1e-12)
+
+
+def test_a_mark_stands_between_cells_at_its_values(figure):
+    for ax in figure.axes:
+        (cross,) = [line for line in ax.lines if line.get_marker() == "x"]
+        assert cross.get_xdata()[0] == pytest.approx(19.0)
+        assert cross.get_ydata()[0] == pytest.approx(10.5)
+        assert [text.get_text() for text in ax.texts if text.get_text() == "Table 2"] == ["Table 2"]
+
+
+def test_ticks_are_few_and_say_their_cells_values(figure):
+    ax = figure.axes[0]
+    for axis, over in ((ax.xaxis, X), (ax.yaxis, Y)):
+        ticks = axis.get_ticklocs()
+        assert 4 <= len(ticks) <= 7
+        said = [label.get_text() for label in axis.get_ticklabels()]
+        assert all(not word or float(word) == over.values[int(t)] for t, word in zip(ticks, said, strict=True))
+
+
+def test_a_grid_has_values_across_and_up_and_levels_lie_between():
+    grid = small_maps.grid_of(a_map(lambda a, b: a + 10 * b), X, Y)
+    assert grid[3, 5] == X.values[5] + 10 * Y.values[3]
+    levels = small_maps.levels_of(grid, False)
+    assert levels
+    assert all(grid.min() < v < grid.max() for v in levels)
+    assert small_maps.levels_of(np.full((3, 3), np.nan), False) == []
