@@ -114,15 +114,10 @@ def digest(table: pa.Table, said: dict[str, Any]) -> str:
     """Return the digest of what a block says of itself and of its numbers, to the bit; words have their pages' checksums."""
     out = hashlib.sha256(json.dumps({k: v for k, v in said.items() if k != "digest"}, sort_keys=True).encode())
     for field, column in zip(table.schema, table.columns, strict=True):
-        out.update(f"{field.name}:{_type(field.type)}:{column.null_count}".encode())
+        out.update(f"{field.name}:{parquet.type_of(field.type)}:{column.null_count}".encode())
         if pa.types.is_floating(field.type) or pa.types.is_integer(field.type):
             out.update(np.ascontiguousarray(column.to_numpy()).tobytes())
     return out.hexdigest()[:32]
-
-
-def _type(kind: pa.DataType) -> str:
-    """The name of a type; of a list the same whatever Parquet and Arrow call what is in it."""
-    return f"list<item: {kind.value_type}>" if pa.types.is_list(kind) else str(kind)
 
 
 def damage(target: store.Target, block: Block, cell: str) -> str | None:

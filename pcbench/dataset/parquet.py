@@ -55,10 +55,15 @@ def whole(content: pa.Buffer) -> pa.Table | None:
     return table if (table.schema.metadata or {}).get(SEAL) == _digest(table) else None
 
 
+def type_of(kind: pa.DataType) -> str:
+    """Return the name of a type; of a list the same whatever Parquet and Arrow call what is in it."""
+    return f"list<item: {kind.value_type}>" if pa.types.is_list(kind) else str(kind)
+
+
 def _digest(table: pa.Table) -> bytes:
     out = hashlib.sha256()
     for field, column in zip(table.schema, table.columns, strict=True):
-        out.update(f"{field.name}:{field.type}:{column.null_count}".encode())
+        out.update(f"{field.name}:{type_of(field.type)}:{column.null_count}".encode())
         number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type)
         out.update(np.ascontiguousarray(column.to_numpy()).tobytes() if number else repr(column.to_pylist()).encode())
     return out.hexdigest()[:32].encode()

@@ -72,7 +72,7 @@ def _marked(ax: Axes, x: Over, y: Over, marks: Marks, paper: Paper) -> None:
     """Draw a cross at each mark and what is said of it beside, on the side that has room."""
     for said, (a, b) in marks.items():
         at, high = _place(a, x), _place(b, y)
-        left = at > len(x.values) / 2
+        left = at > 0.7 * len(x.values)
         ax.plot([at], [high], marker="x", color=INK, markersize=paper.size * 0.6, markeredgewidth=1.2)
         ax.annotate(
             said, (at, high), (-5 if left else 5, 4), textcoords="offset points",
