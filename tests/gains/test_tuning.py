@@ -215,7 +215,7 @@ def test_the_command_says_what_it_found(tmp_path):
     words = ["cart/slow", "pccebo", "--budget", "2", "--train", "0:4", "--judge", "4:8", "--out", str(tmp_path / "out")]
     done = call("tune", *words)
     assert "tuned - start" in done.stdout, done.stderr
-    assert "can be run: pcbench run" in done.stdout
+    assert "Now run it: pcbench run" in done.stdout
     again = json.loads(call("tune", *words, "--json").stdout)
     assert again["points"] == 2
     assert again["goal"] == {"metric": "rmse", "signal": "position", "unit": "m"}
