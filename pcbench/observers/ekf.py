@@ -30,7 +30,7 @@ from pcbench.observers.parts import assumed_noise, kalman, one_tick, reordering
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reordering import Buffer, Measurement
-from pcbench.protocols import Arrival, Leaf, Now, Observer, Room
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room, Surprise
 from pcbench.synthesis.certificate import Certificate, Design, Setting
 
 
@@ -87,15 +87,20 @@ def at(now: Now, tick: Int[Array, ""]) -> Now:
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(now.tick - tick))
 
 
-def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Posterior:
-    """Carry mean and covariance to the sample's own time and update there, channel by channel."""
+def carried(gains: Gains, now: Now, before: Posterior, until: Int[Array, ""]) -> tuple[Array, Array]:
+    """Return mean and covariance carried on to a tick, one by one."""
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         (z, P), there = carry, at(now, k)
         F = gains.slope(there, z)
         return within(gains, gains.motion(there, z)), F @ P @ F.T + gains.Q
 
-    z, P = lax.fori_loop(before.taken, sample.taken, tick, (before.mean, before.P))
+    return lax.fori_loop(before.taken, until, tick, (before.mean, before.P))
+
+
+def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Posterior:
+    """Carry mean and covariance to the sample's own time and update there, channel by channel."""
+    z, P = carried(gains, now, before, sample.taken)
     value = sample.value if gains.mix is None else gains.mix @ sample.value
     if gains.sensor is not None:
         z, P = by_slope(gains, at(now, sample.taken), z, P, sample.fresh, value)
@@ -110,15 +115,29 @@ def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Po
     return Posterior(within(gains, z), P, sample.taken)
 
 
-def by_slope(gains: Gains, there: Now, z: Array, P: Array, fresh: Array, value: Array) -> tuple[Array, Array]:
-    """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
-    n, predicted = gains.C.shape[1], z
+def sensed(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
+    """Return what a sensor that is not linear gives at z, [q], and its Jacobian, [q, N]."""
+    n = gains.C.shape[1]
 
     def output(z: Array) -> Array:
         y = gains.sensor(there, z[:n], z[n:])
         return y if gains.mix is None else gains.mix @ y
 
-    y, C = output(z), jax.jacfwd(output)(z)
+    return output(z), jax.jacfwd(output)(z)
+
+
+def seen(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
+    """Return what is expected of a sample at z, [q], and its slope, [q, N]."""
+    if gains.sensor is not None:
+        return sensed(gains, there, z)
+    C = jnp.concatenate([gains.C, jnp.zeros((gains.C.shape[0], gains.start.shape[0]))], axis=1)
+    return C @ z, C
+
+
+def by_slope(gains: Gains, there: Now, z: Array, P: Array, fresh: Array, value: Array) -> tuple[Array, Array]:
+    """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
+    predicted = z
+    y, C = sensed(gains, there, z)
     for channel in range(gains.C.shape[0]):
         c, r = C[channel], gains.R[channel]
         Pc = P @ c
@@ -146,7 +165,33 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
     return memory.z
 
 
-OBSERVER = Observer(init, note, jump, flow, estimate)
+def newest(gains: Gains, memory: Memory, now: Now) -> Posterior:
+    """Return mean and covariance at the newest sample used."""
+    return reordering.newest(lambda state, sample: update(gains, now, state, sample), memory.buffer)
+
+
+def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
+    """Return what the filter believes of its error now: P at the newest sample used, by the slopes of every tick since."""
+    return carried(gains, now, newest(gains, memory, now), now.tick)[1]
+
+
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    """Return how far what arrives is from what was expected of it at its own time; what is older than the newest is not judged."""
+    before, sample = newest(gains, memory, now), reordering.sample_of(now, arrival, gains.D)
+    z, P = carried(gains, now, before, sample.taken)
+    value = sample.value if gains.mix is None else gains.mix @ sample.value
+    (y, C), predicted = seen(gains, at(now, sample.taken), z), z
+    total, fresh = kalman.UNJUDGED, sample.fresh & (sample.taken >= before.taken)
+    for channel in range(C.shape[0]):
+        c, r = C[channel], gains.R[channel]
+        nu, s = value[channel] - y[channel] - c @ (z - predicted), c @ P @ c + r
+        total = kalman.judged(total, nu, s, fresh[channel])
+        K = kalman.gain(P @ c, s, fresh[channel])
+        z, P = z + K * nu, kalman.covariance(P, K, c, r)
+    return total
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate, covariance=covariance, innovation=innovation)
 
 
 def design(setting: Setting, options: Options) -> Design:

@@ -100,7 +100,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     return kept(which, _used(gains, memory, memory.tick, sample), memory)
 
 
-def covariance(gains: Gains, memory: Memory) -> Float[Array, "signals signals"]:
+def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance at the newest sample used, carried on to now."""
     return linear_filter.spread(gains, memory, linear_filter.predicted(gains, memory.posterior, memory.tick).P)
 

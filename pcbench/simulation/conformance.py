@@ -70,7 +70,7 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
             memory,
         )
     if (covariance := observer.covariance) is not None:
-        P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m)), memory)
+        P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m, present(p, k, False))), memory)
         if P.shape != (*xhat.shape, *xhat.shape):
             raise UserError(
                 f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: of the error "

@@ -45,7 +45,7 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
             u=_whole(held(p, k, state)),
             arrived=_arrived(layout, p, k, state)[:, 0],
             target=aims(layout, p, k),
-            sigma={label: _whole(each) for label, each in sigmas(layout, p, state).items()}
+            sigma={label: _whole(each) for label, each in sigmas(layout, p, k, state).items()}
             if layout.consistency
             else {},
         )

@@ -16,7 +16,7 @@ from pcbench.statistics.moments import Values
 
 SIGMAS = (1, 2, 3)
 INSIDE = tuple(f"inside_{k}_sigma" for k in SIGMAS)
-BANDS = {"nees": "nees_band", "signal_nees": "signal_nees_band"}
+BANDS = {"nees": "nees_band", "nis": "nis_band", "signal_nees": "signal_nees_band"}
 LEVEL = 0.05
 
 

@@ -68,7 +68,7 @@ def _run(name, gains, traffic, u, h, xhat0):
             return lax.cond(when >= 0, jump, lambda m: m, memory), None
 
         memory, _ = lax.scan(deliver, memory, (t.when, t.fresh, t.value))
-        seen = o.estimate(gains, memory), o.covariance(gains, memory)
+        seen = o.estimate(gains, memory), o.covariance(gains, memory, now(k, False))
         return (o.flow(gains, memory, now(k, True)), notes), seen
 
     memory = o.init(gains, xhat0)

@@ -25,7 +25,7 @@ from pcbench.observers.parts import assumed_noise, kalman, prediction, reorderin
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.protocols import Leaf, Observer, Room
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room, Surprise
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified, uncertified
 
@@ -95,6 +95,23 @@ def update(gains: Gains, before: Posterior, sample: Measurement) -> Posterior:
     return Posterior(free, P, sample.taken)
 
 
+def surprise(gains: Gains, before: Posterior, sample: Measurement) -> Surprise:
+    """Return how far a sample is from what the newest state `before` expects of it; one that is older is not judged.
+
+    Of samples taken in order the innovations of a filter whose model is true are independent, whatever came late between.
+    """
+    free, P, _ = predicted(gains, before, jnp.maximum(sample.taken, before.taken))
+    value, total = value_of(gains, sample), kalman.UNJUDGED
+    fresh = sample.fresh & (sample.taken >= before.taken)
+    for channel in range(gains.C.shape[0]):
+        c, r = gains.C[channel], gains.R[channel]
+        nu, s = value[channel] - c @ (sample.note + free), c @ P @ c + r
+        total = kalman.judged(total, nu, s, fresh[channel])
+        K = kalman.gain(P @ c, s, fresh[channel])
+        free, P = free + K * nu, kalman.covariance(P, K, c, r)
+    return total
+
+
 def read(gains: Gains, whole: Float[Array, " n"]) -> Float[Array, " plant+r"]:
     """Return what is estimated of the filter's states: the plant's, and the unknown inputs."""
     n, r = gains.states.shape[0], gains.inputs.shape[0]
@@ -125,13 +142,24 @@ def spread(gains: Gains, memory: Any, P: Float[Array, "n n"]) -> Float[Array, "s
     return T @ P @ T.T
 
 
-def covariance(gains: Gains, memory: Memory) -> Float[Array, "signals signals"]:
+def newest(gains: Gains, memory: Memory) -> Posterior:
+    """Return mean and covariance at the newest sample used."""
+    return reordering.newest(lambda state, sample: update(gains, state, sample), memory.buffer)
+
+
+def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return what the filter believes of its error now: the covariance at the newest sample used, carried on."""
-    newest = reordering.newest(lambda state, sample: update(gains, state, sample), memory.buffer)
-    return spread(gains, memory, predicted(gains, newest, memory.tick).P)
+    return spread(gains, memory, predicted(gains, newest(gains, memory), memory.tick).P)
 
 
-FILTER = Observer(init, prediction.note, jump, prediction.flow, estimate, covariance=covariance)
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    """Return how far what arrives is from what was expected of it at its own time."""
+    return surprise(gains, newest(gains, memory), reordering.sample_of(now, arrival, gains.D))
+
+
+FILTER = Observer(
+    init, prediction.note, jump, prediction.flow, estimate, covariance=covariance, innovation=innovation
+)
 
 
 def design(
