@@ -181,7 +181,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surp
     z, P = carried(gains, now, before, sample.taken)
     value = sample.value if gains.mix is None else gains.mix @ sample.value
     (y, C), predicted = seen(gains, at(now, sample.taken), z), z
-    total, fresh = kalman.UNJUDGED, sample.fresh & (sample.taken >= before.taken)
+    total, fresh = kalman.unjudged(), sample.fresh & (sample.taken >= before.taken)
     for channel in range(C.shape[0]):
         c, r = C[channel], gains.R[channel]
         nu, s = value[channel] - y[channel] - c @ (z - predicted), c @ P @ c + r

@@ -119,7 +119,7 @@ def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surpri
     sample, memory = reordering.sample_of(now, arrival, gains.D), carried(gains, memory, now)
     z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
     mine = jnp.append(False, memory.taken == sample.taken)
-    value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.UNJUDGED
+    value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.unjudged()
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel] & known
         there = (mine[:, None] * c[None, :]).reshape(-1)

@@ -8,13 +8,10 @@ With independent noise one channel after the other is the joint update, and the 
 from typing import NamedTuple
 
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from pcbench.protocols import Surprise
-
-UNJUDGED = Surprise(np.zeros(()), np.zeros(()))  # type: ignore[arg-type]  # of a sample of which nothing has been looked at
 
 
 class Posterior(NamedTuple):
@@ -36,6 +33,11 @@ def covariance(
     """Return P after a channel was used with the gain K."""
     keep = jnp.eye(c.shape[0]) - jnp.outer(K, c)
     return keep @ P @ keep.T + r * jnp.outer(K, K)
+
+
+def unjudged() -> Surprise:
+    """Return the square of a sample of which nothing has been looked at."""
+    return Surprise(jnp.zeros(()), jnp.zeros(()))
 
 
 def judged(so_far: Surprise, nu: Float[Array, ""], s: Float[Array, ""], fresh: Bool[Array, ""]) -> Surprise:

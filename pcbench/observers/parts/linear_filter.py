@@ -101,7 +101,7 @@ def surprise(gains: Gains, before: Posterior, sample: Measurement) -> Surprise:
     Of samples taken in order the innovations of a filter whose model is true are independent, whatever came late between.
     """
     free, P, _ = predicted(gains, before, jnp.maximum(sample.taken, before.taken))
-    value, total = value_of(gains, sample), kalman.UNJUDGED
+    value, total = value_of(gains, sample), kalman.unjudged()
     fresh = sample.fresh & (sample.taken >= before.taken)
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], gains.R[channel]
