@@ -189,7 +189,7 @@ class Surprise(NamedTuple):
 
 
 class Innovation(Protocol):
-    """Return how far what arrives is from what was expected of it, before it is used; of samples in the order they were taken."""
+    """Return how far what arrives is from what was expected of it, before it is used; of samples that come in order."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, arrival: Arrival, /) -> Surprise: ...
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from pcbench.moments.bending import ROUNDING, bent
 from pcbench.moments.believed import Believed
+from pcbench.moments.bending import ROUNDING, bent
 from pcbench.moments.compiled import MANY, compute
 from pcbench.moments.given import shared_of
 from pcbench.moments.program import Found
@@ -191,5 +191,6 @@ def _believed(p: Plan, places: dict[str, slice], called: dict[str, str], found: 
     n, prior, out = len(p.problem.x0), np.diagonal(p.problem.spread0), {}
     for name, P in found.last.believed.items():
         mine = slice(places[called[name]].start, places[called[name]].start + n)
-        out[called[name]] = Believed(found.sums.mean[mine], found.last.covariance[mine, mine], P[:n, :n], prior)
+        true = np.asarray(found.sums.mean[mine]), np.asarray(found.last.covariance[mine, mine])
+        out[called[name]] = Believed(*true, np.asarray(P[:n, :n]), prior)
     return out

@@ -176,7 +176,7 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
-    """Return how far what arrives is from what was expected of it at its own time; what is older than the newest is not judged."""
+    """Return how far what arrives is from what was expected of it; what is older than the newest is not judged."""
     before, sample = newest(gains, memory, now), reordering.sample_of(now, arrival, gains.D)
     z, P = carried(gains, now, before, sample.taken)
     value = sample.value if gains.mix is None else gains.mix @ sample.value

@@ -24,12 +24,13 @@ from pcbench.planning import alone, drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.plots import outputs
+from pcbench.statistics import consistency
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells
 from pcbench.study.own_observers import is_absent
 
 KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
-FORM = 2  # of the file
+FORM = 3  # of the file
 POINTS = 240  # ticks that are kept, or up to twice as many
 RUNS = 32  # beside one another, where runs differ: nine in ten of their errors lie in the band
 
@@ -41,8 +42,10 @@ def of(
 
     `kind` is truth (of the plant; in a closed loop each observer has its own), estimate, error (truth less estimate), low and
     high (between which nine in ten errors of RUNS runs lie at that time) and rms (over them), measured (as it has arrived and
-    is held; of signals that an output shows as they are) or target (of a closed loop). Runs that are all alike, and those with
-    schedules of their own, have no low, high and rms. None where it does not stand there and the code of an observer of a
+    is held; of signals that an output shows as they are) or target (of a closed loop). Where the study asks for consistency,
+    also sigma (the standard deviation that an observer believes, of this run) and, of no signal, nees, nees_low and nees_high
+    (the mean over these runs of e' P^-1 e / n, and where it lies in 95 of 100 cases if P is true). Runs that are all alike,
+    and those with schedules of their own, have no low, high and rms. None where it does not stand there and the code of an observer of a
     user's own is not here. Raises UserError for a cell that the scenario has not.
     """
     every = {each.number: each for each in cells(study, scenario)}
@@ -108,15 +111,35 @@ def _series(plan: Plan, root_seed: int, seed: int, first: bool) -> list[pd.DataF
                 error = made.x[:, i] - found[:, i]
                 series |= {(label, "estimate"): found[:, i, 0], (label, "error"): error[:, 0]}
                 series |= {(label, kind): values for kind, values in _reach(error).items()}
+                if called in made.sigma:
+                    series |= {(label, "sigma"): made.sigma[called][:, i, 0]}
         if first and i < made.target.shape[1]:
             series |= {("target", "target"): made.target[:, i]}
         if signal in shown and not closed:
             series |= {("measured", "measured"): made.held[:, shown[signal], 0]}
-        out += [
-            pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
-            for (name, kind), values in series.items()
-        ]
+        out += _frames(signal, t, series)
+    for label, (called, _) in zip(labels, plan.layout.observers, strict=True):
+        if called in made.nees:
+            out += _frames("", t, {(label, kind): values for kind, values in _honesty(*made.nees[called]).items()})
     return out
+
+
+def _frames(signal: str, t: NDArray[Any], series: dict[tuple[str, str], Any]) -> list[pd.DataFrame]:
+    return [
+        pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
+        for (name, kind), values in series.items()
+    ]
+
+
+def _honesty(squares: NDArray[np.float64], states: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+    """The mean of normalised squares [K, L] over runs, and the band of a true belief, of so many states [K, L]."""
+    known = np.isfinite(squares)
+    many = np.where(known, states, 0).sum(1)
+    bands = {degrees: consistency.band(degrees) if degrees else consistency.Band(np.nan, np.nan) for degrees in {*many}}
+    with np.errstate(invalid="ignore"):
+        mean = np.where(known, squares * states, 0).sum(1) / np.where(many > 0, many, np.nan)
+    ends = {f"nees_{end}": np.array([getattr(bands[d], end) for d in many]) for end in ("low", "high")}
+    return {"nees": mean} | ends
 
 
 def _differ(plan: Plan) -> bool:

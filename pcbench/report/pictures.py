@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from pcbench import plots
 from pcbench.dataset.result import Result
 from pcbench.plants import signals_of
-from pcbench.plots import frames, one_run, time_series
+from pcbench.plots import frames, honesty, one_run, time_series
 from pcbench.plots.paper import PAPER, Paper
 from pcbench.plots.words import named, unit_of
 from pcbench.report import enough, sentences
@@ -105,8 +105,8 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
 
 
 def of_all_signals(where: Place) -> Iterator[Picture]:
-    """Yield what a scenario has besides: how many runs diverge, and what gains are worth."""
-    result, scenario, cell, _, shown = where
+    """Yield what a scenario has besides: how many runs diverge, who knows how wrong it is, and what gains are worth."""
+    result, scenario, cell, run, shown = where
     lost = frames.rows(result, scenario, None, "divergence")
     if len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
         x, y = frames.map_axes(lost)
@@ -116,6 +116,10 @@ def of_all_signals(where: Place) -> Iterator[Picture]:
         title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"
         text = sentences.ranges(part.assign(mean=100 * part["mean"]), "%")
         yield Picture(f"{scenario.replace('/', '-')}-divergence", title, figure, text)
+    if run is not None and honesty.judged(run):
+        figure = honesty.drawn(result, run, scenario, cell, shown.paper)
+        name, title = f"{scenario.replace('/', '-')}-nees", "Who knows how wrong it is"
+        yield Picture(name, title, figure, sentences.honesty(run), sentences.HONESTY)
     if result.fair is not None and scenario in set(result.fair.scenario):
         figure = plots.fair(result, paper=shown.paper)
         yield Picture("fair", "Gains as printed, by design and tuned", figure, sentences.fair(result.fair))

@@ -45,7 +45,7 @@ def squares(layout: Layout, p: Problem, k: Array, state: State, errors: dict[str
 
 
 def sigmas(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, Any]:
-    """Return the standard deviation that each observer believes its errors to have at tick k, of those that have a covariance."""
+    """Return the standard deviation of its errors at tick k that each observer believes, of those that have a covariance."""
 
     def one_lane(k: Array, memories: Any, commands: Any) -> dict[str, Array]:
         believed = covariances(layout, p, k, memories, commands)

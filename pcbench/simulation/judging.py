@@ -50,9 +50,7 @@ def judged(o: Observer, innovation: Innovation) -> Observer:
         made = made._replace(covariance=lambda gains, memory, now: covariance(gains, memory.memory, now))
     if (sampled := o.sampled) is not None:
         made = made._replace(
-            sampled=lambda gains, memory, now, fresh: memory._replace(
-                memory=sampled(gains, memory.memory, now, fresh)
-            )
+            sampled=lambda gains, memory, now, fresh: memory._replace(memory=sampled(gains, memory.memory, now, fresh))
         )
     return made
 

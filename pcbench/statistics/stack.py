@@ -27,7 +27,14 @@ OF_RUN = (
 )  # of a closed loop, or of an observer that says how wrong it is: one number a run, with its first signal
 ASKED = (*OF_RUN, "signal_nees")  # that a table of runs has only where there are such
 SIGNED = ("final",)  # an error with its sign: all others cannot be negative
-UNRANKED = (*SIGNED, "nees", "nees_states", "nis", "nis_degrees", "signal_nees")  # neither a large nor a small one is better
+UNRANKED = (
+    *SIGNED,
+    "nees",
+    "nees_states",
+    "nis",
+    "nis_degrees",
+    "signal_nees",
+)  # neither a large nor a small one is better
 COMPARED = tuple(m for m in RUN_METRICS if m not in UNRANKED)
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
 

@@ -5,7 +5,7 @@ import pytest
 from harness import ODD
 from reference import linear, surprise
 from scipy.stats import norm
-from test_against_superposition import LATE, N, PRIOR, STUDY, TE, TICK, expected  # noqa: F401
+from test_against_superposition import LATE, PRIOR, STUDY, TE, TICK, N, expected  # noqa: F401
 
 import pcbench
 from pcbench.moments import believed

@@ -18,7 +18,11 @@ from pcbench.scenarios import SCENARIOS
 from pcbench.study.cells import cell_of
 
 SAYS = {name: e for name, e in OBSERVERS.items() if e.observer.innovation}
-SILENT = ("kf-larsen", "kf-alexander", "kf-horizon")  # have a covariance, but no innovations that are independent, or none
+SILENT = (
+    "kf-larsen",
+    "kf-alexander",
+    "kf-horizon",
+)  # have a covariance, but no innovations that are independent, or none
 
 
 def found(name, schedule, samples=None, **options):

@@ -32,7 +32,7 @@ def ekf(f, h, z0, P0, Q, R, C, u, arrivals):
 
 
 def believed(f, h, z0, P0, Q, R, C, u, arrivals):
-    """Return the same, the covariance of every tick by the slopes since the last sample, [N+1, n, n], and nu' S^-1 nu, [N+1]."""
+    """Return the same, the covariance of each tick by the slopes since the last sample, [N+1, n, n], and nu' S^-1 nu."""
     z, P, taken, now, out = np.array(z0, float), np.array(P0, float), 0, np.array(z0, float), []
     spread, squares = [], np.zeros(len(u))
     for k in range(len(u)):

@@ -1,6 +1,6 @@
-"""What a linear model expects of each sample, all samples at once: a joint normal, conditioned. Shares no recursion with a filter.
+"""What a linear model expects of each sample: all samples are a joint normal, conditioned. No recursion of a filter is here.
 
-x' = A x + B u + w, x(0) ~ N(xhat0, P0), y_j = C[j] x + v_j: all samples that ever arrive are one normal vector, whose mean is the
+x' = A x + B u + w, x(0) ~ N(xhat0, P0), y_j = C[j] x + v_j: all samples that ever arrive are one vector, whose mean is the
 run without noise and whose covariance is written out for every pair. What is expected of a sample when it arrives is its mean
 given those that have arrived before it.
 """
@@ -14,7 +14,9 @@ from .linear import by_arrival
 def joint(plant, samples, xhat0, P0, R):
     """Mean [K] and covariance [K, K] of all samples."""
     mean = np.array([plant.C[s.channel] @ plant.state(np.asarray(xhat0, float), 0, s.taken) for s in samples])
-    spread = [plant.powers[k] @ P0 @ plant.powers[k].T + plant.noise(k) for k in range(max(s.taken for s in samples) + 1)]
+    spread = [
+        plant.powers[k] @ P0 @ plant.powers[k].T + plant.noise(k) for k in range(max(s.taken for s in samples) + 1)
+    ]
     S = np.zeros((len(samples), len(samples)))
     for a, s in enumerate(samples):
         for b, t in enumerate(samples):

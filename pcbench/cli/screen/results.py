@@ -69,7 +69,7 @@ def closing(result: Result, console: Console, metric: str, signals: list[str] | 
             else:
                 notes |= dict.fromkeys(_tables(shown, console))
         _say_what_is_carried(whole, console)
-        consistency.said(whole, console)
+        notes |= dict.fromkeys(consistency.said(name, whole, console))
         if said := result.unproven(name):
             console.print(said, highlight=False, markup=False, soft_wrap=True)
         _say_what_settles(known[name], list(result.study.axes), console)
@@ -135,7 +135,7 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
     metric, there = shown.metric, set(shown.stats.metric)
     filled = set(shown.stats.metric[shown.stats["mean"].notna()])
     exact = ["pooled_rmse"] if "rmse" in there - filled else []
-    beside = [m for m in (*exact, *BESIDE) if m in filled and m != metric]
+    beside = [m for m in (*exact, *BESIDE, consistency.HEAD) if m in filled and m != metric]
     values: dict[str, list[str]] = {name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence")}
     for cell in cells:
         wide = cell.set_index(["observer", "metric"])
@@ -177,6 +177,8 @@ def _head(shown: View, metric: str) -> str:
 def _beside(wide: Any, observer: str, metric: str, horizon: float) -> str:
     if (observer, metric) not in wide.index:
         return ""
+    if metric == consistency.HEAD:
+        return consistency.judged(wide, observer, metric)
     row = wide.loc[observer, metric]
     return settled(row, horizon) if metric == "settling_time" else interval(row)
 

@@ -115,7 +115,7 @@ def jumping(gain: Gain) -> Any:
 
 
 def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
-    """Return how far what arrives is from what is expected of it now, in whatever order, where every sample corrects all copies."""
+    """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
     sample, memory = reordering.sample_of(now, arrival, gains.D), carried(gains, memory, now)
     z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
     mine = jnp.append(False, memory.taken == sample.taken)

@@ -42,6 +42,4 @@ def unjudged() -> Surprise:
 
 def judged(so_far: Surprise, nu: Float[Array, ""], s: Float[Array, ""], fresh: Bool[Array, ""]) -> Surprise:
     """Return the square with one more channel, whose innovation nu has the variance s; of one that is fresh."""
-    return Surprise(
-        so_far.square + jnp.where(fresh, nu * nu / s, 0.0), so_far.degrees + jnp.where(fresh, 1.0, 0.0)
-    )
+    return Surprise(so_far.square + jnp.where(fresh, nu * nu / s, 0.0), so_far.degrees + jnp.where(fresh, 1.0, 0.0))

@@ -157,9 +157,7 @@ def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surp
     return surprise(gains, newest(gains, memory), reordering.sample_of(now, arrival, gains.D))
 
 
-FILTER = Observer(
-    init, prediction.note, jump, prediction.flow, estimate, covariance=covariance, innovation=innovation
-)
+FILTER = Observer(init, prediction.note, jump, prediction.flow, estimate, covariance=covariance, innovation=innovation)
 
 
 def design(
