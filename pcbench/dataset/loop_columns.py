@@ -18,8 +18,8 @@ UNITS |= dict.fromkeys(
 )
 CONSISTENCY = (
     "inside_1_sigma, inside_2_sigma, inside_3_sigma, the fraction of runs whose error at tick N-1 is within so many of the "
-    "standard deviations that the observer believes (Wilson's); or nees_band, nis_band, signal_nees_band, whose interval is the "
-    "95 % band of such means of a true covariance (chi-square)"
+    "standard deviations that the observer believes (Wilson's); or nees_band, nis_band, signal_nees_band, whose interval is "
+    "the 95 % band of such means of a true covariance (chi-square)"
 )
 MEANING = {
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",
@@ -33,8 +33,8 @@ MEANING = {
     "less those it knows: 1 on average of a true one; one number a run, with its first signal",
     "nees_states": "the n of nees",
     "nis": "nu' S^-1 nu of all samples that came in the order in which they were taken, over how many numbers these were; nu "
-    "is what a sample is beyond what the observer expected, S the covariance that it believes nu to have; one number a run, with "
-    "its first signal; null: no sample was judged",
+    "is what a sample is beyond what the observer expected, S the covariance that it believes nu to have; one number a run, "
+    "with its first signal; null: no sample was judged",
     "nis_degrees": "how many numbers nis is over",
     "signal_nees": "e^2 over the variance that the observer believes it to have, at tick N-1; null: it knows this state",
 }

@@ -45,8 +45,8 @@ def of(
     is held; of signals that an output shows as they are) or target (of a closed loop). Where the study asks for consistency,
     also sigma (the standard deviation that an observer believes, of this run) and, of no signal, nees, nees_low and nees_high
     (the mean over these runs of e' P^-1 e / n, and where it lies in 95 of 100 cases if P is true). Runs that are all alike,
-    and those with schedules of their own, have no low, high and rms. None where it does not stand there and the code of an observer of a
-    user's own is not here. Raises UserError for a cell that the scenario has not.
+    and those with schedules of their own, have no low, high and rms. None where it does not stand there and the code of an
+    observer of a user's own is not here. Raises UserError for a cell that the scenario has not.
     """
     every = {each.number: each for each in cells(study, scenario)}
     if cell not in every:

@@ -13,8 +13,8 @@ WINNERS = (
 )
 CONVERGENCE = "Half the 95 % interval, over the mean. Four times the seeds halve it."
 HONESTY = (
-    f"The squared error over what the observer believes it to be, a mean over runs ({one_run.RUNS} where they differ). Above the "
-    "band it is over-confident, below it cautious."
+    f"The squared error over what the observer believes it to be, a mean over runs ({one_run.RUNS} where they differ). Above "
+    "the band it is over-confident, below it cautious."
 )
 WORDS = {"paper": "as printed", "design": "by design", "tuned": "tuned"}
 

@@ -83,8 +83,8 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
         found = ask("innovation", arriving(observer.innovation), memory, value, note)
         if (shapes := [each.shape for each in jax.tree.leaves(found)]) != [(), ()]:
             raise UserError(
-                f"observer {label}: innovation returned shapes {shapes}, expected two numbers, nu' S^-1 nu and how many numbers "
-                "nu has; return pcbench.Surprise of them."
+                f"observer {label}: innovation returned shapes {shapes}, expected two numbers, nu' S^-1 nu and how many "
+                "numbers nu has; return pcbench.Surprise of them."
             )
     if continuous and observer.field is not None:
         field = observer.field
