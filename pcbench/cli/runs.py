@@ -41,6 +41,9 @@ def run(
     block: Annotated[int | None, typer.Option(help="seeds a file; of no influence on any number")] = None,
     metric: Metric = RANKS,
     signal: Signals = None,
+    costs: Annotated[
+        bool, typer.Option("--costs", help="say in the tables what observers cost: multiplications and bytes")
+    ] = False,
     timings: Annotated[bool, typer.Option("--timings", help="say where the time went")] = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -80,12 +83,10 @@ def run(
             say=say,
         )
     if result.study.use and find_spec("matplotlib"):
-        from pcbench.plots import one_run
-        from pcbench.report.pictures import Shown, cell_of
+        from pcbench.report.pictures import Shown, place
 
-        shown = Shown(metric=metric, signals=where)
         for scenario in result.study.scenarios:  # while the code of the user's own observers is at hand
-            one_run.of(result.study, scenario, into, cell_of(result, scenario, shown))
+            place(result, scenario, Shown(metric=metric, signals=where))
     if as_json:
         stats = json.loads(result.stats.to_json(orient="records"))
         summary = {"study": asked.name, "out": into, "provenance": result.provenance, "stats": stats}
@@ -98,7 +99,7 @@ def run(
         from pcbench.cli.screen import results
 
         screen = console()
-        results.closing(result, screen, metric, where)
+        results.closing(result, screen, metric, where, api.costs(result.study) if costs else None)
         if result.fair is not None:
             from pcbench.cli.screen import gains
 

@@ -8,7 +8,7 @@ Not claimed: time. What a processor does with so many products is for a clock to
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -115,7 +115,7 @@ def _step(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
     out = _when_asked(eqn, given)
     if name == "scan":
         body, consts, carry, length, _ = primitives.scan(eqn.params)
-        rows = [lambda row=row: row()[0] for row in given[consts + carry :]]
+        rows = [partial(_first, row) for row in given[consts + carry :]]
         held = [*map(_known, body.consts)]
         return length * (_walked(body.jaxpr, held, [*given[: consts + carry], *rows])[0] if length else 0), out
     return _products(eqn), out
@@ -129,7 +129,11 @@ def _when_asked(eqn: Any, given: list[Value]) -> list[Value]:
         out = eqn.primitive.bind(*(each() for each in given), **eqn.params)
         return out if eqn.primitive.multiple_results else [out]
 
-    return [lambda i=i: made()[i] for i in range(len(eqn.outvars))]
+    return [partial(lambda i: made()[i], i) for i in range(len(eqn.outvars))]
+
+
+def _first(rows: Value) -> Any:
+    return rows()[0]
 
 
 def _while(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:

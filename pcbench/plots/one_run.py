@@ -5,8 +5,6 @@ error is luck. They are simulated anew by the functions that made the tables, an
 where they are found again: one file for each scenario, of the cell and seed that were looked at last.
 """
 
-import hashlib
-import json
 import warnings
 from pathlib import Path
 from typing import Any
@@ -14,22 +12,19 @@ from typing import Any
 import jax
 import numpy as np
 import pandas as pd
-import pyarrow as pa
 from numpy.typing import NDArray
 
-from pcbench.dataset import parquet, store
 from pcbench.errors import UserError
-from pcbench.machine import process, provenance
+from pcbench.machine import process
 from pcbench.planning import alone, drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.plots import outputs
+from pcbench.plots.kept import kept
 from pcbench.statistics import consistency
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells
-from pcbench.study.own_observers import is_absent
 
-KEY = b"pcbench.example"  # the key in a file's metadata: what it was made of
 FORM = 3  # of the file
 POINTS = 240  # ticks that are kept, or up to twice as many
 RUNS = 32  # beside one another, where runs differ: nine in ten of their errors lie in the band
@@ -56,28 +51,8 @@ def of(
     seed = study.first_seed if seed is None else seed
     if not 0 <= seed < 2**32 - RUNS:
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32 - {RUNS}.")
-    target = None if out is None else store.target(str(out))
-    name = f"examples/{scenario.replace('/', '%2F')}.parquet"
-    key = _key(study, every[cell], seed)
-    found = None if target is None else store.get(target, name)
-    kept = None if found is None else parquet.whole(found)
-    if kept is not None and kept.schema.metadata.get(KEY) == key:
-        return kept.to_pandas()
-    if any(map(is_absent, [*every[cell].own.values(), *every[cell].scenario.own.values()])):
-        return None
-    made = _made(study, every[cell], seed)
-    if target is not None:
-        table = pa.Table.from_pandas(made, preserve_index=False)
-        about = {**(table.schema.metadata or {}), KEY: key}
-        store.put_table(target, name, parquet.sealed(table.replace_schema_metadata(about)))
-    return made
-
-
-def _key(study: Study, cell: Cell, seed: int) -> bytes:
-    """What an example was made of: the cell, the observers with their options, the run, and the release."""
-    options = {o: given.model_dump() for o, given in cell.options.items()}
-    said = [cell.digest, options, cell.told, seed, provenance.versions(), POINTS, RUNS, FORM]
-    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest().encode()
+    about = [seed, POINTS, RUNS, FORM]
+    return kept(out, scenario, every[cell], about, lambda: _made(study, every[cell], seed))
 
 
 def _made(study: Study, cell: Cell, seed: int) -> pd.DataFrame:

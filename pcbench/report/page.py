@@ -105,7 +105,7 @@ _OF_STATS = {
 def _section(result: Result, scenario: str, anchor: str, shown: Shown) -> Section:
     here, parts = pictures.place(result, scenario, shown), []
     for signal in frames.ranked(result, scenario, shown.signals, shown.metric):
-        tables = headline.headlines(result, scenario, signal, shown.metric, here.cell)
+        tables = headline.headlines(result, scenario, signal, shown.metric, here.cell, here.costs)
         whole = frames.rows(result, scenario, signal, shown.metric)
         at = sentences.where(whole, here.cell)
         drawn = [_drawn(p) for p in pictures.of_signal(here, signal)]

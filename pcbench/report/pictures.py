@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from pcbench import plots
 from pcbench.dataset.result import Result
 from pcbench.plants import signals_of
-from pcbench.plots import frames, honesty, one_run, time_series
+from pcbench.plots import frames, honesty, observer_costs, one_run, time_series
 from pcbench.plots.paper import PAPER, Paper
 from pcbench.plots.words import named, unit_of
 from pcbench.report import enough, sentences
@@ -55,18 +55,20 @@ class Place(NamedTuple):
     scenario: str
     cell: int
     run: pd.DataFrame | None  # in time; None: it is not kept, and the code to make it is not here
+    costs: pd.DataFrame | None  # of its observers; None: the same, or nothing is sampled
     shown: Shown
 
 
 def place(result: Result, scenario: str, shown: Shown) -> Place:
-    """Return a scenario with its run in time, simulated where it is not kept."""
+    """Return a scenario with its run in time and what its observers cost, found out where that is not kept."""
     cell = cell_of(result, scenario, shown)
-    return Place(result, scenario, cell, one_run.of(result.study, scenario, result.out, cell, shown.seed), shown)
+    run = one_run.of(result.study, scenario, result.out, cell, shown.seed)
+    return Place(result, scenario, cell, run, observer_costs.of(result.study, scenario, result.out, cell), shown)
 
 
 def of_signal(where: Place, signal: str) -> Iterator[Picture]:
     """Yield the pictures of one signal of a scenario, in the order in which they are looked at."""
-    result, scenario, cell, run, shown = where
+    result, scenario, cell, run, costs, shown = where
     here: dict[str, Any] = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
     name = f"{scenario.replace('/', '-')}-{signal}"
     whole = frames.rows(result, scenario, signal, shown.metric)
@@ -102,11 +104,15 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
         figure = plots.convergence(result, cell=cell, **here)
         text = sentences.convergence(frames.convergence(result, scenario, signal, shown.metric, cell))
         yield Picture(f"{name}-convergence", "What more seeds are worth", figure, text, sentences.CONVERGENCE)
+    if costs is not None and (costs["sample"] > 0).sum() > 1:
+        figure = plots.cost(result, costs, cell=cell, **here)
+        title = f"{_upper(words)} against cost"
+        yield Picture(f"{name}-cost", title, figure, sentences.costs(costs), sentences.COSTS)
 
 
 def of_all_signals(where: Place) -> Iterator[Picture]:
     """Yield what a scenario has besides: how many runs diverge, who knows how wrong it is, and what gains are worth."""
-    result, scenario, cell, run, shown = where
+    result, scenario, cell, run, _, shown = where
     lost = frames.rows(result, scenario, None, "divergence")
     if len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
         x, y = frames.map_axes(lost)

@@ -12,6 +12,9 @@ WINNERS = (
     "second's error is. Pale: it is not sure."
 )
 CONVERGENCE = "Half the 95 % interval, over the mean. Four times the seeds halve it."
+COSTS = (
+    "Left and low is better. Counted from the observers' own functions; an observer that takes no sample has no place."
+)
 HONESTY = (
     f"The squared error over what the observer believes it to be, a mean over runs ({one_run.RUNS} where they differ). Above "
     "the band it is over-confident, below it cautious."
@@ -82,6 +85,15 @@ def honesty(run: pd.DataFrame) -> str:
     late = run[(run.kind == "nees") & (run.t >= run.t.max() / 2)]
     said = [f"{o} {number(mean)}" for o, mean in late.groupby("series", sort=False).value.mean().items()]
     return f"Mean over the second half: {', '.join(said)}."
+
+
+def costs(found: pd.DataFrame) -> str:
+    """Return what each observer costs."""
+    said = [
+        f"{row['observer']} {row['sample']:,} a sample, {row['tick']:,} a tick, {row['memory']:,} bytes"
+        for row in found.to_dict("records")
+    ]
+    return f"Multiplications of one run, and memory: {'; '.join(said)}."
 
 
 def fair(table: pd.DataFrame) -> str:

@@ -19,9 +19,11 @@ from pcbench.study import scenarios_of
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
 # least first, where there are such
 BESIDE = ("rmse", "recovery_time", "tail_tracking_rmse", "settling_time", "cost", "efficiency")
+COST = ("sample", "tick", "memory")  # what observers cost
 LESS = "less the best"
 PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Holm, 5 %)."
 EXACT = "What has no ± is exact: the expected value over all noise. Numbers that only runs have are left out."
+COSTS = "sample, tick: multiplications of one run for a sample and for a tick; memory: bytes that are kept from tick to tick."
 HALF = "± is half a 95 % interval; one that leans to one side is written by its ends."
 
 
@@ -32,6 +34,7 @@ class View(NamedTuple):
     stats: pd.DataFrame  # of this signal
     pairs: pd.DataFrame  # of this signal and metric
     metric: str
+    costs: pd.DataFrame | None = None  # of its observers, a frame of `pcbench.costs`
 
     @property
     def title(self) -> str:
@@ -47,8 +50,14 @@ class View(NamedTuple):
         return str(self.stats[self.stats.metric == "mae"].unit.iloc[0])
 
 
-def closing(result: Result, console: Console, metric: str, signals: list[str] | None = None) -> None:
-    """Print who was better and how surely, the least mean `metric` first.
+def closing(
+    result: Result,
+    console: Console,
+    metric: str,
+    signals: list[str] | None = None,
+    costs: pd.DataFrame | None = None,
+) -> None:
+    """Print who was better and how surely, the least mean `metric` first; with `costs`, what observers cost.
 
     Of every scenario the `signals` that it has; None: those it is known by; an empty list: all.
     """
@@ -61,7 +70,7 @@ def closing(result: Result, console: Console, metric: str, signals: list[str] | 
         for signal in [s for s in chosen if s in there]:
             part = whole[whole.signal == signal]
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
-            shown = View(known[name], part, met, metric)
+            shown = View(known[name], part, met, metric, None if costs is None else costs[costs.scenario == name])
             if metric not in set(part.metric):
                 console.print(f"{name}: has no {metric} of {signal}.", highlight=False)
             elif part.cell.nunique() * part.observer.nunique() > LONGEST:
@@ -73,7 +82,7 @@ def closing(result: Result, console: Console, metric: str, signals: list[str] | 
         if said := result.unproven(name):
             console.print(said, highlight=False, markup=False, soft_wrap=True)
         _say_what_settles(known[name], list(result.study.axes), console)
-    for note in notes:
+    for note in [*notes, *([COSTS] if costs is not None else [])]:
         console.print(note, highlight=False, markup=False)
 
 
@@ -152,14 +161,22 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
             for name in beside:
                 values[name].append(_beside(wide, observer, name, shown.scenario.horizon))
             values["divergence"].append(fraction(wide.loc[observer, "divergence"]))
+            for name in COST if shown.costs is not None else ():
+                values.setdefault(name, []).append(_cost(shown.costs, cell.cell.iloc[0], observer, name))
     lost, several = bool(shown.stats.diverged.any()), len(set(values["observer"])) > 1
     columns = [Column(axis, values[axis]) for axis in axes]
     columns += [Column("observer", values["observer"], left=True), Column(_head(shown, metric), values[metric])]
     columns += [Column(LESS, values[LESS])] if several else []
     columns += [Column("diverged", values["divergence"])] if lost else []
+    columns += [Column(name, values[name]) for name in COST if name in values]
     return columns + [
         Column(_head(shown, name), values[name], spare=1 + len(beside) - beside.index(name)) for name in beside[::-1]
     ]
+
+
+def _cost(costs: Any, cell: int, observer: str, name: str) -> str:
+    mine = costs[(costs.cell == cell) & (costs.observer == observer)]
+    return f"{mine[name].iloc[0]:,}" if len(mine) else ""
 
 
 def ranked(rows: pd.DataFrame) -> pd.DataFrame:
