@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from pcbench.moments import last_tick
 from pcbench.moments import sums as sums_of
 from pcbench.moments.covariance import product, squared, turned
 from pcbench.moments.events import Means, Moving, happen, sense, taken
@@ -20,7 +21,7 @@ from pcbench.moments.given import SCALES, Given
 from pcbench.moments.start import begin
 from pcbench.moments.sums import Read, Seen
 from pcbench.moments.vector import Form, along, over_cells, slope, vector
-from pcbench.simulation import consistency, network, steps
+from pcbench.simulation import network, steps
 from pcbench.simulation.closed_loop import held, off_target
 from pcbench.simulation.problem import Layout, State
 
@@ -49,13 +50,6 @@ class Found(NamedTuple):
     sums: sums_of.Sums
     rows: Any  # Recorded; (): nothing is recorded
     last: Any = ()  # Last, of a layout with consistency
-
-
-class Last(NamedTuple):
-    """Tick N - 1: what is true of the errors, and what observers believe of them."""
-
-    covariance: Array  # [Z, Z, C]
-    believed: dict[str, Array]  # by observer that has a covariance, of what it estimates: [z, z, C]
 
 
 class Tick(NamedTuple):
@@ -129,24 +123,8 @@ def _tick(by: Means, shape: Shape, given: Given, k: Array, c: Carried) -> Carrie
         Tick(M, shown),
         sums_of.added(c.sums, read, weight, p.weights),
         _record(c.rows, k, read) if shape.recorded else (),
-        _kept(by, k, k == end - 1, mean, read, c.last) if layout.consistency else (),
+        last_tick.kept(by, k, k == end - 1, mean, read, c.last) if layout.consistency else (),
     )
-
-
-def _kept(by: Means, k: Array, here: Array, mean: State, read: Read, before: Last) -> Last:
-    """What there is of errors and of what observers believe of them, where it is the tick for it."""
-    Z = read.runs.errors.shape[1]
-    nothing = jnp.zeros((0, by.std.shape[1]))
-
-    def found() -> Last:
-        return Last(read.covariance[:Z, :Z], by.over(partial(_believed, by.layout))(k, mean, nothing, ()))
-
-    return lax.cond(here, found, lambda: before)
-
-
-def _believed(layout: Layout, p: Any, k: Array, state: State, nothing: Any, rest: Any) -> dict[str, Array]:
-    """What the observers of one cell believe of their errors at tick k."""
-    return consistency.covariances(layout, p, k, state.memories, state.commands)
 
 
 def _moved(joint: bool, m: Moving, M: Array, seen: Seen, w: Array) -> tuple[Moving, Read]:
@@ -225,14 +203,7 @@ def _begin(by: Means, shape: Shape, given: Given) -> Carried:
     tick = Tick(jnp.zeros((A + shown, A + given.ticks.shape[2], cells)), jnp.full((A + shown, cells), jnp.nan))
     targets = seen.off.shape[0] if layout.controller else None
     sums, recorded = sums_of.nothing(len(seen.errors), targets, cells), _rows(shape, len(seen.errors), given)
-    return Carried(m, tick, sums, recorded, _none(by, mean, len(seen.errors)) if layout.consistency else ())
-
-
-def _none(by: Means, mean: State, signals: int) -> Last:
-    """Room for what is kept of the last tick."""
-    cells, zero = by.std.shape[1], jnp.asarray(0)
-    shapes = jax.eval_shape(lambda: by.over(partial(_believed, by.layout))(zero, mean, jnp.zeros((0, cells)), ()))
-    return Last(jnp.zeros((signals, signals, cells)), jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes))
+    return Carried(m, tick, sums, recorded, last_tick.nothing(by, mean, len(seen.errors)) if layout.consistency else ())
 
 
 def _shapes(by: Means, given: Given, runs: State, late: Any) -> tuple[int, Seen]:

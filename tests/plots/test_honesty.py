@@ -60,10 +60,16 @@ def test_errors_in_time_stand_between_three_standard_deviations(result, run):
     assert "three standard deviations" in sentences.time(run[run.signal == "a"], "")[1]
 
 
-def test_the_report_has_it_where_somebody_says_how_wrong_it_is(result):
-    found = {p.name: p for p in pictures.of_all_signals(pictures.place(result, "lti", pictures.SHOWN))}
+def test_the_report_has_it_where_somebody_says_how_wrong_it_is(result, run):
+    here = pictures.Place(result, "lti", 0, run, None, pictures.SHOWN)
+    found = {p.name: p for p in pictures.of_all_signals(here)}
     assert "dkf-bold" in found["lti-nees"].text
-    plain = STUDY | {"options": {"dkf-bold": {"R": 0.0225}}}
+    silent = here._replace(run=run[~run.kind.str.startswith("nees")])
+    assert "lti-nees" not in {p.name for p in pictures.of_all_signals(silent)}
+
+
+def test_where_nobody_says_so_there_is_no_picture_but_a_sentence(result, run, monkeypatch):
+    monkeypatch.setattr(one_run, "of", lambda *_: run[~run.kind.str.startswith("nees")])
     with pytest.raises(UserError, match="expected consistency = true") as caught:
-        plots.nees(pcbench.run(plain, seeds=2))
+        plots.nees(result)
     assert "\n" not in str(caught.value)

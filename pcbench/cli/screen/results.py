@@ -6,11 +6,10 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from pcbench.cli.screen import consistency
+from pcbench.cli.screen import consistency, remarks
 from pcbench.cli.screen.tables import Column, fits, printed
 from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
-from pcbench.plants import settles_alone
 from pcbench.scenarios import Scenario
 from pcbench.statistics.winning import winner
 from pcbench.statistics.wording import difference, fraction, interval, marked
@@ -77,33 +76,13 @@ def closing(
                 notes |= dict.fromkeys(_counted(shown, console))
             else:
                 notes |= dict.fromkeys(_tables(shown, console))
-        _say_what_is_carried(whole, console)
+        remarks.carried(whole, console)
         notes |= dict.fromkeys(consistency.said(name, whole, console))
         if said := result.unproven(name):
             console.print(said, highlight=False, markup=False, soft_wrap=True)
-        _say_what_settles(known[name], list(result.study.axes), console)
+        remarks.settles(known[name], list(result.study.axes), console)
     for note in [*notes, *([COSTS] if costs is not None else [])]:
         console.print(note, highlight=False, markup=False)
-
-
-def _say_what_is_carried(stats: pd.DataFrame, console: Console) -> None:
-    """Say which predictions to the present carry the unknown input that was found."""
-    said = stats[["observer", "carries_input"]].dropna().drop_duplicates()
-    for carries, text in ((True, "carries"), (False, "does not carry")):
-        names = ", ".join(dict.fromkeys(said.observer[said.carries_input == carries]))
-        if names:
-            console.print(f"The prediction to now {text} the unknown input found: {names}.", highlight=False)
-
-
-def _say_what_settles(scenario: Scenario, axes: list[str], console: Console) -> None:
-    """Say where no observer is needed: on a plant that is known exactly and forgets its start."""
-    pushed = any(axis in ("drift", "process_std") or axis.startswith("plant.") for axis in axes)
-    if not pushed and settles_alone(scenario):
-        console.print(
-            f"{scenario.name}: the plant decays by itself, is what its model says, and has no process noise. There the model "
-            "alone wins in the end, and no answer about periods or delays follows; say what pushes it (process_std).",
-            highlight=False,
-        )
 
 
 def _varying(part: pd.DataFrame) -> list[str]:
