@@ -1,10 +1,11 @@
-"""The columns that only closed loops have: the way of their commands, and what their input costs."""
+"""The columns that only some studies have: of commands and what input costs in loops, of covariances, of outliers."""
 
 from collections.abc import Container
 
 from pcbench.statistics import ASKED, RUN_METRICS
 
 AXIS_UNITS = {"command_jitter": "s", "command_loss": "1", "command_std": "unit of the input"}
+AXIS_UNITS |= {"outlier_probability": "1", "outlier_scale": "1"}
 UNITS = dict.fromkeys(
     (
         *("efficiency", "divergence", "unsettled", "cost", "tail_cost", "nees", "nees_states", "signal_nees"),
@@ -22,6 +23,8 @@ CONSISTENCY = (
     "the 95 % band of such means of a true covariance (chi-square)"
 )
 MEANING = {
+    "outlier_probability": "that a sample's noise is outlier_scale times what it would be, which nobody is told",
+    "outlier_scale": "how many times larger the noise of an outlier is",
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",
     "command_loss": "probability that a command never comes to the plant, which holds the last one that came",
     "command_std": "standard deviation of one command's noise, which no observer is told",

@@ -103,7 +103,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         values = {
             name: axis.plain(name, changed.value(name), name in apart)
             for name in axes_of(base)
-            if name in given or name not in axis.STATES
+            if name in given or name not in axis.ASKED
         }
         parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
