@@ -12,7 +12,8 @@ tick by tick; where a plant is given by its step, that is the tick, F its Jacobi
 
 R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
 and walk unknown_std^2 h for p. Time index: the estimate is of now, after the jump. A sample from before t = 0 has measured the
-start. One that comes after a newer one is put in its place (`parts/reordering`).
+start. One that comes after a newer one is put in its place (`parts/reordering`). With `gate` or `huber` a sample that is far
+from what is expected is left out, or weighed less (`parts/guard`).
 Not claimed: optimality, nor that a parameter can be found where the motion does not show it.
 Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
 """
@@ -26,7 +27,8 @@ from jax import Array, lax
 from jaxtyping import Float, Int
 
 from pcbench.dynamics import linear
-from pcbench.observers.parts import assumed_noise, kalman, one_tick, reordering
+from pcbench.observers.parts import assumed_noise, guard, kalman, one_tick, reordering
+from pcbench.observers.parts.guard import Known
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reordering import Buffer, Measurement
@@ -50,6 +52,7 @@ class Gains(NamedTuple):
     low: Float[Leaf, " s"]
     high: Float[Leaf, " s"]
     room: Room  # for samples that may be overtaken
+    guard: Any = ()  # guard.Guard, of a filter that does not take every sample for what it says
 
 
 class Memory(NamedTuple):
@@ -62,13 +65,17 @@ class Memory(NamedTuple):
 class Options(assumed_noise.Options):
     """What the filter assumes."""
 
+    gate: float | None = guard.GATE
+    gate_opens: int = guard.OPENS
+    huber: float | None = guard.HUBER
     walk: float = tunable(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")
 
 
 def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     """Start from the prior: xhat(0), p at its start, P0."""
     z, q = jnp.concatenate([xhat0, gains.start]), gains.C.shape[0]
-    return Memory(reordering.start(Posterior(z, gains.P0, jnp.asarray(0)), gains.room, q, 0), z)
+    first = guard.begun(Posterior(z, gains.P0, jnp.asarray(0)), gains.guard, q)
+    return Memory(reordering.start(first, gains.room, q, 0), z)
 
 
 def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
@@ -87,7 +94,7 @@ def at(now: Now, tick: Int[Array, ""]) -> Now:
     return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(now.tick - tick))
 
 
-def carried(gains: Gains, now: Now, before: Posterior, until: Int[Array, ""]) -> tuple[Array, Array]:
+def carried(gains: Gains, now: Now, before: Known, until: Int[Array, ""]) -> tuple[Array, Array]:
     """Return mean and covariance carried on to a tick, one by one."""
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -98,21 +105,25 @@ def carried(gains: Gains, now: Now, before: Posterior, until: Int[Array, ""]) ->
     return lax.fori_loop(before.taken, until, tick, (before.mean, before.P))
 
 
-def update(gains: Gains, now: Now, before: Posterior, sample: Measurement) -> Posterior:
+def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
     """Carry mean and covariance to the sample's own time and update there, channel by channel."""
     z, P = carried(gains, now, before, sample.taken)
     value = sample.value if gains.mix is None else gains.mix @ sample.value
     if gains.sensor is not None:
-        z, P = by_slope(gains, at(now, sample.taken), z, P, sample.fresh, value)
-        return Posterior(within(gains, z), P, sample.taken)
+        z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample.fresh, value)
+        return guard.after(before, within(gains, z), P, sample.taken, left_out)
+    left_out = []
     n, none = gains.C.shape[1], jnp.zeros(gains.start.shape[0])
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
         Pc = P[:, :n] @ c
-        K = kalman.gain(Pc, c @ Pc[:n] + r, fresh)
-        z = z + K * (value[channel] - c @ z[:n])
-        P = kalman.covariance(P, K, jnp.concatenate([c, none]), r)
-    return Posterior(within(gains, z), P, sample.taken)
+        nu = value[channel] - c @ z[:n]
+        found = guard.looked(gains.guard, before, channel, nu, c @ Pc[:n] + r, r, fresh)
+        K = kalman.gain(Pc, c @ Pc[:n] + found.r, found.used)
+        z = z + K * nu
+        P = kalman.covariance(P, K, jnp.concatenate([c, none]), found.r)
+        left_out.append(found.left_out)
+    return guard.after(before, within(gains, z), P, sample.taken, left_out)
 
 
 def sensed(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
@@ -134,17 +145,21 @@ def seen(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]
     return C @ z, C
 
 
-def by_slope(gains: Gains, there: Now, z: Array, P: Array, fresh: Array, value: Array) -> tuple[Array, Array]:
+def by_slope(gains: Gains, there: Now, before: Any, fresh: Array, value: Array) -> tuple[Array, Array, list[Array]]:
     """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
-    predicted = z
+    z = predicted = before.mean
+    P, left_out = before.P, []
     y, C = sensed(gains, there, z)
     for channel in range(gains.C.shape[0]):
         c, r = C[channel], gains.R[channel]
         Pc = P @ c
-        K = kalman.gain(Pc, c @ Pc + r, fresh[channel])
-        z = z + K * (value[channel] - y[channel] - c @ (z - predicted))
-        P = kalman.covariance(P, K, c, r)
-    return z, P
+        nu = value[channel] - y[channel] - c @ (z - predicted)
+        found = guard.looked(gains.guard, before, channel, nu, c @ Pc + r, r, fresh[channel])
+        K = kalman.gain(Pc, c @ Pc + found.r, found.used)
+        z = z + K * nu
+        P = kalman.covariance(P, K, c, found.r)
+        left_out.append(found.left_out)
+    return z, P, left_out
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -165,7 +180,7 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
     return memory.z
 
 
-def newest(gains: Gains, memory: Memory, now: Now) -> Posterior:
+def newest(gains: Gains, memory: Memory, now: Now) -> Known:
     """Return mean and covariance at the newest sample used."""
     return reordering.newest(lambda state, sample: update(gains, now, state, sample), memory.buffer)
 
@@ -221,6 +236,7 @@ def design(setting: Setting, options: Options) -> Design:
         low=low,
         high=high,
         room=setting.room,
+        guard=guard.of(options.gate, options.gate_opens, options.huber),
     )
     numbers = {"R": R, **assumed_noise.option("Q", own)}
     proof = Certificate("none: the slope at the estimate is no proof", float("inf"), "none", "not needed", numbers)

@@ -82,7 +82,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def _used(gains: Gains, memory: Memory, tick: Any, sample: Measurement) -> Memory:
     """The memory after a sample was used, at a tick."""
-    posterior = linear_filter.update(gains, memory.posterior, sample)
+    posterior = Posterior(*linear_filter.update(gains, memory.posterior, sample)[:3])
     there = prediction.at(gains.motion, linear_filter.point(posterior), tick)
     return memory._replace(posterior=posterior, xhat=memory.g + there)
 

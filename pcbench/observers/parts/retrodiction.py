@@ -91,7 +91,7 @@ def forward(gains: Any, memory: Memory, sample: Measurement) -> Memory:
         nu = value[channel] - c @ (sample.note + known + P @ u)
         u = u + jnp.where(fresh, b * nu / s, 0.0)
         U = U + jnp.where(fresh, jnp.outer(b, b) / s, 0.0)
-    new = linear_filter.update(gains, before, sample)
+    new = Posterior(*linear_filter.update(gains, before, sample)[:3])
 
     def shifted(past: Array, one: Array) -> Array:
         return jnp.where(again, past, jnp.concatenate([past[1:], jnp.reshape(one, (1, *past.shape[1:]))]))
