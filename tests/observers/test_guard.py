@@ -50,12 +50,14 @@ def test_it_is_the_reference_whatever_is_late_lost_or_overtaking(name, options, 
     assert np.abs(plain - expected).max() > 1e-3 * np.abs(expected).max()
 
 
+@pytest.mark.parametrize("schedule", ["now", "wild"])
 @pytest.mark.parametrize("options", [CHOICES[0], CHOICES[2]], ids=str)
-def test_a_sensor_that_is_taken_by_its_slope_is_guarded_alike(options):
+def test_a_sensor_that_is_taken_by_its_slope_is_guarded_alike(options, schedule):
+    """Of "now" two channels come together, of "wild" each by itself."""
     sensor = jax.tree_util.Partial(lambda C, now, x, p: C @ x, MODEL.C)
-    there = driven.traffic(TIMES["wild"], spoilt("wild"), TICKS, 2)
+    there = driven.traffic(TIMES[schedule], spoilt(schedule), TICKS, 2)
     xhat = driven.run("ekf", KNOWN._replace(sensor=sensor), options, there, inputs(CASE), starts(CASE)[1])[0]
-    expected = want("wild", **options)[0]
+    expected = want(schedule, **options)[0]
     np.testing.assert_allclose(xhat, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
