@@ -36,6 +36,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.protocols import Now as Now
     from pcbench.protocols import Observer as Observer
     from pcbench.protocols import Plant as Plant
+    from pcbench.protocols import Surprise as Surprise
     from pcbench.study.interop import lti as lti
     from pcbench.study.interop import to_control as to_control
     from pcbench.study.interop import to_scipy as to_scipy
@@ -70,6 +71,7 @@ _LAZY = {
     "Plant": "protocols",
     "Now": "protocols",
     "Arrival": "protocols",
+    "Surprise": "protocols",
     "Entry": "observers",
     "tunable": "observers.parts.options",
     "plant": "plants",

@@ -178,7 +178,20 @@ class Sampled(Protocol):
 class Covariance(Protocol):
     """Return the covariance that the observer believes its error to have now, of all that it estimates."""
 
-    def __call__(self, gains: Gains, memory: Memory, /) -> Float[Array, "signals signals"]: ...
+    def __call__(self, gains: Gains, memory: Memory, now: Now, /) -> Float[Array, "signals signals"]: ...
+
+
+class Surprise(NamedTuple):
+    """How far a sample is from what was expected of it: nu' S^-1 nu, S the covariance that nu is believed to have."""
+
+    square: Float[Array, ""]
+    degrees: Float[Array, ""]  # how many numbers of the sample count; 0: it is not to be judged
+
+
+class Innovation(Protocol):
+    """Return how far what arrives is from what was expected of it, before it is used; of samples that come in order."""
+
+    def __call__(self, gains: Gains, memory: Memory, now: Now, arrival: Arrival, /) -> Surprise: ...
 
 
 class ObserverField(Protocol):
@@ -196,5 +209,6 @@ class Observer(NamedTuple):
     flow: Flow  # from tick to tick
     estimate: Estimate
     field: ObserverField | None = None  # where it runs on continuous measurement as well
-    covariance: Covariance | None = None  # where it says how wrong it is
+    covariance: Covariance | None = None  # where it says how wrong it is; `now` is that of a jump
     sampled: Sampled | None = None  # where it must be told at sampling time that a sample will come
+    innovation: Innovation | None = None  # where it says what it expects of a sample

@@ -9,7 +9,16 @@ from pcbench.errors import unknown
 
 FOLDER = Path(__file__).parents[1] / "guide"
 ORDER = (  # of a reader's questions; what is not here follows by the alphabet
-    *("first-study", "reading-results", "exact-answers", "which-observer", "axes-and-schedules", "what-suffices"),
+    *(
+        "first-study",
+        "reading-results",
+        "who-knows",
+        "exact-answers",
+        "which-observer",
+        "axes-and-schedules",
+        "what-suffices",
+        "outliers",
+    ),
     *("your-own-plant", "your-own-observer", "loops", "a-loop-of-your-own", "unknown-inputs", "gains-and-tuning"),
     *("large-studies", "five-papers", "not-claimed", "how-it-works", "how-it-differs", "versions", "tables"),
     "decisions",

@@ -41,6 +41,9 @@ def run(
     block: Annotated[int | None, typer.Option(help="seeds a file; of no influence on any number")] = None,
     metric: Metric = RANKS,
     signal: Signals = None,
+    costs: Annotated[
+        bool, typer.Option("--costs", help="say in the tables what observers cost: multiplications and bytes")
+    ] = False,
     timings: Annotated[bool, typer.Option("--timings", help="say where the time went")] = False,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -96,7 +99,7 @@ def run(
         from pcbench.cli.screen import results, took
 
         screen = console()
-        results.closing(result, screen, metric, where)
+        results.closing(result, screen, metric, where, api.costs(result.study) if costs else None)
         if result.fair is not None:
             from pcbench.cli.screen import gains
 

@@ -20,7 +20,7 @@ from pcbench.errors import UserError
 from pcbench.study.cells import Grid
 
 KEY = ["scenario", "cell", "observer", "signal", "metric"]
-METRICS = ("mae", "mse", "final", "tail_mae", "tail_mse", "cost", "tail_cost")
+METRICS = ("mae", "mse", "final", "tail_mae", "tail_mse", "cost", "tail_cost", "nees", "signal_nees")
 LEVEL = 1e-3
 FEW = 64
 ROUNDING = 1e-9

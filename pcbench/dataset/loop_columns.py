@@ -1,14 +1,16 @@
-"""The columns that only closed loops have: the way of their commands, and what their input costs."""
+"""The columns that only some studies have: of commands and what input costs in loops, of covariances, of outliers."""
 
 from collections.abc import Container
 
 from pcbench.statistics import ASKED, RUN_METRICS
 
 AXIS_UNITS = {"command_jitter": "s", "command_loss": "1", "command_std": "unit of the input"}
+AXIS_UNITS |= {"outlier_probability": "1", "outlier_scale": "1"}
 UNITS = dict.fromkeys(
     (
         *("efficiency", "divergence", "unsettled", "cost", "tail_cost", "nees", "nees_states", "signal_nees"),
-        *("nees_band", "signal_nees_band", "inside_1_sigma", "inside_2_sigma", "inside_3_sigma"),
+        *("nis", "nis_degrees", "nees_band", "nis_band", "signal_nees_band"),
+        *("inside_1_sigma", "inside_2_sigma", "inside_3_sigma"),
     ),
     "1",
 )  # of metrics, not the signal's
@@ -17,10 +19,12 @@ UNITS |= dict.fromkeys(
 )
 CONSISTENCY = (
     "inside_1_sigma, inside_2_sigma, inside_3_sigma, the fraction of runs whose error at tick N-1 is within so many of the "
-    "standard deviations that the observer believes (Wilson's); or nees_band, signal_nees_band, whose interval is the 95 % "
-    "band of such means of a true covariance (chi-square)"
+    "standard deviations that the observer believes (Wilson's); or nees_band, nis_band, signal_nees_band, whose interval is "
+    "the 95 % band of such means of a true covariance (chi-square)"
 )
 MEANING = {
+    "outlier_probability": "that a sample's noise is outlier_scale times what it would be, which nobody is told",
+    "outlier_scale": "how many times larger the noise of an outlier is",
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",
     "command_loss": "probability that a command never comes to the plant, which holds the last one that came",
     "command_std": "standard deviation of one command's noise, which no observer is told",
@@ -31,6 +35,10 @@ MEANING = {
     "nees": "e' P^-1 e / n at tick N-1, P the covariance that the observer believes its error of the plant's n states to have, "
     "less those it knows: 1 on average of a true one; one number a run, with its first signal",
     "nees_states": "the n of nees",
+    "nis": "nu' S^-1 nu of all samples that came in the order in which they were taken, over how many numbers these were; nu "
+    "is what a sample is beyond what the observer expected, S the covariance that it believes nu to have; one number a run, "
+    "with its first signal; null: no sample was judged",
+    "nis_degrees": "how many numbers nis is over",
     "signal_nees": "e^2 over the variance that the observer believes it to have, at tick N-1; null: it knows this state",
 }
 

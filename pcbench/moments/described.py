@@ -5,8 +5,10 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtri
 
+from pcbench.moments import believed
 from pcbench.moments.affine import refusal
 from pcbench.moments.solve import CellMoments
+from pcbench.statistics.consistency import INSIDE
 from pcbench.statistics.description import BLANK, Row, columns
 from pcbench.statistics.estimates import Estimate, positive, reached, root, student
 from pcbench.statistics.moments import Values, moments
@@ -30,8 +32,10 @@ NOTHING: Row = {"n": 0} | dict.fromkeys(Estimate._fields[1:], np.nan)
 ORDER = (
     *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
     *("tail_mae", "tail_rmse", "tail_mse", "tail_peak", *OF_LOOP, *OF_RUN),
-    *(*POOLED, "divergence", "unsettled", "efficiency"),
+    *("nees", "nees_states", "signal_nees"),
+    *(*POOLED, "divergence", "unsettled", "efficiency", *INSIDE),
 )
+NORMAL = ("mae", "tail_mae", *INSIDE)  # of a normal error alone
 
 
 def described(cell: CellMoments, bounds: dict[str, Values | None]) -> dict[str, list[Row]]:
@@ -49,7 +53,7 @@ def _rows(cell: CellMoments, label: str, bound: Values | None) -> list[Row]:
     many = cell.signals[label].stop - cell.signals[label].start
     for i in range(many):
         for metric in ORDER:
-            said = why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in ("mae", "tail_mae") else ANOTHER)
+            said = why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in NORMAL else ANOTHER)
             if metric == "recovery_time" and not (cell.planned.problem.jumps < cell.planned.cell.times.ticks).any():
                 continue
             values = found.get(metric)
@@ -82,6 +86,11 @@ def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, lis
                 out[prefix + "cost"] = _over(cell, s.cost[i][None] / count)
         if bound is not None and prefix:
             out["efficiency"] = reached(bound[: len(pooled.mean)], pooled)
+    if label in cell.last:
+        b = cell.last[label]
+        for metric, values in zip(("nees", "signal_nees", "nees_states"), believed.squares(b), strict=True):
+            out[metric] = _over(cell, values)
+        out |= {metric: _over(cell, values) for metric, values in zip(INSIDE, believed.inside(b), strict=True)}
     return {metric: columns(e) for metric, e in out.items()}
 
 

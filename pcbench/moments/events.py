@@ -56,6 +56,13 @@ def sense(layout: Layout, p: Any, k: Array, state: State, nothing: Any, rest: An
     return jnp.concatenate([y, *(notes[label] for label, _ in layout.observers)])
 
 
+def tell(layout: Layout, p: Any, k: Array, state: State, nothing: Any, fresh: Array) -> State:
+    """Return the state after observers were told which channels [q] are sampled now, where any is."""
+    after, there = steps.told(layout, p, k, state, fresh), jnp.any(fresh)
+    new = jax.tree.map(lambda a, b: jnp.where(there, a, b).astype(b.dtype), after, state.memories)
+    return state._replace(memories=new)
+
+
 def jump(layout: Layout, p: Any, k: Array, state: State, packet: Array, rest: Any) -> State:
     """Return the state after a packet [f], where one arrives: `rest` is (whether, Row)."""
     there, about = rest
@@ -70,13 +77,15 @@ def jump(layout: Layout, p: Any, k: Array, state: State, packet: Array, rest: An
 
 
 def happen(by: Means, k: Array, m: Moving, noise: Array) -> Moving:
-    """Let everything that the schedules have for tick k happen: sense and note, then deliver, the oldest packet first.
+    """Let everything that the schedules have for tick k happen: sense, note and tell, then deliver, the oldest packet first.
 
     `noise` [P, S, q] is that of the runs with noise, by arrival.
     """
     q = by.std.shape[0]
     number = jnp.stack([by.plan.sense[k]] * q + [by.plan.note[k]] * (m.flight.shape[2] - q))
     m = taken(by, k, m, jnp.arange(m.flight.shape[1] - 1)[:, None, None] == _place(number, m)[None])
+
+    m = told(by, k, m) if steps.tells(by.layout) else m
 
     def deliver(slot: Array, m: Moving) -> Moving:
         return _delivered(by, k, slot, m, noise[:, slot])
@@ -101,6 +110,18 @@ def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
         return jnp.concatenate([P[:A], put.reshape(P[A:].shape)])
 
     return m._replace(flight=flight, P=both(rows, m.P), apart=_each(rows, m.apart))
+
+
+def told(by: Means, k: Array, m: Moving) -> Moving:
+    """Tell the observers of each cell what is sampled now."""
+    fresh, nothing = by.plan.sampled[k], jnp.zeros((0, by.std.shape[1]))
+    M = by.over(slope(by.form, partial(tell, by.layout), partial(vector, by.form)))(k, _mean(m), nothing, fresh)
+    runs = jax.vmap(lambda state: by.over(partial(tell, by.layout))(k, state, nothing, fresh))(m.runs)
+
+    def rows(P: Array) -> Array:
+        return jnp.concatenate([product(M, P[: len(M)]), P[len(M) :]])
+
+    return m._replace(runs=runs, P=both(rows, m.P), apart=_each(rows, m.apart))
 
 
 def _delivered(by: Means, k: Array, slot: Array, m: Moving, noise: Array) -> Moving:

@@ -23,6 +23,7 @@ class Plan(NamedTuple):
 
     sense: Any  # [N+1, C] the packet taken; -1: none
     note: Any  # [N+1, C]
+    sampled: Any  # [N+1, q, C] which channels are
     arrive: Any  # [N+1, S, C]
     believed: Any  # [N+1, S, C]
     fresh: Any  # [N+1, S, q, C]
@@ -54,6 +55,7 @@ def _plan(s: Schedule) -> Plan:
     return Plan(
         sense=s.sense,
         note=s.note,
+        sampled=s.sample >= 0,
         arrive=s.arrive,
         believed=s.believed,
         fresh=s.fresh,

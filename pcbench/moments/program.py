@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from pcbench.moments import last_tick
 from pcbench.moments import sums as sums_of
 from pcbench.moments.covariance import product, squared, turned
 from pcbench.moments.events import Means, Moving, happen, sense, taken
@@ -48,6 +49,7 @@ class Found(NamedTuple):
 
     sums: sums_of.Sums
     rows: Any  # Recorded; (): nothing is recorded
+    last: Any = ()  # Last, of a layout with consistency
 
 
 class Tick(NamedTuple):
@@ -64,6 +66,7 @@ class Carried(NamedTuple):
     tick: Tick
     sums: sums_of.Sums
     rows: Any
+    last: Any = ()
 
 
 def run(layout: Layout, shape: Shape, given: Given) -> Found:
@@ -86,7 +89,7 @@ def run(layout: Layout, shape: Shape, given: Given) -> Found:
         return following, lax.fori_loop(k, following, partial(_tick, by, shape, given), c)
 
     _, carried = lax.while_loop(lambda at: at[0] < stop, segment, (jnp.asarray(0), _begin(by, shape, given)))
-    return Found(carried.sums, carried.rows)
+    return Found(carried.sums, carried.rows, carried.last)
 
 
 def _tick(by: Means, shape: Shape, given: Given, k: Array, c: Carried) -> Carried:
@@ -111,7 +114,8 @@ def _tick(by: Means, shape: Shape, given: Given, k: Array, c: Carried) -> Carrie
         lambda: by.over(slope(form, one, partial(_flat, form)))(k, mean, none, late),
         lambda: c.tick.matrix,
     )
-    m, read = _moved(shape, m._replace(runs=runs), M, seen, w)
+    joint = shape.recorded == COVARIANCE or layout.consistency
+    m, read = _moved(joint, m._replace(runs=runs), M, seen, w)
     tail, end = p.windows[0, 1], p.windows[-1, 1]
     weight = jnp.stack([k < end, (k < end) & (k >= tail)]) * 1.0
     return Carried(
@@ -119,16 +123,17 @@ def _tick(by: Means, shape: Shape, given: Given, k: Array, c: Carried) -> Carrie
         Tick(M, shown),
         sums_of.added(c.sums, read, weight, p.weights),
         _record(c.rows, k, read) if shape.recorded else (),
+        last_tick.kept(by, k, k == end - 1, mean, read, c.last) if layout.consistency else (),
     )
 
 
-def _moved(shape: Shape, m: Moving, M: Array, seen: Seen, w: Array) -> tuple[Moving, Read]:
-    """Move covariances by a tick's matrix, and read those of what is seen."""
+def _moved(joint: bool, m: Moving, M: Array, seen: Seen, w: Array) -> tuple[Moving, Read]:
+    """Move covariances by a tick's matrix, and read those of what is seen: `joint`, or in an open loop the variances alone."""
     A, D = M.shape[1] - w.shape[1], m.P.shape[0]
     S, N = M[:, :A], M[:, A:]
     X = product(S, m.P[:A])  # [A + V, D, C]
     Z = seen.errors.shape[1]
-    if M.shape[0] - A == Z and shape.recorded != COVARIANCE:
+    if M.shape[0] - A == Z and not joint:
         covariance = (jnp.sum(X[A:, :A] * S[A:], 1) + jnp.sum(N[A:] ** 2, 1))[:, None]
     else:
         covariance = product(X[A:, :A], turned(S[A:])) + squared(N[A:])
@@ -197,7 +202,8 @@ def _begin(by: Means, shape: Shape, given: Given) -> Carried:
     shown, seen = _shapes(by, given, runs, late)
     tick = Tick(jnp.zeros((A + shown, A + given.ticks.shape[2], cells)), jnp.full((A + shown, cells), jnp.nan))
     targets = seen.off.shape[0] if layout.controller else None
-    return Carried(m, tick, sums_of.nothing(len(seen.errors), targets, cells), _rows(shape, len(seen.errors), given))
+    sums, recorded = sums_of.nothing(len(seen.errors), targets, cells), _rows(shape, len(seen.errors), given)
+    return Carried(m, tick, sums, recorded, last_tick.nothing(by, mean, len(seen.errors)) if layout.consistency else ())
 
 
 def _shapes(by: Means, given: Given, runs: State, late: Any) -> tuple[int, Seen]:

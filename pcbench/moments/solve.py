@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from pcbench.moments.believed import Believed
 from pcbench.moments.bending import ROUNDING, bent
 from pcbench.moments.compiled import MANY, compute
 from pcbench.moments.given import shared_of
@@ -34,6 +35,7 @@ class CellMoments(NamedTuple):
     signals: dict[str, slice]  # by observer label, its place among the Z signals
     sums: Sums  # arrays [..., S]
     rows: Any = ()  # Recorded [..., S]
+    last: dict[str, Believed] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
     mixture: bool = False  # over which samples are lost: means and squares are exact, and no distribution is normal
 
 
@@ -171,4 +173,24 @@ def _gathered(parts: list[Part]) -> CellMoments:
     for name, many in sorted(parts[0].item.sizes.items()):
         places[called[name]] = slice(at, at + many)
         at += many
-    return CellMoments(p, parts[0].item.random, places, whole.sums, whole.rows, parts[0].item.one.chance < 1)
+    return CellMoments(
+        planned=p,
+        random=parts[0].item.random,
+        signals=places,
+        sums=whole.sums,
+        rows=whole.rows,
+        last=_believed(p, places, called, whole),
+        mixture=parts[0].item.one.chance < 1,
+    )
+
+
+def _believed(p: Plan, places: dict[str, slice], called: dict[str, str], found: Found) -> dict[str, Believed]:
+    """What is true of each observer's errors at the last tick beside what it believes, of those that say so."""
+    if not found.last:
+        return {}
+    n, prior, out = len(p.problem.x0), np.diagonal(p.problem.spread0), {}
+    for name, P in found.last.believed.items():
+        mine = slice(places[called[name]].start, places[called[name]].start + n)
+        true = np.asarray(found.sums.mean[mine]), np.asarray(found.last.covariance[mine, mine])
+        out[called[name]] = Believed(*true, np.asarray(P[:n, :n]), prior)
+    return out

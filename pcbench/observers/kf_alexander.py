@@ -101,7 +101,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return memory._replace(xhat=memory.xhat + K @ e)
 
 
-def covariance(gains: Gains, memory: Memory) -> Float[Array, "signals signals"]:
+def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance as if all that was taken had arrived, carried to now."""
     P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.at, memory.P)
     return linear_filter.spread(gains, memory, P)

@@ -24,6 +24,7 @@ OBSERVER = Observer(
     linear_filter.estimate,
     covariance=clones.covariance,
     sampled=clones.sampled,
+    innovation=clones.innovation,
 )
 
 

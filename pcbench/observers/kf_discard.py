@@ -12,7 +12,7 @@ from pydantic import Field
 from pcbench.observers.parts import linear_filter
 from pcbench.observers.parts.choosing import kept
 from pcbench.observers.parts.prediction import Memory
-from pcbench.protocols import Arrival, Gains, Now
+from pcbench.protocols import Arrival, Gains, Now, Surprise
 from pcbench.synthesis.certificate import Design, Setting
 
 
@@ -32,7 +32,13 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     return kept(fresh, linear_filter.jump(gains, memory, now, arrival._replace(fresh=fresh)), memory)
 
 
-OBSERVER = linear_filter.FILTER._replace(jump=jump)
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    """Return how far what is used is from what was expected of it."""
+    young = arrival._replace(fresh=arrival.fresh & (arrival.age <= gains.own))
+    return linear_filter.innovation(gains, memory, now, young)
+
+
+OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
 def design(setting: Setting, options: Options) -> Design:

@@ -82,7 +82,7 @@ def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
 
 def _used(gains: Gains, memory: Memory, tick: Any, sample: Measurement) -> Memory:
     """The memory after a sample was used, at a tick."""
-    posterior = linear_filter.update(gains, memory.posterior, sample)
+    posterior = Posterior(*linear_filter.update(gains, memory.posterior, sample)[:3])
     there = prediction.at(gains.motion, linear_filter.point(posterior), tick)
     return memory._replace(posterior=posterior, xhat=memory.g + there)
 
@@ -100,7 +100,7 @@ def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
     return kept(which, _used(gains, memory, memory.tick, sample), memory)
 
 
-def covariance(gains: Gains, memory: Memory) -> Float[Array, "signals signals"]:
+def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance at the newest sample used, carried on to now."""
     return linear_filter.spread(gains, memory, linear_filter.predicted(gains, memory.posterior, memory.tick).P)
 

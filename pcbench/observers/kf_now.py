@@ -17,18 +17,28 @@ import numpy as np
 
 from pcbench.observers.parts import linear_filter
 from pcbench.observers.parts.prediction import Memory
-from pcbench.protocols import Arrival, Gains, Now
+from pcbench.protocols import Arrival, Gains, Now, Surprise
 from pcbench.synthesis.certificate import Design, Setting
 
 Options = linear_filter.Options
 
 
+def of_now(memory: Memory, arrival: Arrival) -> Arrival:
+    """Return what arrives as if it were of now."""
+    return arrival._replace(age=jnp.zeros_like(arrival.age), note=memory.g)
+
+
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Use what arrives as if it were of now."""
-    return linear_filter.jump(gains, memory, now, arrival._replace(age=jnp.zeros_like(arrival.age), note=memory.g))
+    return linear_filter.jump(gains, memory, now, of_now(memory, arrival))
 
 
-OBSERVER = linear_filter.FILTER._replace(jump=jump)
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    """Return how far what arrives is from what is expected of now."""
+    return linear_filter.innovation(gains, memory, now, of_now(memory, arrival))
+
+
+OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
 def design(setting: Setting, options: Options) -> Design:

@@ -18,19 +18,29 @@ import numpy as np
 
 from pcbench.observers.parts import linear_filter, reordering
 from pcbench.observers.parts.prediction import Memory
-from pcbench.protocols import Arrival, Gains, Now
+from pcbench.observers.parts.reordering import Measurement
+from pcbench.protocols import Arrival, Gains, Now, Surprise
 from pcbench.synthesis.certificate import Design, Setting
 
 Options = linear_filter.Options
 
 
+def shifted(gains: Gains, now: Now, arrival: Arrival) -> Measurement:
+    """Return what arrives as a sample of now with the note of its own time."""
+    return reordering.sample_of(now, arrival, gains.D)._replace(taken=now.tick)
+
+
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Compare with the response to the input of the sample's own time, and correct now."""
-    sample = reordering.sample_of(now, arrival, gains.D)
-    return linear_filter.use(gains, memory, now, sample._replace(taken=now.tick))
+    return linear_filter.use(gains, memory, now, shifted(gains, now, arrival))
 
 
-OBSERVER = linear_filter.FILTER._replace(jump=jump)
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    """Return how far what arrives is from what is expected of it by the estimate of now."""
+    return linear_filter.surprise(gains, linear_filter.newest(gains, memory), shifted(gains, now, arrival))
+
+
+OBSERVER = linear_filter.FILTER._replace(jump=jump, innovation=innovation)
 
 
 def design(setting: Setting, options: Options) -> Design:

@@ -1,6 +1,7 @@
 """From a study to what is simulated: gains, inputs, schedules and bounds as arrays, one draft a cell."""
 
 from collections.abc import Callable, Container, Iterator
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,11 @@ from pcbench.planning.design_setting import prepared, setting
 from pcbench.planning.least_error import bound
 from pcbench.planning.padding import Plan
 from pcbench.plants import lti
+from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch
 from pcbench.simulation.problem import Layout, Problem
+from pcbench.simulation.sample_noise import Outliers
 from pcbench.simulation.schedule import per_lane, shared
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of
@@ -96,6 +99,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         scatter=np.array(belief.start_box) * around,
         network=controller.network(cell),
         weights=controller.weights(cell),
+        outliers=_outliers(s),
     )
     layout = Layout(
         plant=plant.plant,
@@ -121,6 +125,12 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         labels=tuple(options),
         reach=controller.reach(cell, known.overtaking, n) if s.loop.controller else None,
     )
+
+
+def _outliers(s: Scenario) -> Any:
+    """The numbers of samples that are outliers; (): none is."""
+    chance, scale = s.sampling.outlier_probability, s.sampling.outlier_scale
+    return Outliers(np.asarray(chance), np.asarray(scale)) if chance else ()
 
 
 def _strides(schedule: AnySchedule, heavy: bool) -> bool:

@@ -7,6 +7,8 @@ believed age that follows one of a period before; of the branches of a choice th
 Not claimed: time. What a processor does with so many products is for a clock to say.
 """
 
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -35,6 +37,7 @@ ONCE = {
     "logistic",
 }
 ONCE |= {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "rem"}
+Value = Callable[[], Any]  # computed when it is asked for
 CUBIC = ("lu", "cholesky", "triangular_solve")  # of n x n: about n^3 / 3 products, or as many as it solves
 
 
@@ -77,50 +80,70 @@ def _of(p: Plan, name: str, o: Any) -> Cost:
 def counted(f: Any, *args: Any) -> int:
     """Return the multiplications of a function at these arguments."""
     closed = jax.make_jaxpr(f)(*args)
-    return _walked(closed.jaxpr, closed.consts, jax.tree.leaves(args))[0]
+    return _walked(closed.jaxpr, [*map(_known, closed.consts)], [*map(_known, jax.tree.leaves(args))])[0]
 
 
-def _walked(jaxpr: Any, consts: Any, args: Any) -> tuple[int, list[Any]]:
-    """Count a program's multiplications while it is computed, for loops depend on what is."""
+def _known(value: Any) -> Value:
+    return lambda: value
+
+
+def _walked(jaxpr: Any, consts: Sequence[Value], args: Sequence[Value]) -> tuple[int, list[Value]]:
+    """Count a program's multiplications; of what it computes, only what a loop or a choice depends on is computed."""
     env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
+
+    def read(v: Any) -> Value:
+        return _known(v.val) if isinstance(v, primitives.Literal) else env[v]
+
     total = 0
     for eqn in jaxpr.eqns:
-        given = [v.val if isinstance(v, primitives.Literal) else env[v] for v in eqn.invars]
-        many, out = _step(eqn, given)
+        many, out = _step(eqn, [*map(read, eqn.invars)])
         total += many
         env.update(zip(eqn.outvars, out, strict=True))
-    return total, [v.val if isinstance(v, primitives.Literal) else env[v] for v in jaxpr.outvars]
+    return total, [*map(read, jaxpr.outvars)]
 
 
-def _step(eqn: Any, given: list[Any]) -> tuple[int, list[Any]]:
+def _step(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
     name = eqn.primitive.name
     if name in primitives.CALLS:
         program = primitives.called(eqn.params)
-        return _walked(program.jaxpr, program.consts, given)
+        return _walked(program.jaxpr, [*map(_known, program.consts)], given)
     if name == "cond":
-        program = primitives.branches(eqn.params)[int(given[0])]
-        return _walked(program.jaxpr, program.consts, given[1:])
+        program = primitives.branches(eqn.params)[int(given[0]())]
+        return _walked(program.jaxpr, [*map(_known, program.consts)], given[1:])
     if name == "while":
         return _while(eqn, given)
-    out = eqn.primitive.bind(*given, **eqn.params)
-    out = list(out) if eqn.primitive.multiple_results else [out]
+    out = _when_asked(eqn, given)
     if name == "scan":
         body, consts, carry, length, _ = primitives.scan(eqn.params)
-        rows = [row[0] for row in given[consts + carry :]] if length else []
-        return length * (_walked(body.jaxpr, body.consts, [*given[: consts + carry], *rows])[0] if length else 0), out
+        rows = [partial(_first, row) for row in given[consts + carry :]]
+        held = [*map(_known, body.consts)]
+        return length * (_walked(body.jaxpr, held, [*given[: consts + carry], *rows])[0] if length else 0), out
     return _products(eqn), out
 
 
-def _while(eqn: Any, given: list[Any]) -> tuple[int, list[Any]]:
+def _when_asked(eqn: Any, given: list[Value]) -> list[Value]:
+    """What an operation makes, once somebody asks for it."""
+
+    @cache
+    def made() -> Any:
+        out = eqn.primitive.bind(*(each() for each in given), **eqn.params)
+        return out if eqn.primitive.multiple_results else [out]
+
+    return [partial(lambda i: made()[i], i) for i in range(len(eqn.outvars))]
+
+
+def _first(rows: Value) -> Any:
+    return rows()[0]
+
+
+def _while(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
     cond, body, first, second = primitives.while_(eqn.params)
     asked, fixed, state = given[:first], given[first : first + second], given[first + second :]
-    total, goes_on = _walked(cond.jaxpr, cond.consts, [*asked, *state])
-    each = 0
-    while bool(goes_on[0]):
-        if not each:  # every round is the same program
-            each = _walked(body.jaxpr, body.consts, [*fixed, *state])[0]
-        state = primitives.jaxpr_as_fun(body)(*fixed, *state)
-        more, goes_on = _walked(cond.jaxpr, cond.consts, [*asked, *state])
+    held, inside = [*map(_known, cond.consts)], [*map(_known, body.consts)]
+    total, goes_on = _walked(cond.jaxpr, held, [*asked, *state])
+    while bool(goes_on[0]()):
+        each, state = _walked(body.jaxpr, inside, [*fixed, *state])
+        more, goes_on = _walked(cond.jaxpr, held, [*asked, *state])
         total += each + more
     return total, state
 

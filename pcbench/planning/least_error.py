@@ -17,7 +17,7 @@ def bound(cell: Cell, known: Setting, ask: once.Once = once.anew) -> NDArray[np.
     s = cell.scenario
     other = differs(numbers_of(s), cell.parameters)
     wrong = nonlinear(s) or s.truth.drift or other or s.truth.unknown_input or s.loop.command_std
-    exact = not wrong and all(s.sampling.noise_std)  # no bound without noise
+    exact = not wrong and all(s.sampling.noise_std) and not s.sampling.outlier_probability  # of normal noise alone
     clocks = cell.times.clocks
     if not exact or cell.times.random:
         return None

@@ -13,6 +13,7 @@ shows is found in `frames`.
 from pcbench.plots.error_and_cost import cost
 from pcbench.plots.files import save
 from pcbench.plots.gains import fair, trade_off
+from pcbench.plots.honesty import nees
 from pcbench.plots.lines import convergence, curves, distributions
 from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.palette import styles
@@ -20,5 +21,5 @@ from pcbench.plots.paper import Paper
 from pcbench.plots.quantile_plot import quantiles
 from pcbench.plots.time_series import time
 
-__all__ = ["Paper", "convergence", "cost", "curves", "distributions", "divergence", "fair", "heatmaps", "quantiles",
-           "save", "styles", "time", "trade_off", "winners"]  # fmt: skip
+__all__ = ["Paper", "convergence", "cost", "curves", "distributions", "divergence", "fair", "heatmaps", "nees",
+           "quantiles", "save", "styles", "time", "trade_off", "winners"]  # fmt: skip

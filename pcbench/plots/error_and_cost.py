@@ -24,6 +24,7 @@ def cost(
     *,
     by: str = "sample",
     metric: str = "tail_rmse",
+    scenario: str | None = None,
     signal: str | None = None,
     cell: int = 0,
     paper: Paper = PAPER,
@@ -35,7 +36,7 @@ def cost(
     if by not in WORDS:
         raise unknown("cost", "cost", by, WORDS)
     stats = result.stats[(result.stats.metric == metric) & (result.stats.cell == cell)]
-    first = stats.iloc[0]
+    first = stats[stats.scenario == (scenario or stats.scenario.iloc[0])].iloc[0]
     chosen = stats[(stats.signal == (signal or first.signal)) & (stats.scenario == first.scenario)]
     both = chosen.merge(costs[["scenario", "cell", "observer", *WORDS]], on=["scenario", "cell", "observer"])
     both = both[both[by] > 0]  # what costs nothing has no place on a scale of factors

@@ -17,6 +17,7 @@ from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.plots import outputs
 from pcbench.simulation import batch, compiling, kept_programs, trace
+from pcbench.statistics import consistency
 from pcbench.study.cells import Cell
 
 POINTS = 240  # ticks that are kept, or up to twice as many
@@ -100,15 +101,35 @@ def _series(each: Asked, made: trace.Thinned, first: bool) -> list[pd.DataFrame]
                 error = made.x[:, i] - found[:, i]
                 series |= {(label, "estimate"): found[:, i, 0], (label, "error"): error[:, 0]}
                 series |= {(label, kind): values for kind, values in _reach(error).items()}
+                if called in made.sigma:
+                    series |= {(label, "sigma"): made.sigma[called][:, i, 0]}
         if first and i < made.target.shape[1]:
             series |= {("target", "target"): made.target[:, i]}
         if signal in shown and not closed:
             series |= {("measured", "measured"): made.held[:, shown[signal], 0]}
-        out += [
-            pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
-            for (name, kind), values in series.items()
-        ]
+        out += _frames(signal, t, series)
+    for label, (called, _) in zip(labels, plan.layout.observers, strict=True):
+        if called in made.nees:
+            out += _frames("", t, {(label, kind): values for kind, values in _honesty(*made.nees[called]).items()})
     return out
+
+
+def _frames(signal: str, t: NDArray[Any], series: dict[tuple[str, str], Any]) -> list[pd.DataFrame]:
+    return [
+        pd.DataFrame({"signal": signal, "series": name, "kind": kind, "t": t, "value": values})
+        for (name, kind), values in series.items()
+    ]
+
+
+def _honesty(squares: Any, states: Any) -> dict[str, NDArray[np.float64]]:
+    """The mean of normalised squares [K, L] over runs, and the band of a true belief, of so many states [K, L]."""
+    known = np.isfinite(squares)
+    many = np.where(known, states, 0).sum(1)
+    bands = {degrees: consistency.band(degrees) if degrees else consistency.Band(np.nan, np.nan) for degrees in {*many}}
+    with np.errstate(invalid="ignore"):
+        mean = np.where(known, squares * states, 0).sum(1) / np.where(many > 0, many, np.nan)
+    ends = {f"nees_{end}": np.array([getattr(bands[d], end) for d in many]) for end in ("low", "high")}
+    return {"nees": mean} | ends
 
 
 def _differ(plan: Plan) -> bool:

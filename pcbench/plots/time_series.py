@@ -128,13 +128,24 @@ def _errors(ax: Any, part: pd.DataFrame, keys: list[Key], log: bool) -> None:
         if log:
             rows = mine.get("rms", mine["error"])
             ax.plot(rows.t, np.maximum(np.abs(rows.value), floor), label=key.label, **line(key))
+            _envelope(ax, mine, key, (1,), floor)
             continue
+        _envelope(ax, mine, key, (-3, 3))
         if "low" in mine and len(keys) <= BANDS:
             ax.fill_between(mine["low"].t, mine["low"].value, mine["high"].value, color=key.style.colour, alpha=0.14,
                             linewidth=0)  # fmt: skip
         ax.plot(mine["error"].t, mine["error"].value, label=key.label, **line(key))
     if not log:
         ax.axhline(0, color=SOFT, linewidth=0.6, zorder=1)
+
+
+def _envelope(
+    ax: Any, mine: dict[Any, pd.DataFrame], key: Key, sigmas: tuple[int, ...], floor: float = -np.inf
+) -> None:
+    """Draw so many of the standard deviations that an observer believes, as thin lines."""
+    for k in sigmas if "sigma" in mine else ():
+        rows = mine["sigma"]
+        ax.plot(rows.t, np.maximum(k * rows.value, floor), color=key.style.colour, linewidth=0.6, alpha=0.8, zorder=1.4)
 
 
 def _size(part: pd.DataFrame, unit: str) -> str:
@@ -174,5 +185,7 @@ def _errors_range(part: pd.DataFrame) -> tuple[scales.Scale, bool]:
         inside = value[value > 0]
         return scales.of(inside.clip(lower=DEPTH * inside.max()), log=True), True
     shown = part[part.kind.isin(["error", "low", "high"])].value
+    believed = 3 * part.value[(part.kind == "sigma") & (part.t >= STEADY * part.t.max())]
+    shown = pd.concat([shown, believed, -believed])
     shown = shown[np.isfinite(shown) & ((shown.abs() <= most) | (most == 0))]
     return scales.of([*shown, 0.0]), False

@@ -105,6 +105,8 @@ def _facts(s: Scenario) -> list[Field]:
         Field("delay_jitter", "delay jitter", lambda v: f"up to {number(v)} s more", 0.0),
         Field("delay_swing", "delays swing by", lambda v: f"{number(v[0])} s sin({number(v[1])} t)", (0.0, 0.0)),
         Field("loss", "lost samples", lambda v: f"{number(100 * v)} %", 0.0),
+        Field("outlier_probability", "outliers among samples", lambda v: f"{number(100 * v)} %", 0.0),
+        Field("outlier_scale", "noise of an outlier", lambda v: f"{number(v)} times a sample's", 10.0),
         Field("continuous", "measured", lambda v: "continuously, without noise", False),
         Field("actuator_delay", "commands late by", lambda v: f"{number(v)} s", None),
         Field("assumed_delay_error", "observers believe samples older by", lambda v: f"{number(v)} s", 0.0),

@@ -12,6 +12,7 @@ from pcbench.statistics import wording
 from pcbench.statistics.winning import diverges_more
 
 MOST = 4  # cells that stand in full; of more, wins are counted
+COSTS = {"sample": "products a sample", "tick": "products a tick", "memory": "bytes"}
 BESIDE = ("rmse", "tail_rmse", "efficiency")  # what stands beside the metric that ranks
 
 
@@ -24,17 +25,30 @@ class Headline(NamedTuple):
     note: str
 
 
-def headlines(result: Result, scenario: str, signal: str, metric: str, cell: int = 0) -> list[Headline]:
-    """Return a table for each cell, or of many cells one that counts who wins how many, and that of one `cell`."""
+def headlines(
+    result: Result, scenario: str, signal: str, metric: str, cell: int = 0, costs: pd.DataFrame | None = None
+) -> list[Headline]:
+    """Return a table for each cell, or of many cells one that counts who wins how many, and that of one `cell`.
+
+    `costs` are what its observers cost, a frame of `pcbench.costs` of this cell alone.
+    """
     part = frames.rows(result, scenario, signal, metric)
     cells = list(dict.fromkeys(part.cell))
     if len(cells) > MOST:
         counted = _counted(result, scenario, signal, metric, part)
-        return [counted, _cell(result, scenario, signal, metric, part, cell)]
-    return [_cell(result, scenario, signal, metric, part, each) for each in cells]
+        return [counted, _cell(result, scenario, signal, metric, part, cell, costs)]
+    return [_cell(result, scenario, signal, metric, part, e, costs if e == cell else None) for e in cells]
 
 
-def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame, cell: int) -> Headline:
+def _cell(
+    result: Result,
+    scenario: str,
+    signal: str,
+    metric: str,
+    part: pd.DataFrame,
+    cell: int,
+    costs: pd.DataFrame | None = None,
+) -> Headline:
     stats, pairs = result.stats_of(scenario, signal), result.pairs_of(scenario, signal)
     mine, look = stats[stats.cell == cell], styles(part.observer)
     met = pairs[(pairs.metric == metric) & (pairs.cell == cell)]
@@ -53,13 +67,14 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
         cells = [name, wording.interval(row.loc[metric]), "not surely different" if against == "=" else against]
         cells += [wording.interval(row.loc[m]) if m in row.index else "-" for m in beside]
         cells += ["none" if lost["mean"] == 0 else wording.fraction(lost)]
+        cells += _costs(costs, observer)
         rows.append({"cells": cells, "colour": look[observer].colour, "best": observer == order[0]})
     here = part[part.cell == cell].iloc[0]
     at = ", ".join(frames.said(a, here[a]) for a in frames.varying(part))
     here_unit = mine[mine.metric == "rmse"].unit.iloc[0]
     unit, n = here.unit, int((part.n + part.diverged).max())
     heads = ["observer", f"{metric} [{unit}]", f"less the best [{unit}]"]
-    heads += [m if m == "efficiency" else f"{m} [{here_unit}]" for m in beside] + ["diverged"]
+    heads += [m if m == "efficiency" else f"{m} [{here_unit}]" for m in beside] + ["diverged", *COSTS.values()]
     title = f"At {at}" if at else ""
     kept = [i for i in range(len(heads)) if any(row["cells"][i] not in ("none", "-") for row in rows)]
     rows = [row | {"cells": [row["cells"][i] for i in kept]} for row in rows]
@@ -70,6 +85,14 @@ def _cell(result: Result, scenario: str, signal: str, metric: str, part: pd.Data
     if not n:
         runs, lost = "Exact: the expected values over all noise.", ""
     return Headline(title, [heads[i] for i in kept], rows, f"{runs}{lost} {result.unproven(scenario)}".strip())
+
+
+def _costs(costs: pd.DataFrame | None, observer: str) -> list[str]:
+    """What an observer costs, in the order of COSTS."""
+    if costs is None or observer not in set(costs.observer):
+        return ["-" for _ in COSTS]
+    mine = costs.set_index("observer").loc[observer]
+    return [f"{mine[name]:,}" for name in COSTS]
 
 
 def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.DataFrame) -> Headline:

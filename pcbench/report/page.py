@@ -104,9 +104,9 @@ _OF_STATS = {
 
 
 def _section(here: pictures.Place, anchor: str) -> Section:
-    (result, scenario, _, _, shown), parts = here, []
+    (result, scenario, _, _, _, shown), parts = here, []
     for signal in frames.ranked(result, scenario, shown.signals, shown.metric):
-        tables = headline.headlines(result, scenario, signal, shown.metric, here.cell)
+        tables = headline.headlines(result, scenario, signal, shown.metric, here.cell, here.costs)
         whole = frames.rows(result, scenario, signal, shown.metric)
         at = sentences.where(whole, here.cell)
         drawn = [_drawn(p) for p in pictures.of_signal(here, signal)]

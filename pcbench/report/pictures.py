@@ -10,7 +10,7 @@ from pcbench import plots
 from pcbench.dataset.result import Result
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.plants import signals_of
-from pcbench.plots import frames, one_run, time_series
+from pcbench.plots import frames, honesty, observer_costs, one_run, time_series
 from pcbench.plots.paper import PAPER, Paper
 from pcbench.plots.words import named, unit_of
 from pcbench.report import enough, sentences
@@ -56,19 +56,21 @@ class Place(NamedTuple):
     scenario: str
     cell: int
     run: pd.DataFrame | None  # in time; None: it is not kept, and the code to make it is not here
+    costs: pd.DataFrame | None  # of its observers; None: the same, or nothing is sampled
     shown: Shown
 
 
 def places(result: Result, scenarios: list[str], shown: Shown, progress: Progress = SILENT) -> dict[str, Place]:
-    """Return scenarios with their runs in time, simulated together where they are not kept."""
+    """Return scenarios with their runs in time, simulated together, and what their observers cost; what is not kept is made."""
     at = {scenario: cell_of(result, scenario, shown) for scenario in scenarios}
     runs = one_run.several(result.study, at, result.out, shown.seed, progress)
-    return {scenario: Place(result, scenario, cell, runs[scenario], shown) for scenario, cell in at.items()}
+    costs = {scenario: observer_costs.of(result.study, scenario, result.out, cell) for scenario, cell in at.items()}
+    return {name: Place(result, name, cell, runs[name], costs[name], shown) for name, cell in at.items()}
 
 
 def of_signal(where: Place, signal: str) -> Iterator[Picture]:
     """Yield the pictures of one signal of a scenario, in the order in which they are looked at."""
-    result, scenario, cell, run, shown = where
+    result, scenario, cell, run, costs, shown = where
     here: dict[str, Any] = {"scenario": scenario, "signal": signal, "metric": shown.metric, "paper": shown.paper}
     name = f"{scenario.replace('/', '-')}-{signal}"
     whole = frames.rows(result, scenario, signal, shown.metric)
@@ -104,11 +106,15 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
         figure = plots.convergence(result, cell=cell, **here)
         text = sentences.convergence(frames.convergence(result, scenario, signal, shown.metric, cell))
         yield Picture(f"{name}-convergence", "What more seeds are worth", figure, text, sentences.CONVERGENCE)
+    if costs is not None and (costs["sample"] > 0).sum() > 1:
+        figure = plots.cost(result, costs, cell=cell, **here)
+        title = f"{_upper(words)} against cost"
+        yield Picture(f"{name}-cost", title, figure, sentences.costs(costs), sentences.COSTS)
 
 
 def of_all_signals(where: Place) -> Iterator[Picture]:
-    """Yield what a scenario has besides: how many runs diverge, and what gains are worth."""
-    result, scenario, cell, _, shown = where
+    """Yield what a scenario has besides: how many runs diverge, who knows how wrong it is, and what gains are worth."""
+    result, scenario, cell, run, _, shown = where
     lost = frames.rows(result, scenario, None, "divergence")
     if len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
         x, y = frames.map_axes(lost)
@@ -118,6 +124,10 @@ def of_all_signals(where: Place) -> Iterator[Picture]:
         title = f"Diverged runs over {frames.label(x)} and {frames.label(y)}"
         text = sentences.ranges(part.assign(mean=100 * part["mean"]), "%")
         yield Picture(f"{scenario.replace('/', '-')}-divergence", title, figure, text)
+    if run is not None and honesty.judged(run):
+        figure = honesty.drawn(result, run, scenario, cell, shown.paper)
+        name, title = f"{scenario.replace('/', '-')}-nees", "Who knows how wrong it is"
+        yield Picture(name, title, figure, sentences.honesty(run), sentences.HONESTY)
     if result.fair is not None and scenario in set(result.fair.scenario):
         figure = plots.fair(result, paper=shown.paper)
         yield Picture("fair", "Gains as printed, by design and tuned", figure, sentences.fair(result.fair))

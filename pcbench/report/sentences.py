@@ -12,6 +12,13 @@ WINNERS = (
     "second's error is. Pale: it is not sure."
 )
 CONVERGENCE = "Half the 95 % interval, over the mean. Four times the seeds halve it."
+COSTS = (
+    "Left and low is better. Counted from the observers' own functions; an observer that takes no sample has no place."
+)
+HONESTY = (
+    f"The squared error over what the observer believes it to be, a mean over runs ({one_run.RUNS} where they differ). Above "
+    "the band it is over-confident, below it cautious."
+)
 WORDS = {"paper": "as printed", "design": "by design", "tuned": "tuned"}
 
 
@@ -67,7 +74,26 @@ def time(run: pd.DataFrame, unit: str) -> tuple[str, str]:
     text = "At the end: " + ", ".join(f"{o} {_said(v, unit)}" for o, v in ends.items()) + "."
     several = (run.kind == "rms").any() and run.series[run.kind == "rms"].nunique() <= BANDS
     band = f" Bands: nine in ten errors of {one_run.RUNS} runs, this one and the seeds after it." if several else ""
-    return text, f"What leaves the range is cut off.{band}"
+    thin = (
+        " Thin lines: three standard deviations that an observer believes; one where errors are on a logarithmic axis."
+    )
+    return text, f"What leaves the range is cut off.{band}{thin if (run.kind == 'sigma').any() else ''}"
+
+
+def honesty(run: pd.DataFrame) -> str:
+    """Return what each observer's squared error is of what it believes, over the second half of a run in time."""
+    late = run[(run.kind == "nees") & (run.t >= run.t.max() / 2)]
+    said = [f"{o} {number(mean)}" for o, mean in late.groupby("series", sort=False).value.mean().items()]
+    return f"Mean over the second half: {', '.join(said)}."
+
+
+def costs(found: pd.DataFrame) -> str:
+    """Return what each observer costs."""
+    said = [
+        f"{row['observer']} {row['sample']:,} a sample, {row['tick']:,} a tick, {row['memory']:,} bytes"
+        for row in found.to_dict("records")
+    ]
+    return f"Multiplications of one run, and memory: {'; '.join(said)}."
 
 
 def fair(table: pd.DataFrame) -> str:

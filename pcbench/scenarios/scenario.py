@@ -50,6 +50,8 @@ class Sampling(NamedTuple):
     loss: float = 0.0  # probability that a sample never arrives
     early: bool = False  # measuring began before t = 0: the first sample arrives at 0, the period is between arrivals
     delay_swing: tuple[float, float] = (0.0, 0.0)  # (a [s], w [rad/s]): every delay is delay + a sin(w t), t of arrival
+    outlier_probability: float = 0.0  # that a sample's noise is outlier_scale times what it would be
+    outlier_scale: float = 10.0
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
 
 
@@ -86,6 +88,7 @@ RECORDS = {
     "belief": Belief._fields,
     "scoring": Scoring._fields,
 }
+FAULTS = ("outlier_probability", "outlier_scale")  # of samples, which nobody is told of
 OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
@@ -133,9 +136,9 @@ class Scenario(NamedTuple):
 
         Of a user's own code it is the digest.
         """
-        hidden = {
-            name for name in OF_COMMANDS if not self.value(name)
-        }  # earlier folders know their cells without these
+        hidden = {name for name in OF_COMMANDS if not self.value(name)}
+        hidden |= set() if self.sampling.outlier_probability else set(FAULTS)
+        # earlier folders know their cells without these
         names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE, *hidden)]
         code = {"code": {kind: mine.code.digest for kind, mine in self.own.items()}} if self.own else {}
         return {name: self.value(name) for name in names} | code

@@ -34,9 +34,12 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
     signals = len(p.band)
     state, value = jax.ShapeDtypeStruct((n,), float), jax.ShapeDtypeStruct((q,), float)
 
-    def jump(p: Problem, memory: Any, value: Any, note: Any) -> Any:
-        fresh, ticks = jnp.ones(q, bool), jnp.ones(q, int)
-        return observer.jump(p.gains[label], memory, present(p, k, False), Arrival(value, fresh, ticks, ticks, note, k))
+    def arriving(f: Any) -> Any:
+        def at_event(p: Problem, memory: Any, value: Any, note: Any) -> Any:
+            arrival = Arrival(value, jnp.ones(q, bool), jnp.ones(q, int), jnp.ones(q, int), note, k)
+            return f(p.gains[label], memory, present(p, k, False), arrival)
+
+        return at_event
 
     def ask(name: str, f: Any, *args: Any) -> Any:
         try:
@@ -60,7 +63,7 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
             f"observer {label}: estimate returned shape {xhat.shape}, expected ({n},): every state of the plant{more}; "
             "return all of it."
         )
-    _same(label, "jump", ask("jump", jump, memory, value, note), memory)
+    _same(label, "jump", ask("jump", arriving(observer.jump), memory, value, note), memory)
     if (told := observer.sampled) is not None:
         fresh = jax.ShapeDtypeStruct((q,), bool)
         _same(
@@ -70,11 +73,18 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
             memory,
         )
     if (covariance := observer.covariance) is not None:
-        P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m)), memory)
+        P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m, present(p, k, False))), memory)
         if P.shape != (*xhat.shape, *xhat.shape):
             raise UserError(
                 f"observer {label}: covariance returned shape {P.shape}, expected {(*xhat.shape, *xhat.shape)}: of the error "
                 "of all that it estimates; return all of it."
+            )
+    if observer.innovation is not None:
+        found = ask("innovation", arriving(observer.innovation), memory, value, note)
+        if (shapes := [each.shape for each in jax.tree.leaves(found)]) != [(), ()]:
+            raise UserError(
+                f"observer {label}: innovation returned shapes {shapes}, expected two numbers, nu' S^-1 nu and how many "
+                "numbers nu has; return pcbench.Surprise of them."
             )
     if continuous and observer.field is not None:
         field = observer.field

@@ -1,9 +1,11 @@
 """Does an observer know how wrong it is? Its error at the last tick against the covariance P that it believes it to have.
 
     whole: e' P^-1 e / n,   by signal: e_i^2 / P_ii,   of the n states of the plant
+    of innovations: the sum of nu' S^-1 nu over all samples that came in order, over how many numbers these were (`judging`)
 
-Where P is true and errors are Gaussian, n times the first is chi-square with n degrees of freedom, the second with one. A
-state whose standard deviation is believed to be below 1e-9 of its prior's is known for every purpose, and counts in neither.
+Where P is true and errors are Gaussian, n times the first is chi-square with n degrees of freedom, the second with one, and the
+sum with as many as there were numbers. A state whose standard deviation is believed to be below 1e-9 of its prior's is known
+for every purpose, and counts in neither of the first two.
 Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.4.
 """
 
@@ -12,8 +14,10 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array
 
+from pcbench.protocols import Covariance, Surprise
+from pcbench.simulation import judging
 from pcbench.simulation.lanes.entrywise import over
-from pcbench.simulation.problem import Layout, Problem, State
+from pcbench.simulation.problem import Layout, Problem, State, present
 
 KNOWN = 1e-9  # part of the prior's standard deviation
 
@@ -24,30 +28,40 @@ class Squares(NamedTuple):
     whole: Array  # over the number of states that count
     signal: Array  # [n], NaN of a state that does not count
     states: Array  # how many count
+    innovation: Surprise | None = None  # sums over the run, of an observer that says what it expects of samples
 
 
-def squares(layout: Layout, p: Problem, state: State, errors: dict[str, Any]) -> dict[str, Squares]:
-    """Return them by observer, of those that have a covariance; errors are those of the same tick."""
-    able = {label: o.covariance for label, o in layout.observers if o.covariance}
+def squares(layout: Layout, p: Problem, k: Array, state: State, errors: dict[str, Any]) -> dict[str, Squares]:
+    """Return them by observer, of those that have a covariance; errors are those of tick k, after its jumps."""
 
-    def one_lane(memories: Any, e: dict[str, Array]) -> dict[str, Squares]:
-        prior = jnp.diagonal(p.spread0)
+    def one_lane(k: Array, memories: Any, commands: Any, e: dict[str, Array]) -> dict[str, Squares]:
+        prior, believed = jnp.diagonal(p.spread0), covariances(layout, p, k, memories, commands)
         return {
-            label: normalised(e[label][: len(prior)], f(p.gains[label], memories[label]), prior)
-            for label, f in able.items()
+            label: normalised(e[label][: len(prior)], P, prior)._replace(innovation=judging.sums(memories[label]))
+            for label, P in believed.items()
         }
 
-    return over(one_lane)(state.memories, errors) if able else {}
+    return over(one_lane)(k, state.memories, state.commands, errors) if _able(layout) else {}
 
 
-def sigmas(layout: Layout, p: Problem, state: State) -> dict[str, Any]:
-    """Return the standard deviation that each observer believes its errors to have, of those that have a covariance."""
-    able = {label: o.covariance for label, o in layout.observers if o.covariance}
+def sigmas(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, Any]:
+    """Return the standard deviation of its errors at tick k that each observer believes, of those that have a covariance."""
 
-    def one_lane(memories: Any) -> dict[str, Array]:
-        return {label: jnp.sqrt(jnp.diagonal(f(p.gains[label], memories[label]))) for label, f in able.items()}
+    def one_lane(k: Array, memories: Any, commands: Any) -> dict[str, Array]:
+        believed = covariances(layout, p, k, memories, commands)
+        return {label: jnp.sqrt(jnp.diagonal(P)) for label, P in believed.items()}
 
-    return over(one_lane)(state.memories) if able else {}
+    return over(one_lane)(k, state.memories, state.commands) if _able(layout) else {}
+
+
+def covariances(layout: Layout, p: Problem, k: Array, memories: Any, commands: Any = ()) -> dict[str, Array]:
+    """Return what each observer of one lane believes of its error at tick k, of those that have a covariance."""
+    now = present(p, k, False, commands)
+    return {label: f(p.gains[label], memories[label], now) for label, f in _able(layout).items()}
+
+
+def _able(layout: Layout) -> dict[str, Covariance]:
+    return {label: o.covariance for label, o in layout.observers if o.covariance}
 
 
 def normalised(e: Array, P: Array, prior: Array) -> Squares:

@@ -14,7 +14,7 @@ from jax import Array
 from pcbench.simulation.lanes import primitives
 
 STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "process": 5}
-STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8}
+STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8, "outlier": 9}
 
 
 def run_keys(root_seed: Array, seeds: Array, stream: str, channels: int) -> list[Array]:
@@ -32,6 +32,13 @@ def normals(keys: list[Array], index: Any) -> Array:
     draw = jax.vmap(jax.vmap(lambda key, i: jax.random.normal(jax.random.fold_in(key, i), dtype=jnp.float64)))
     each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
     return draw(jnp.stack(keys), each)  # in one piece: the hash is compiled once, not once for each channel
+
+
+def uniforms_of(keys: list[Array], index: Any) -> Array:
+    """Draw a uniform number in [0, 1) for sample index[j] of each channel j, one for all runs or [L]: [channels, L]."""
+    draw = jax.vmap(jax.vmap(lambda key, i: jax.random.uniform(jax.random.fold_in(key, i), dtype=jnp.float64)))
+    each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
+    return draw(jnp.stack(keys), each)
 
 
 def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1) -> Array:

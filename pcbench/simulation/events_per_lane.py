@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import draws, lanes
+from pcbench.simulation import lanes, sample_noise
 from pcbench.simulation.lanes import packed
 from pcbench.simulation.problem import Layout, Notes, Packet, Problem, State
 from pcbench.simulation.schedule import per_lane
@@ -181,13 +181,12 @@ def _taken_out(events: Events, state: State, c: Chunk) -> State:
 
 
 def _noise(p: Problem, times: Times, root_seed: Array, seeds: Array) -> list[Array]:
-    """Standard normal noise of every sample of each channel, [M, L]: the draws of a shared schedule.
+    """The noise of every sample of each channel before scaling, [M, L]: the draws of a shared schedule.
 
     Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
     """
-    keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
-    index = jnp.arange(times.due.shape[1])
-    return [lax.map(lambda i, key=key: draws.normals([key], i[None])[0], index) for key in keys]
+    noise, index = sample_noise.drawing(p, root_seed, seeds), jnp.arange(times.due.shape[1])
+    return [lax.map(lambda i, j=j: noise([j], i[None])[0], index) for j in range(p.noise_std.shape[0])]
 
 
 def _queue(when: Array) -> Queue:

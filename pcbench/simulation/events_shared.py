@@ -11,9 +11,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import draws, lanes
+from pcbench.simulation import lanes, sample_noise
 from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.problem import Layout, Notes, Packet, PerLane, Problem, State
+from pcbench.simulation.sample_noise import Noise
 from pcbench.simulation.start import begin
 from pcbench.simulation.steps import Happen, Row, jump, measure, note, tells, told
 
@@ -29,9 +30,9 @@ def prepare(
     layout: Layout, p: Problem, root_seed: Array, seeds: Array, shift: Shift | None = None
 ) -> tuple[Happen, State]:
     """Return what lets a tick's events happen to a block of runs, and the state before tick 0."""
-    keys = draws.run_keys(root_seed, seeds, "measurement", p.noise_std.shape[0])
-    state = rings(layout, p, keys, begin(layout, p, root_seed, seeds))
-    return partial(happen, layout, p, keys, shift), state
+    noise = sample_noise.drawing(p, root_seed, seeds)
+    state = rings(layout, p, noise, begin(layout, p, root_seed, seeds))
+    return partial(happen, layout, p, noise, shift), state
 
 
 def where_any(p: Problem, events: Happen) -> Happen:
@@ -39,18 +40,18 @@ def where_any(p: Problem, events: Happen) -> Happen:
     return lambda k, state: lax.cond(p.schedule.event[k], events, lambda k, state: state, k, state)
 
 
-def rings(layout: Layout, p: Problem, keys: list[Array], state: State) -> State:
+def rings(layout: Layout, p: Problem, noise: Noise, state: State) -> State:
     """Make rings of ring + 1 packets, and put those on the network that were taken before tick 0: they have measured x(0).
 
     If observers believe a packet to be from before tick 0, nothing was noted for it; it carries the note of the start.
     """
-    one = state.flight.values
+    one, channels = state.flight.values, list(range(p.noise_std.shape[0]))
     values, notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring + 1, *jnp.shape(v))), state.flight)
 
     def put(rings: Any, packet: tuple[Array, Array]) -> tuple[Any, None]:
         place, numbers = packet
-        noise = lanes.split(draws.normals(keys, numbers))
-        y = lanes.like(measure(layout, p, jnp.asarray(0), state, noise), one, layout.width)
+        drawn = lanes.split(noise(channels, numbers))
+        y = lanes.like(measure(layout, p, jnp.asarray(0), state, drawn), one, layout.width)
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, y), None
 
     if early := p.schedule.early.shape[0]:
@@ -58,13 +59,13 @@ def rings(layout: Layout, p: Problem, keys: list[Array], state: State) -> State:
     return state._replace(flight=Packet(values, notes))
 
 
-def happen(layout: Layout, p: Problem, keys: list[Array], shift: Shift | None, k: Array, state: State) -> State:
+def happen(layout: Layout, p: Problem, noise: Noise, shift: Shift | None, k: Array, state: State) -> State:
     """Let everything that the schedule has for tick k happen: sense and note, then deliver, the oldest packet first.
 
     Only one packet, never the ring of them, goes through a `cond`, which would copy it: what is not there is written to
     the ring's last place, which nothing reads.
     """
-    plan = p.schedule
+    plan, channels = p.schedule, list(range(p.noise_std.shape[0]))
 
     def put(rings: Any, number: Array, make: Any) -> Any:
         last = jax.tree.map(lambda ring: ring[layout.ring], rings)
@@ -73,7 +74,7 @@ def happen(layout: Layout, p: Problem, keys: list[Array], shift: Shift | None, k
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, new)
 
     def sense() -> PerLane:
-        y = measure(layout, p, k, state, lanes.split(draws.normals(keys, plan.sample[k])))
+        y = measure(layout, p, k, state, lanes.split(noise(channels, plan.sample[k])))
         return _shifted(y, shift.values[plan.sense[k]]) if shift else y
 
     def noted() -> Notes:

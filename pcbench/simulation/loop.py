@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import consistency, events_per_lane, events_shared, lanes, steps
+from pcbench.simulation import consistency, events_per_lane, events_shared, judging, lanes, steps
 from pcbench.simulation.closed_loop import control
 from pcbench.simulation.metrics import Weights
 from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
@@ -33,6 +33,7 @@ class Events(NamedTuple):
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
     """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`."""
+    layout = judging.watched(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
     end, drawn = p.windows[-1, 0], drawing(layout, p, root_seed, seeds)
@@ -68,7 +69,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
     if isinstance(p.weights, Weights):  # or its command, where the input counts
         last = control(layout, p, end, last, drawn(end).command)
     errors = steps.errors(layout, p, end, state)
-    squares = consistency.squares(layout, p, state, errors) if layout.consistency else ()
+    squares = consistency.squares(layout, p, end, state, errors) if layout.consistency else ()
     left = (last.streams, last.tracking, last.effort), last.watches, errors, squares
     sums, left = jax.tree.map(lambda a: lanes.whole(a, layout.width), (sums, left), is_leaf=lanes.is_lanes)
     streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])

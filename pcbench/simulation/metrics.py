@@ -133,6 +133,10 @@ def read(
     if squares is not None:
         out |= {"nees": np.atleast_2d(squares.whole), "nees_states": np.atleast_2d(squares.states)}
         out["signal_nees"] = np.asarray(squares.signal)
+        if (found := squares.innovation) is not None:
+            square, degrees = np.atleast_2d(found.square), np.atleast_2d(found.degrees)
+            with np.errstate(invalid="ignore"):  # of a run in which no sample was judged nothing is known
+                out |= {"nis": square / np.where(degrees > 0, degrees, np.nan), "nis_degrees": degrees}
     bad = np.asarray(watch.first_bad) >= 0
     out = {name: np.where(bad, np.nan, values) for name, values in out.items()}
     out["unsettled"] = ~bad & (np.asarray(watch.unsettled) > tail)

@@ -58,6 +58,7 @@ class Problem(NamedTuple):
     scatter: Leaf = np.zeros(0)  # [n] of xhat(0), where it is random
     network: Any = ()  # network.Numbers, where commands are sent over one
     weights: Any = ()  # metrics.Weights of a closed loop whose input and cost are summed
+    outliers: Any = ()  # sample_noise.Outliers, where some samples are
 
 
 class Packet(NamedTuple):

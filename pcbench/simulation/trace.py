@@ -12,11 +12,11 @@ from jax import Array, lax
 
 from pcbench.simulation import lanes
 from pcbench.simulation.closed_loop import aims, held
-from pcbench.simulation.consistency import sigmas
+from pcbench.simulation.consistency import sigmas, squares
 from pcbench.simulation.events_shared import Shift, prepare, where_any
 from pcbench.simulation.problem import Layout, PerLane, Problem, State
 from pcbench.simulation.start import drawing
-from pcbench.simulation.steps import actual, estimates, tick
+from pcbench.simulation.steps import actual, errors, estimates, tick
 
 
 class Recording(NamedTuple):
@@ -45,7 +45,7 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
             u=_whole(held(p, k, state)),
             arrived=_arrived(layout, p, k, state)[:, 0],
             target=aims(layout, p, k),
-            sigma={label: _whole(each) for label, each in sigmas(layout, p, state).items()}
+            sigma={label: _whole(each) for label, each in sigmas(layout, p, k, state).items()}
             if layout.consistency
             else {},
         )
@@ -56,6 +56,17 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
 
     _, out = lax.scan(step, state, jnp.arange(p.schedule.event.shape[0]))
     return out
+
+
+def _believed(layout: Layout, p: Problem, k: Array, state: State, many: int) -> dict[str, Any]:
+    """What observers believe of their errors at tick k, and how wrong they are."""
+    if not layout.consistency:
+        return {"sigma": {}, "nees": {}}
+    found = squares(layout, p, k, state, errors(layout, p, k, state))
+    return {
+        "sigma": {o: lanes.whole(each, many) for o, each in sigmas(layout, p, k, state).items()},
+        "nees": {o: (lanes.whole(each.whole, many), lanes.whole(each.states, many)) for o, each in found.items()},
+    }
 
 
 def _arrived(layout: Layout, p: Problem, k: Array, state: State) -> Array:
@@ -85,6 +96,10 @@ class Thinned(NamedTuple):
     estimates: dict[str, Array]  # [K, n or n + s, L]
     held: Array  # [K, q, L] what has arrived and is held; NaN before
     target: Array  # [K, r] the set point of a closed loop
+    sigma: dict[
+        str, Array
+    ]  # [K, n or n + s, L] standard deviations that observers believe, of a layout with consistency
+    nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; of a layout with consistency
 
 
 def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Array, seeds: Array) -> Thinned:
@@ -101,6 +116,7 @@ def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Ar
             estimates={o: lanes.whole(xhat, many) for o, xhat in estimates(layout, p, state).items()},
             held=_arrived(layout, p, k, state),
             target=aims(layout, p, k),
+            **_believed(layout, p, k, state, many),
         )
 
     def step(carry: tuple[State, Array, Thinned], k: Array) -> tuple[tuple[State, Array, Thinned], None]:

@@ -16,8 +16,9 @@ from pcbench.statistics.moments import Values
 
 SIGMAS = (1, 2, 3)
 INSIDE = tuple(f"inside_{k}_sigma" for k in SIGMAS)
-BANDS = {"nees": "nees_band", "signal_nees": "signal_nees_band"}
+BANDS = {"nees": "nees_band", "nis": "nis_band", "signal_nees": "signal_nees_band"}
 LEVEL = 0.05
+ROUNDING = 1e-6  # of what is exact
 
 
 class Band(NamedTuple):
@@ -38,6 +39,11 @@ def verdict(mean: float, within: Band) -> str:
     if np.isnan(mean):
         return "unknown"
     return "over-confident" if mean > within.high else "cautious" if mean < within.low else "consistent"
+
+
+def exact_band() -> Band:
+    """Return where an expected normalised square lies, of a true covariance: at 1, to rounding."""
+    return Band(1 - ROUNDING, 1 + ROUNDING)
 
 
 def inside(signal: NDArray[Any]) -> NDArray[np.int64]:

@@ -123,7 +123,10 @@ def _known(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
     blank = [Estimate(e.n, *(np.where(counts, values, np.nan) for values in e[1:])) for e in shares]
     whole = consistency.bands(means.n, means.mean[[s.rows["nees_states", 0]]])
     each = consistency.bands(means.n, np.where(counts, 1.0, 0.0))
-    return dict(zip(consistency.INSIDE, blank, strict=True)) | {"nees_band": whole, "signal_nees_band": each}
+    bands = {"nees_band": whole, "signal_nees_band": each}
+    if (at := s.rows.get(("nis_degrees", 0))) is not None:
+        bands["nis_band"] = consistency.bands(means.n, means.mean[[at]])
+    return dict(zip(consistency.INSIDE, blank, strict=True)) | bands
 
 
 def columns(e: Estimate) -> list[Row]:

@@ -13,7 +13,7 @@ RUN_METRICS = (
     *("tail_mae", "tail_rmse", "tail_mse", "tail_peak"),
     *("tracking_rmse", "tail_tracking_rmse"),
     *("cost", "tail_cost", "input_rms", "tail_input_rms"),
-    *("nees", "nees_states", "signal_nees"),
+    *("nees", "nees_states", "nis", "nis_degrees", "signal_nees"),
 )  # recovery_time where an unknown input jumps, tracking_* of what a controller is to lead along a path
 OF_RUN = (
     "cost",
@@ -22,10 +22,19 @@ OF_RUN = (
     "tail_input_rms",
     "nees",
     "nees_states",
+    "nis",
+    "nis_degrees",
 )  # of a closed loop, or of an observer that says how wrong it is: one number a run, with its first signal
 ASKED = (*OF_RUN, "signal_nees")  # that a table of runs has only where there are such
 SIGNED = ("final",)  # an error with its sign: all others cannot be negative
-UNRANKED = (*SIGNED, "nees", "nees_states", "signal_nees")  # neither a large nor a small one is better
+UNRANKED = (
+    *SIGNED,
+    "nees",
+    "nees_states",
+    "nis",
+    "nis_degrees",
+    "signal_nees",
+)  # neither a large nor a small one is better
 COMPARED = tuple(m for m in RUN_METRICS if m not in UNRANKED)
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
 

@@ -9,16 +9,18 @@ from typing import Any
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
+from pcbench.scenarios.scenario import FAULTS
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
-STATES = ("process_std",)  # one value, or one for each state; a column of the tables only where it is an axis
+STATES = ("process_std",)  # one value, or one for each state
 TIMES = (  # whole ticks
     *("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error"),
     "command_jitter",
 )
+ASKED = (*STATES, *FAULTS)  # a column of the tables only where it is an axis
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
 AXES = (
     *CHANNELS,
@@ -30,6 +32,7 @@ AXES = (
     "assumed_delay_error",
     "actuator_delay",
     *STATES,
+    *FAULTS,
 )
 COMMANDS = ("command_jitter", "command_loss", "command_std")  # axes of loops that a study closes
 
@@ -71,7 +74,7 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
             raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
         if name.removeprefix("plant.") in entry_of(base).signs and abs(n) != 1:
             raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
-        if name in ("loss", "command_loss") and n > 1:
+        if name in ("loss", "command_loss", "outlier_probability") and n > 1:
             raise UserError(
                 f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."
             )

@@ -106,6 +106,23 @@ STUDIES = {
         axes={"delay": [0.0, 0.1, 0.2, 0.4, 0.8], "noise_std": [0.5], "process_std": [[0.02, 0.0]]},
         options={"scenario": {"random_start": True, "consistency": True}},
     ),
+    "faults": Study(  # how many outliers does an observer bear before the model alone is better?
+        name="faults",
+        scenarios=["cart/gaussian"],
+        observers=["dkf", "dkf-gate", "dkf-huber", "ekf-gate", "pccebo", "open-loop"],
+        seeds=256,
+        axes={
+            "outlier_probability": [0.0, 0.01, 0.05, 0.2],
+            "noise_std": [0.5],
+            "process_std": [[0.02, 0.0]],
+        },
+        options={
+            "scenario": {"random_start": True, "consistency": True},
+            "dkf-gate": {"gate": 3.0},
+            "dkf-huber": {"huber": 1.5},
+            "ekf-gate": {"gate": 3.0},
+        },
+    ),
     "map": Study(  # which period and which delay can I afford? 20 x 20, without a seed
         name="map",
         scenarios=["cart/gaussian"],

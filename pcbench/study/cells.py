@@ -103,7 +103,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         values = {
             name: axis.plain(name, changed.value(name), name in apart)
             for name in axes_of(base)
-            if name in given or name not in axis.STATES
+            if name in given or name not in axis.ASKED
         }
         parameters = {k.removeprefix("plant."): v for k, v in given.items() if k.startswith("plant.")}
         values |= {k: v for k, v in given.items() if k.startswith("plant.")}
@@ -169,7 +169,10 @@ def told(options: BaseModel, own: Own | None = None) -> str:
     """Return the digest of an observer's options, and of its code where it is a user's own: what else decides its numbers."""
     if own:
         return _hashed([options.model_dump(exclude_none=True), own.code.digest])[:16]
-    return _hashed(options.model_dump())[:16]
+    said = options.model_dump()
+    if said.get("gate") is None and said.get("huber") is None:  # earlier folders know their filters without these
+        said = {name: value for name, value in said.items() if name not in ("gate", "gate_opens", "huber")}
+    return _hashed(said)[:16]
 
 
 def _hashed(said: Any) -> str:

@@ -8,7 +8,7 @@ from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, Entry
 from pcbench.plants import drifts, nonlinear, numbers_of, states_of
 from pcbench.plants import entry_of as plant_of
-from pcbench.scenarios import INTERVAL, Scenario
+from pcbench.scenarios import INTERVAL, Sampling, Scenario
 from pcbench.simulation.schedule import sampling
 from pcbench.study import limits
 from pcbench.study.axes import plain
@@ -39,8 +39,24 @@ def fits(s: Scenario, where: str) -> None:
                 f"{youngest * s.dt:g} s late, expected an assumed delay of 0 or more; write at least "
                 f"{-youngest * s.dt:g}."
             )
+    _faults(s, where)
     if not measured.continuous:
         limits.require_few_samples(clocks(s), ticks, s.dt, where)
+
+
+def _faults(s: Scenario, where: str) -> None:
+    """Raise UserError where a fault of samples can have no effect."""
+    measured = s.sampling
+    if measured.outlier_probability and not any(measured.noise_std):
+        raise UserError(
+            f"{where}: got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise to "
+            "be larger, expected a noise_std above 0; give one, or leave it out."
+        )
+    if not measured.outlier_probability and measured.outlier_scale != Sampling._field_defaults["outlier_scale"]:
+        raise UserError(
+            f"{where}: got outlier_scale = {measured.outlier_scale:g} in {s.name} with an outlier_probability of 0, where it "
+            "has no effect, expected both or neither; leave it out there."
+        )
 
 
 def _at_every_stage(s: Scenario, where: str) -> None:
@@ -54,6 +70,7 @@ def _at_every_stage(s: Scenario, where: str) -> None:
         "delay_jitter": 0.0,
         "loss": 0.0,
         "assumed_delay_error": 0.0,
+        "outlier_probability": 0.0,
     }
     for name, value in nothing.items():
         if s.value(name) != value:

@@ -81,6 +81,8 @@ class Lti(BaseModel):
     jitter: Number = 0.0
     delay_jitter: Number = 0.0
     loss: Number = 0.0
+    outlier_probability: Number = 0.0
+    outlier_scale: Number = 10.0
 
     def numbers(self, where: str) -> Numbers:
         """Return the plant's numbers as observers know them; raise UserError naming the entry that has no value."""

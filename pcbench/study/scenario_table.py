@@ -56,6 +56,10 @@ class ScenarioTable(BaseModel):
     jitter: Number | None = Field(None, description="s, a sample is taken up to this much early or late")
     delay_jitter: Number | None = Field(None, description="s, a sample arrives up to this much later")
     loss: Number | None = Field(None, description="probability that a sample never arrives")
+    outlier_probability: Number | None = Field(
+        None, description="that a sample's noise is outlier_scale times what it would be"
+    )
+    outlier_scale: Number | None = Field(None, description="how many times larger the noise of an outlier is")
     early: Switch | None = Field(None, description="measuring began before t = 0: the first sample arrives at 0")
     delay_swing: list[Number] | None = Field(
         None, min_length=2, max_length=2, description="(a [s], w [rad/s]): every delay is delay + a sin(w t)"

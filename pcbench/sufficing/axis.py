@@ -121,6 +121,7 @@ def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
         "assumed_delay_error": (0.0, max(period, s.dt)),
         "loss": (0.0, 0.9),
         "command_loss": (0.0, 0.9),
+        "outlier_probability": (0.0, 0.5),
         "drift": (0.0, 2.0),
     }.get(axis.name)
     if usual is None and own:

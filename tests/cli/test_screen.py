@@ -15,7 +15,7 @@ from small_study import STUDY
 
 import pcbench
 from pcbench.cli import shared
-from pcbench.cli.screen import results
+from pcbench.cli.screen import consistency, results
 from pcbench.cli.screen.tables import Column, aligned, printed
 from pcbench.report import headline
 from pcbench.statistics import wording
@@ -291,3 +291,37 @@ def test_gains_that_nothing_proves_are_named_with_the_reason(tmp_path, monkeypat
     assert sentence in screen.export_text()
     (table,) = headline.headlines(result, "cart/slow", "position", "tail_rmse")
     assert table.note.endswith(sentence), "and so says the report"
+
+
+SQUARES = {"nees": (0.7, 0.8, 1.2), "nis": (1.02, 0.95, 1.05)}
+
+
+def believed(cells, squares=SQUARES):
+    """Rows of stats of an observer that is cautious of its error and right about its samples, in some cells."""
+    rows = []
+    for cell in range(cells):
+        for metric, (mean, low, high) in squares.items():
+            rows.append((cell, "dkf", metric, mean, mean, mean))
+            rows.append((cell, "dkf", f"{metric}_band", 1.0, low, high))
+    return pd.DataFrame(rows, columns=["cell", "observer", "metric", "mean", "ci_low", "ci_high"])
+
+
+@pytest.mark.parametrize(("cells", "exact"), [(1, False), (2, False), (1, True), (30, False)])
+def test_who_knows_how_wrong_it_is_stands_in_a_table_with_its_verdict(cells, exact):
+    console, stats = Console(file=io.StringIO(), width=100), believed(cells)
+    stats = stats[~stats.metric.str.endswith("band")] if exact else stats
+    assert consistency.said("cart/slow", stats, console) == [consistency.MEANS]
+    text = console.file.getvalue()
+    if cells == 30:
+        assert "cautious 30" in text
+        assert "consistent 30" in text
+        return
+    assert text.count("0.7 cautious" + ("" if exact else " (0.8 .. 1.2)")) == cells
+    assert text.count("1.02 over-confident" if exact else "1.02 consistent (0.95 .. 1.05)") == cells
+    assert ("cell" in text.split("observer")[0]) == (cells > 1)
+
+
+def test_of_who_believes_nothing_nothing_is_said():
+    console = Console(file=io.StringIO(), width=100)
+    assert consistency.said("cart/slow", believed(1).iloc[:0], console) == []
+    assert console.file.getvalue() == ""

@@ -95,7 +95,7 @@ def test_both_simulates_what_is_not_affine_alone(tmp_path):
 
 
 def test_a_sealed_table_with_lists_is_known_again():
-    """Parquet calls what is in a list by another name than Arrow does: an exact study with an axis of channels read as damaged."""
+    """Parquet calls what is in a list by another name than Arrow does: an exact study with such an axis read as damaged."""
     table = columns.table({"process_std": [[0.1, 0.0], [0.2, 0.0]], "delay": [0.1, 0.2]})
     back = parquet.whole(parquet.encoded(parquet.sealed(table)))
     assert back is not None

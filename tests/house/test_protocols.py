@@ -22,12 +22,20 @@ SIGNATURES = {
     "flow": ["gains", "memory", "now"],
     "estimate": ["gains", "memory"],
 }
+OPTIONAL = {
+    "covariance": ["gains", "memory", "now"],
+    "innovation": ["gains", "memory", "now", "arrival"],
+    "sampled": ["gains", "memory", "now", "fresh"],
+}
 
 
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_observer_functions_have_the_protocols_arguments(name):
     for function, names in SIGNATURES.items():
         assert list(inspect.signature(getattr(OBSERVERS[name].observer, function)).parameters) == names
+    for function, names in OPTIONAL.items():
+        f = getattr(OBSERVERS[name].observer, function)
+        assert f is None or list(inspect.signature(f).parameters) == names
 
 
 @pytest.mark.parametrize("name", PLANTS)

@@ -1,5 +1,6 @@
 """Costs are counted from the functions themselves: products worked out by hand, loops as often as they go round."""
 
+import io
 from types import SimpleNamespace
 
 import jax
@@ -7,11 +8,17 @@ import jax.numpy as jnp
 import pandas as pd
 import pytest
 from jax import lax
+from matplotlib.collections import PathCollection
+from rich.console import Console
 
 import pcbench
 from pcbench import plots
+from pcbench.cli.screen import results
 from pcbench.errors import UserError
 from pcbench.planning.cost import counted
+from pcbench.plots import observer_costs
+from pcbench.report import headline
+from pcbench.study import read
 
 A, X = jnp.ones((3, 4)), jnp.ones(4)
 
@@ -61,3 +68,48 @@ def test_error_against_cost_has_a_point_for_every_observer_that_costs():
     assert len([p for p in points if p[1] == 3.0]) == 0
     with pytest.raises(UserError, match="did you mean 'sample'"):
         plots.cost(result, costs, by="sampel")
+
+
+def test_error_against_cost_is_of_the_scenario_that_is_asked_for():
+    """Of several scenarios each has its own costs and errors."""
+    rows = [
+        {"scenario": s, "cell": 0, "signal": "a", "unit": "m", "metric": "tail_rmse", "observer": o, "mean": m,
+         "ci_low": 0.9 * m, "ci_high": 1.1 * m}
+        for s, m in (("one", 1.0), ("two", 5.0)) for o in ("dkf", "kf-now")
+    ]  # fmt: skip
+    stats = pd.DataFrame(rows)
+    costs = stats[["scenario", "cell", "observer"]].assign(sample=60, tick=10, memory=100)
+    (ax,) = plots.cost(SimpleNamespace(stats=stats), costs, scenario="two").axes
+    points = [each.get_offsets() for each in ax.collections if isinstance(each, PathCollection)]
+    assert {float(each[0][1]) for each in points} == {5.0}
+
+
+def test_what_observers_of_a_cell_cost_is_kept_and_is_nothing_where_nothing_is_sampled(tmp_path, monkeypatch):
+    study = read.parse({"name": "t", "scenarios": ["cart/white", "arm/sine"], "observers": ["open-loop"]}, "t")
+    found = observer_costs.of(study, "cart/white", tmp_path)
+    whole = pcbench.costs("cart/white", observers=["open-loop"])
+    pd.testing.assert_frame_equal(found, whole[["scenario", "cell", "observer", "sample", "tick", "memory"]])
+    monkeypatch.setattr(observer_costs.cost, "costs", None)
+    pd.testing.assert_frame_equal(observer_costs.of(study, "cart/white", tmp_path), found)
+    assert observer_costs.of(study, "arm/sine", tmp_path) is None
+
+
+def test_what_no_loop_depends_on_is_not_computed():
+    """A wait on what cannot be computed does not hinder the count."""
+
+    def f(a, x):
+        return lax.fori_loop(0, 3, lambda i, x: x * jax.pure_callback(lambda v: 1 / 0, x, x), x)
+
+    assert counted(f, A, X) == 12
+
+
+def test_tables_have_what_observers_cost_where_that_is_asked():
+    result = pcbench.run("cart/slow", observers=["open-loop"], seeds=2)
+    costs = pcbench.costs("cart/slow", observers=["open-loop"])
+    console = Console(file=io.StringIO(), width=140)
+    results.closing(result, console, "tail_rmse", None, costs)
+    (row,) = [line.split() for line in console.file.getvalue().splitlines() if line.strip().startswith("open-loop")]
+    assert {"0", "6", "16"} <= set(row)
+    (table,) = headline.headlines(result, "cart/slow", "position", "tail_rmse", 0, costs)
+    assert table.heads[-3:] == ["products a sample", "products a tick", "bytes"]
+    assert table.rows[0]["cells"][-3:] == ["0", "6", "16"]

@@ -28,12 +28,20 @@ def slope(f, z, u):
 
 def ekf(f, h, z0, P0, Q, R, C, u, arrivals):
     """Return the estimates of ticks 0 .. N, [N+1, n]; `arrivals[k]` lists (taken, y) that come at tick k."""
+    return believed(f, h, z0, P0, Q, R, C, u, arrivals)[0]
+
+
+def believed(f, h, z0, P0, Q, R, C, u, arrivals):
+    """Return the same, the covariance of each tick by the slopes since the last sample, [N+1, n, n], and nu' S^-1 nu."""
     z, P, taken, now, out = np.array(z0, float), np.array(P0, float), 0, np.array(z0, float), []
+    spread, squares = [], np.zeros(len(u))
     for k in range(len(u)):
         for s, y in arrivals.get(k, []):
             for tick in range(taken, s):
                 F = np.eye(len(z)) + h * slope(f, z, u[tick])
                 z, P = rk4(f, z, u[tick], h), F @ P @ F.T + Q
+            nu = y - C @ z
+            squares[k] += nu @ np.linalg.solve(C @ P @ C.T + R, nu)
             K = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
             z, taken = z + K @ (y - C @ z), s
             keep = np.eye(len(z)) - K @ C
@@ -42,5 +50,10 @@ def ekf(f, h, z0, P0, Q, R, C, u, arrivals):
             for tick in range(s, k):
                 now = rk4(f, now, u[tick], h)
         out.append(now)
+        at, there = z, P
+        for tick in range(taken, k):
+            F = np.eye(len(z)) + h * slope(f, at, u[tick])
+            at, there = rk4(f, at, u[tick], h), F @ there @ F.T + Q
+        spread.append(there)
         now = rk4(f, now, u[k], h)
-    return np.array(out)
+    return np.array(out), np.array(spread), squares

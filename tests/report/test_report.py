@@ -65,6 +65,7 @@ def test_every_picture_has_its_place_a_text_and_a_unit(text):
         "over-noise_std",
         "distribution",
         "convergence",
+        "cost",
     ]
     assert names == [f"cart-white-position-{part}" for part in parts]
     for name in names:

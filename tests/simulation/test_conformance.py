@@ -22,6 +22,14 @@ BROKEN = {
         {"jump": lambda gains, memory, now, arrival: memory if arrival.fresh[0] else -memory},
         "jump cannot be traced .*jnp.where in place of if",
     ),
+    "covariance of one state": (
+        {"covariance": lambda gains, memory, now: jnp.ones((1, 1))},
+        r"covariance returned shape \(1, 1\), expected \(2, 2\)",
+    ),
+    "innovation in full": (
+        {"innovation": lambda gains, memory, now, arrival: arrival.value},
+        r"innovation returned shapes \[\(1,\)\], expected two numbers",
+    ),
     "missing argument": ({"init": lambda gains: gains.Phi[0]}, "init cannot be traced"),
 }
 

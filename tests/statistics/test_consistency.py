@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from honest import STUDY as HONEST
 
 import pcbench
 from pcbench.errors import UserError
@@ -73,6 +74,46 @@ def test_the_filter_with_a_true_model_is_consistent_with_a_quarter_of_the_noise_
     assert wide.loc["position", INSIDE[0], "dkf"]["mean"] == pytest.approx(0.683, abs=0.1)
     assert ("position", "nees", "open-loop") not in wide.index, "it has no covariance"
     assert "nees" not in set(result.pairs.metric), "neither a large nor a small one is better"
+
+
+def share_called(runs, metric, degrees, word):
+    """The share of studies of 64 runs whose verdict by a metric is this word; degrees by run [n]."""
+    studies = runs[metric].to_numpy().reshape(-1, 64).mean(1)
+    within = [band(d) for d in (runs[degrees].to_numpy() if degrees else np.ones(len(runs))).reshape(-1, 64).sum(1)]
+    return np.mean([verdict(mean, b) == word for mean, b in zip(studies, within, strict=True)])
+
+
+@pytest.mark.slow
+def test_of_studies_of_a_true_model_one_in_twenty_is_called_inconsistent_of_a_quarter_of_the_noise_nearly_all():
+    """256 studies of 64 runs; three standard errors of that share are .041."""
+    runs = pcbench.run(HONEST | {"observers": ["dkf", "dkf-bold", "ekf", "kf-cloning"]}, seeds=64 * 256).runs
+    runs = runs[runs.signal == "a"].sort_values("seed")
+    for metric, degrees in (("nees", "nees_states"), ("nis", "nis_degrees"), ("signal_nees", None)):
+        for observer in ("dkf", "ekf", "kf-cloning"):
+            mine = runs[runs.observer == observer]
+            assert 1 - share_called(mine, metric, degrees, "consistent") == pytest.approx(0.05, abs=0.041), metric
+        assert share_called(runs[runs.observer == "dkf-bold"], metric, degrees, "over-confident") > 0.97
+
+
+@pytest.mark.parametrize("names", [("dkf",), pytest.param(("dkf", "kf-cloning", "open-loop"), marks=pytest.mark.slow)])
+def test_samples_are_judged_on_schedules_of_each_runs_own(names):
+    """Lost, late and overtaking samples: of a true model nis is 1, over as many as came in order, in which runs differ."""
+    lossy = {"lti": HONEST["lti"] | {"loss": 0.2, "delay_jitter": 0.8}}
+    result = pcbench.run(HONEST | lossy | {"observers": list(names)}, seeds=64)
+    runs = result.runs[result.runs.signal == "a"].set_index(["observer", "seed"])
+    counts = runs.nis_degrees
+    assert counts["dkf"].nunique() > 1
+    if "kf-cloning" in names:
+        assert (counts["kf-cloning"] >= counts["dkf"]).all(), "who corrects copies judges what was overtaken too"
+        assert (counts["kf-cloning"] > counts["dkf"]).any()
+        assert runs.nis["open-loop"].isna().all()
+    wide = result.stats[result.stats.signal == "a"].set_index(["observer", "metric"])
+    for observer in names[:2]:
+        row, degrees = wide.loc[(observer, "nis_band")], 64 * counts[observer].mean()
+        assert (row.ci_low, row.ci_high) == pytest.approx(band(degrees))
+        assert row.ci_low < wide.loc[(observer, "nis"), "mean"] < row.ci_high
+        mine = runs.loc[observer]
+        assert wide.loc[(observer, "nis"), "mean"] == pytest.approx(mine.nis.mean())
 
 
 def test_consistency_needs_starts_that_are_drawn():

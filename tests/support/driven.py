@@ -61,14 +61,18 @@ def _run(name, gains, traffic, u, h, xhat0):
             told = lambda m: o.sampled(gains, m, now(k, False), t.taken)  # noqa: E731
             memory = lax.cond(t.taken.any(), told, lambda m: m, memory)
 
-        def deliver(memory, slot):
+        def deliver(carry, slot):
+            memory, so_far = carry
             when, fresh, value = slot
             arrival = Arrival(value, fresh, jnp.full(q, k - when), jnp.zeros(q, int), notes[when], jnp.asarray(0))
             jump = lambda m: o.jump(gains, m, now(k, False), arrival)  # noqa: E731
-            return lax.cond(when >= 0, jump, lambda m: m, memory), None
+            if o.innovation:
+                found = jnp.stack(o.innovation(gains, memory, now(k, False), arrival))
+                so_far = so_far + jnp.where(when >= 0, found, 0.0)
+            return (lax.cond(when >= 0, jump, lambda m: m, memory), so_far), None
 
-        memory, _ = lax.scan(deliver, memory, (t.when, t.fresh, t.value))
-        seen = o.estimate(gains, memory), o.covariance(gains, memory)
+        (memory, surprise), _ = lax.scan(deliver, (memory, jnp.zeros(2)), (t.when, t.fresh, t.value))
+        seen = o.estimate(gains, memory), o.covariance(gains, memory, now(k, False)), surprise
         return (o.flow(gains, memory, now(k, True)), notes), seen
 
     memory = o.init(gains, xhat0)
@@ -78,6 +82,11 @@ def _run(name, gains, traffic, u, h, xhat0):
 
 def run(name, setting, options, traffic, u, xhat0):
     """Return xhat [N+1, n] and what the observer believes of its error [N+1, n, n]."""
+    return whole(name, setting, options, traffic, u, xhat0)[:2]
+
+
+def whole(name, setting, options, traffic, u, xhat0):
+    """Return the same, and of what arrives at each tick nu' S^-1 nu and how many numbers it is of, [N+1, 2]."""
     gains = OBSERVERS[name].design(setting, OBSERVERS[name].options(**options)).gains
     given = jax.tree.map(jnp.asarray, (gains, traffic, u, setting.dt, xhat0))
     return tuple(map(np.asarray, _run(name, *given)))

@@ -6,11 +6,10 @@ import numpy as np
 import pandas as pd
 from rich.console import Console
 
-from pcbench.cli.screen import consistency
+from pcbench.cli.screen import consistency, remarks
 from pcbench.cli.screen.tables import Column, fits, printed
 from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
-from pcbench.plants import settles_alone
 from pcbench.scenarios import Scenario
 from pcbench.statistics.winning import by_cell, stood
 from pcbench.statistics.wording import difference, fraction, interval, marked
@@ -19,9 +18,11 @@ from pcbench.study import scenarios_of
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
 # least first, where there are such
 BESIDE = ("rmse", "recovery_time", "tail_tracking_rmse", "settling_time", "cost", "efficiency")
+COST = ("sample", "tick", "memory")  # what observers cost
 LESS = "less the best"
 PAIRED = f"'{LESS}' is paired over the same draws; = is not distinguishable (Holm, 5 %)."
 EXACT = "What has no ± is exact: the expected value over all noise. Numbers that only runs have are left out."
+COSTS = "sample, tick: multiplications of one run for a sample and for a tick; memory: bytes that are kept from tick to tick."
 HALF = "± is half a 95 % interval; one that leans to one side is written by its ends."
 
 
@@ -32,6 +33,7 @@ class View(NamedTuple):
     stats: pd.DataFrame  # of this signal
     pairs: pd.DataFrame  # of this signal and metric
     metric: str
+    costs: pd.DataFrame | None = None  # of its observers, a frame of `pcbench.costs`
 
     @property
     def title(self) -> str:
@@ -47,8 +49,14 @@ class View(NamedTuple):
         return str(self.stats[self.stats.metric == "mae"].unit.iloc[0])
 
 
-def closing(result: Result, console: Console, metric: str, signals: list[str] | None = None) -> None:
-    """Print who was better and how surely, the least mean `metric` first.
+def closing(
+    result: Result,
+    console: Console,
+    metric: str,
+    signals: list[str] | None = None,
+    costs: pd.DataFrame | None = None,
+) -> None:
+    """Print who was better and how surely, the least mean `metric` first; with `costs`, what observers cost.
 
     Of every scenario the `signals` that it has; None: those it is known by; an empty list: all.
     """
@@ -61,40 +69,20 @@ def closing(result: Result, console: Console, metric: str, signals: list[str] | 
         for signal in [s for s in chosen if s in there]:
             part = whole[whole.signal == signal]
             met = pairs[(pairs.scenario == name) & (pairs.signal == signal) & (pairs.metric == metric)]
-            shown = View(known[name], part, met, metric)
+            shown = View(known[name], part, met, metric, None if costs is None else costs[costs.scenario == name])
             if metric not in set(part.metric):
                 console.print(f"{name}: has no {metric} of {signal}.", highlight=False)
             elif part.cell.nunique() * part.observer.nunique() > LONGEST:
                 notes |= dict.fromkeys(_counted(shown, console))
             else:
                 notes |= dict.fromkeys(_tables(shown, console))
-        _say_what_is_carried(whole, console)
-        consistency.said(whole, console)
+        remarks.carried(whole, console)
+        notes |= dict.fromkeys(consistency.said(name, whole, console))
         if said := result.unproven(name):
             console.print(said, highlight=False, markup=False, soft_wrap=True)
-        _say_what_settles(known[name], list(result.study.axes), console)
-    for note in notes:
+        remarks.settles(known[name], list(result.study.axes), console)
+    for note in [*notes, *([COSTS] if costs is not None else [])]:
         console.print(note, highlight=False, markup=False)
-
-
-def _say_what_is_carried(stats: pd.DataFrame, console: Console) -> None:
-    """Say which predictions to the present carry the unknown input that was found."""
-    said = stats[["observer", "carries_input"]].dropna().drop_duplicates()
-    for carries, text in ((True, "carries"), (False, "does not carry")):
-        names = ", ".join(dict.fromkeys(said.observer[said.carries_input == carries]))
-        if names:
-            console.print(f"The prediction to now {text} the unknown input found: {names}.", highlight=False)
-
-
-def _say_what_settles(scenario: Scenario, axes: list[str], console: Console) -> None:
-    """Say where no observer is needed: on a plant that is known exactly and forgets its start."""
-    pushed = any(axis in ("drift", "process_std") or axis.startswith("plant.") for axis in axes)
-    if not pushed and settles_alone(scenario):
-        console.print(
-            f"{scenario.name}: the plant decays by itself, is what its model says, and has no process noise. There the model "
-            "alone wins in the end, and no answer about periods or delays follows; say what pushes it (process_std).",
-            highlight=False,
-        )
 
 
 def _varying(part: pd.DataFrame) -> list[str]:
@@ -135,7 +123,7 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
     metric, there = shown.metric, set(shown.stats.metric)
     filled = set(shown.stats.metric[shown.stats["mean"].notna()])
     exact = ["pooled_rmse"] if "rmse" in there - filled else []
-    beside = [m for m in (*exact, *BESIDE) if m in filled and m != metric]
+    beside = [m for m in (*exact, *BESIDE, consistency.HEAD) if m in filled and m != metric]
     values: dict[str, list[str]] = {name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence")}
     for cell in cells:
         wide = cell.set_index(["observer", "metric"])
@@ -152,14 +140,22 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
             for name in beside:
                 values[name].append(_beside(wide, observer, name, shown.scenario.horizon))
             values["divergence"].append(fraction(wide.loc[observer, "divergence"]))
+            for name in COST if shown.costs is not None else ():
+                values.setdefault(name, []).append(_cost(shown.costs, cell.cell.iloc[0], observer, name))
     lost, several = bool(shown.stats.diverged.any()), len(set(values["observer"])) > 1
     columns = [Column(axis, values[axis]) for axis in axes]
     columns += [Column("observer", values["observer"], left=True), Column(_head(shown, metric), values[metric])]
     columns += [Column(LESS, values[LESS])] if several else []
     columns += [Column("diverged", values["divergence"])] if lost else []
+    columns += [Column(name, values[name]) for name in COST if name in values]
     return columns + [
         Column(_head(shown, name), values[name], spare=1 + len(beside) - beside.index(name)) for name in beside[::-1]
     ]
+
+
+def _cost(costs: Any, cell: int, observer: str, name: str) -> str:
+    mine = costs[(costs.cell == cell) & (costs.observer == observer)]
+    return f"{mine[name].iloc[0]:,}" if len(mine) else ""
 
 
 def ranked(rows: pd.DataFrame) -> pd.DataFrame:
@@ -177,6 +173,8 @@ def _head(shown: View, metric: str) -> str:
 def _beside(wide: Any, observer: str, metric: str, horizon: float) -> str:
     if (observer, metric) not in wide.index:
         return ""
+    if metric == consistency.HEAD:
+        return consistency.judged(wide, observer, metric)
     row = wide.loc[observer, metric]
     return settled(row, horizon) if metric == "settling_time" else interval(row)
 

@@ -22,8 +22,8 @@ from jaxtyping import Bool, Float, Int
 
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
-from pcbench.observers.parts import linear_filter, reordering
-from pcbench.protocols import Arrival, Now, Room
+from pcbench.observers.parts import kalman, linear_filter, reordering
+from pcbench.protocols import Arrival, Now, Room, Surprise
 from pcbench.synthesis.certificate import Setting
 
 MOST = 16  # clones: a covariance of 17 states' worth squared is carried through every update
@@ -114,7 +114,24 @@ def jumping(gain: Gain) -> Any:
     return jump
 
 
-def covariance(gains: Any, memory: Memory) -> Float[Array, "signals signals"]:
+def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
+    sample, memory = reordering.sample_of(now, arrival, gains.D), carried(gains, memory, now)
+    z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
+    mine = jnp.append(False, memory.taken == sample.taken)
+    value, known, total = linear_filter.value_of(gains, sample), jnp.any(mine), kalman.unjudged()
+    for channel in range(gains.C.shape[0]):
+        c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel] & known
+        there = (mine[:, None] * c[None, :]).reshape(-1)
+        h = P @ there
+        nu, s = value[channel] - c @ sample.note - there @ z, there @ h + r
+        total = kalman.judged(total, nu, s, fresh)
+        K = kalman.gain(h, s, fresh)
+        z, P = z + K * nu, kalman.covariance(P, K, there, r)
+    return total
+
+
+def covariance(gains: Any, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance of the present, carried to now."""
     n = memory.xhat.shape[0]
     P = covariance_after(gains.motion.powers, gains.noise, memory.tick - memory.at, memory.P[:n, :n])

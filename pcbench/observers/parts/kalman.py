@@ -2,7 +2,7 @@
 
     K = P c (c'P c + r)^-1,   x <- x + K (y - c'x),   P <- (I - K c') P (I - K c')' + K r K'
 
-With independent noise one channel after the other is the joint update.
+With independent noise one channel after the other is the joint update, and the sum of nu^2 / s over them nu' S^-1 nu.
 """
 
 from typing import NamedTuple
@@ -10,6 +10,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
+
+from pcbench.protocols import Surprise
 
 
 class Posterior(NamedTuple):
@@ -31,3 +33,13 @@ def covariance(
     """Return P after a channel was used with the gain K."""
     keep = jnp.eye(c.shape[0]) - jnp.outer(K, c)
     return keep @ P @ keep.T + r * jnp.outer(K, K)
+
+
+def unjudged() -> Surprise:
+    """Return the square of a sample of which nothing has been looked at."""
+    return Surprise(jnp.zeros(()), jnp.zeros(()))
+
+
+def judged(so_far: Surprise, nu: Float[Array, ""], s: Float[Array, ""], fresh: Bool[Array, ""]) -> Surprise:
+    """Return the square with one more channel, whose innovation nu has the variance s; of one that is fresh."""
+    return Surprise(so_far.square + jnp.where(fresh, nu * nu / s, 0.0), so_far.degrees + jnp.where(fresh, 1.0, 0.0))

@@ -21,11 +21,12 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import covariance_after
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import require_detectable
-from pcbench.observers.parts import assumed_noise, kalman, prediction, reordering
+from pcbench.observers.parts import assumed_noise, guard, kalman, prediction, reordering
+from pcbench.observers.parts.guard import Known
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.protocols import Leaf, Observer, Room
+from pcbench.protocols import Arrival, Leaf, Now, Observer, Room, Surprise
 from pcbench.synthesis import riccati
 from pcbench.synthesis.certificate import Certificate, Design, Setting, certified, uncertified
 
@@ -45,6 +46,7 @@ class Gains(NamedTuple):
     inputs: Float[Room, " r"]  # unknown inputs, the last states of the filter
     known: Any  # x[n] -> [r] the known part of f, or None
     own: Any = ()  # what one observer of the family has besides
+    guard: Any = ()  # guard.Guard, of a filter that does not take every sample for what it says
 
 
 class Options(assumed_noise.Options):
@@ -68,8 +70,8 @@ def prior(gains: Gains, xhat0: Float[Array, " plant"]) -> Posterior:
 
 def init(gains: Gains, xhat0: Float[Array, " plant"]) -> Memory:
     """Start from the prior."""
-    first = prior(gains, xhat0)
-    return prediction.start(first.mean, first, gains.room, gains.C.shape[0])
+    first, q = prior(gains, xhat0), gains.C.shape[0]
+    return prediction.start(first.mean, guard.begun(first, gains.guard, q), gains.room, q)
 
 
 def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
@@ -77,22 +79,42 @@ def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
     return sample.value if gains.mix is None else gains.mix @ sample.value
 
 
-def predicted(gains: Gains, before: Posterior, tick: Any) -> Posterior:
+def predicted(gains: Gains, before: Known, tick: Any) -> Posterior:
     """Return mean and covariance carried on to a tick."""
     free = prediction.at(gains.motion, Point(before.mean, before.taken), tick)
     return Posterior(free, covariance_after(gains.motion.powers, gains.noise, tick - before.taken, before.P), tick)
 
 
-def update(gains: Gains, before: Posterior, sample: Measurement) -> Posterior:
+def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
     free, P, _ = predicted(gains, before, sample.taken)
-    value = value_of(gains, sample)
+    value, left_out = value_of(gains, sample), []
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
-        K = kalman.gain(P @ c, c @ P @ c + r, fresh)
-        free = free + K * (value[channel] - c @ (sample.note + free))
-        P = kalman.covariance(P, K, c, r)
-    return Posterior(free, P, sample.taken)
+        nu = value[channel] - c @ (sample.note + free)
+        found = guard.looked(gains.guard, before, channel, nu, c @ P @ c + r, r, fresh)
+        K = kalman.gain(P @ c, c @ P @ c + found.r, found.used)
+        free = free + K * nu
+        P = kalman.covariance(P, K, c, found.r)
+        left_out.append(found.left_out)
+    return guard.after(before, free, P, sample.taken, left_out)
+
+
+def surprise(gains: Gains, before: Known, sample: Measurement) -> Surprise:
+    """Return how far a sample is from what the newest state `before` expects of it; one that is older is not judged.
+
+    Of samples taken in order the innovations of a filter whose model is true are independent, whatever came late between.
+    """
+    free, P, _ = predicted(gains, before, jnp.maximum(sample.taken, before.taken))
+    value, total = value_of(gains, sample), kalman.unjudged()
+    fresh = sample.fresh & (sample.taken >= before.taken)
+    for channel in range(gains.C.shape[0]):
+        c, r = gains.C[channel], gains.R[channel]
+        nu, s = value[channel] - c @ (sample.note + free), c @ P @ c + r
+        total = kalman.judged(total, nu, s, fresh[channel])
+        K = kalman.gain(P @ c, s, fresh[channel])
+        free, P = free + K * nu, kalman.covariance(P, K, c, r)
+    return total
 
 
 def read(gains: Gains, whole: Float[Array, " n"]) -> Float[Array, " plant+r"]:
@@ -110,7 +132,7 @@ def estimate(gains: Gains, memory: Any) -> Float[Array, " plant+r"]:
     return read(gains, memory.xhat)
 
 
-def point(after: Posterior) -> Point:
+def point(after: Known) -> Point:
     """Return the estimate alone."""
     return Point(after.mean, after.taken)
 
@@ -125,17 +147,32 @@ def spread(gains: Gains, memory: Any, P: Float[Array, "n n"]) -> Float[Array, "s
     return T @ P @ T.T
 
 
-def covariance(gains: Gains, memory: Memory) -> Float[Array, "signals signals"]:
+def newest(gains: Gains, memory: Memory) -> Known:
+    """Return mean and covariance at the newest sample used."""
+    return reordering.newest(lambda state, sample: update(gains, state, sample), memory.buffer)
+
+
+def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return what the filter believes of its error now: the covariance at the newest sample used, carried on."""
-    newest = reordering.newest(lambda state, sample: update(gains, state, sample), memory.buffer)
-    return spread(gains, memory, predicted(gains, newest, memory.tick).P)
+    return spread(gains, memory, predicted(gains, newest(gains, memory), memory.tick).P)
 
 
-FILTER = Observer(init, prediction.note, jump, prediction.flow, estimate, covariance=covariance)
+def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    """Return how far what arrives is from what was expected of it at its own time."""
+    return surprise(gains, newest(gains, memory), reordering.sample_of(now, arrival, gains.D))
+
+
+FILTER = Observer(init, prediction.note, jump, prediction.flow, estimate, covariance=covariance, innovation=innovation)
 
 
 def design(
-    setting: Setting, options: Options, name: str, room: Room | None = None, own: Any = (), unproven: str = ""
+    setting: Setting,
+    options: Options,
+    name: str,
+    room: Room | None = None,
+    own: Any = (),
+    unproven: str = "",
+    guarded: Any = (),
 ) -> Design:
     """Gather what the filter assumes, and check its covariance recursion over the horizon at the (mean) periods.
 
@@ -173,6 +210,7 @@ def design(
         ),  # all that is unknown, or nothing
         known=setting.model.known if len(inputs) else None,
         own=own(model) if callable(own) else own,
+        guard=guarded,
     )
     carries = True if len(inputs) else None
     given = assumed_noise.option("Q", assumed_noise.process(setting, options.Q, where))

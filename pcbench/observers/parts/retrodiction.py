@@ -25,7 +25,7 @@ from pcbench.observers.parts import kalman, linear_filter, prediction, reorderin
 from pcbench.observers.parts.choosing import kept
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.protocols import Arrival, Leaf, Now, Room
+from pcbench.protocols import Arrival, Leaf, Now, Room, Surprise
 from pcbench.synthesis.certificate import Setting
 
 SINGULAR = 1e12  # condition of a discrete model's A, beyond which there is no way back
@@ -91,7 +91,7 @@ def forward(gains: Any, memory: Memory, sample: Measurement) -> Memory:
         nu = value[channel] - c @ (sample.note + known + P @ u)
         u = u + jnp.where(fresh, b * nu / s, 0.0)
         U = U + jnp.where(fresh, jnp.outer(b, b) / s, 0.0)
-    new = linear_filter.update(gains, before, sample)
+    new = Posterior(*linear_filter.update(gains, before, sample)[:3])
 
     def shifted(past: Array, one: Array) -> Array:
         return jnp.where(again, past, jnp.concatenate([past[1:], jnp.reshape(one, (1, *past.shape[1:]))]))
@@ -138,9 +138,14 @@ def jumping(retrodict: Retrodict, zero: bool) -> Any:
     return jump
 
 
-def covariance(gains: Any, memory: Memory) -> Float[Array, "signals signals"]:
+def covariance(gains: Any, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance at the newest sample used, carried on to now."""
     return linear_filter.spread(gains, memory, linear_filter.predicted(gains, memory.posterior, memory.tick).P)
+
+
+def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+    """Return how far what arrives in order is from what was expected of it."""
+    return linear_filter.surprise(gains, memory.posterior, reordering.sample_of(now, arrival, gains.D))
 
 
 def own(setting: Setting, name: str, past: int) -> Callable[[linear.Model], Own]:

@@ -1,0 +1,43 @@
+"""What is true of the errors at tick N - 1, and what observers believe of them: both are in the moments of a cell already."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from pcbench.moments.events import Means
+from pcbench.moments.sums import Read
+from pcbench.simulation import consistency
+from pcbench.simulation.problem import Layout, State
+
+
+class Last(NamedTuple):
+    """Tick N - 1: what is true of the errors, and what observers believe of them."""
+
+    covariance: Array  # [Z, Z, C]
+    believed: dict[str, Array]  # by observer that has a covariance, of what it estimates: [z, z, C]
+
+
+def kept(by: Means, k: Array, here: Array, mean: State, read: Read, before: Last) -> Last:
+    """Return what there is of errors and of what observers believe of them, where it is the tick for it."""
+    Z = read.runs.errors.shape[1]
+    nothing = jnp.zeros((0, by.std.shape[1]))
+
+    def found() -> Last:
+        return Last(read.covariance[:Z, :Z], by.over(partial(_believed, by.layout))(k, mean, nothing, ()))
+
+    return lax.cond(here, found, lambda: before)
+
+
+def _believed(layout: Layout, p: Any, k: Array, state: State, nothing: Any, rest: Any) -> dict[str, Array]:
+    """What the observers of one cell believe of their errors at tick k."""
+    return consistency.covariances(layout, p, k, state.memories, state.commands)
+
+
+def nothing(by: Means, mean: State, signals: int) -> Last:
+    """Return room for what is kept of the last tick."""
+    cells, zero = by.std.shape[1], jnp.asarray(0)
+    shapes = jax.eval_shape(lambda: by.over(partial(_believed, by.layout))(zero, mean, jnp.zeros((0, cells)), ()))
+    return Last(jnp.zeros((signals, signals, cells)), jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes))

@@ -1,0 +1,84 @@
+"""What a filter does with a sample that is far from what it expects: leave it out, or weigh it less.
+
+With nu the innovation of a channel and s the variance that it is believed to have, z = |nu| / sqrt(s):
+
+    gate:   z > gate: the channel is not used, unless `opens` of it were left out in a row: then it is, and counting begins anew
+    huber:  z > k: s <- s z / k, so that the correction grows no more; its variance follows
+
+A gate that never opens locks up: a filter that is wrong leaves out all that could mend it. The second is one step of Huber's
+M-estimator. Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4; Huber 1964, 'Robust estimation of a location parameter'.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float, Int
+from pydantic import Field
+
+from pcbench.observers.parts.kalman import Posterior
+from pcbench.protocols import Leaf
+
+GATE: Any = Field(
+    None, gt=0, description="standard deviations of an innovation beyond which a sample is left out; default: none is"
+)
+OPENS: Any = Field(5, ge=1, le=10_000, description="samples left out in a row, after which the next is used")
+HUBER: Any = Field(
+    None, gt=0, description="standard deviations of an innovation beyond which it counts no more; default: it does"
+)
+
+
+class Guard(NamedTuple):
+    """In standard deviations of an innovation; inf: nothing is far."""
+
+    gate: Float[Leaf, ""]
+    opens: Int[Leaf, ""]
+    huber: Float[Leaf, ""]
+
+
+class Guarded(NamedTuple):
+    """A filter's posterior, and how many samples of each channel were left out in a row."""
+
+    mean: Float[Array, " N"]
+    P: Float[Array, "N N"]
+    taken: Int[Array, ""]
+    left_out: Int[Array, " q"]
+
+
+Known = Posterior | Guarded  # what a filter knows after a sample
+
+
+class Looked(NamedTuple):
+    """What is made of a channel."""
+
+    used: Bool[Array, ""]
+    r: Float[Array, ""]
+    left_out: Int[Array, ""]
+
+
+def of(gate: float | None, opens: int, huber: float | None) -> Any:
+    """Return what a filter is to do; (): nothing is far."""
+    if gate is None and huber is None:
+        return ()
+    return Guard(*(np.asarray(np.inf if each is None else each) for each in (gate, opens, huber)))
+
+
+def begun(first: Posterior, guard: Any, outputs: int) -> Known:
+    """Return the state before the first sample."""
+    return Guarded(*first, jnp.zeros(outputs, int)) if isinstance(guard, Guard) else first
+
+
+def after(before: Known, mean: Array, P: Array, taken: Any, left_out: list[Array]) -> Any:
+    """Return the state after a sample, of the kind of the one before."""
+    return Guarded(mean, P, taken, jnp.stack(left_out)) if isinstance(before, Guarded) else Posterior(mean, P, taken)
+
+
+def looked(guard: Any, before: Known, channel: int, nu: Array, s: Array, r: Array, fresh: Array) -> Looked:
+    """Return whether a channel is used, and the variance of its noise that it is used with."""
+    if not isinstance(before, Guarded):
+        return Looked(fresh, r, jnp.asarray(0))
+    count, z = before.left_out[channel], jnp.abs(nu) / jnp.sqrt(s)
+    out = fresh & (z > guard.gate) & (count < guard.opens)
+    after = jnp.where(out, count + 1, jnp.where(fresh, 0, count))
+    return Looked(fresh & ~out, r + s * (jnp.maximum(z / guard.huber, 1.0) - 1.0), after)

@@ -1,0 +1,29 @@
+"""What the observers of one cell cost, kept beside its run in time."""
+
+from pathlib import Path
+
+import pandas as pd
+
+from pcbench.machine import process
+from pcbench.planning import cost, drafts
+from pcbench.plots.kept import Thing, kept
+from pcbench.study import Study
+from pcbench.study.cells import Cell, cells
+
+
+def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd.DataFrame | None:
+    """Return scenario, cell, observer, sample, tick, memory, as `pcbench.costs` does; counted where it does not stand in `out`.
+
+    None where nothing is sampled, so that there is no cost of a sample; and where an observer's code is not here.
+    """
+    one = next(each for each in cells(study, scenario) if each.number == cell)
+    if one.scenario.sampling.continuous:
+        return None
+    return kept(out, Thing(f"{scenario}.costs", one, ["costs"]), lambda: _made(one))
+
+
+def _made(cell: Cell) -> pd.DataFrame:
+    head = {"scenario": cell.scenario.name, "cell": cell.number}
+    with process.float64():
+        found = {label: each for p in drafts([cell]) for label, each in cost.costs(p).items()}
+    return pd.DataFrame([head | {"observer": label, **each._asdict()} for label, each in found.items()])

@@ -1,0 +1,60 @@
+"""An observer that keeps, beside its memory, how far what arrived was from what it expected.
+
+What it does is unchanged: `judged` puts its memory into one that has two sums more, and every jump adds to them first.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+
+from pcbench.protocols import Arrival, Gains, Innovation, Memory, Now, Observer, Surprise
+from pcbench.simulation.problem import Layout
+
+
+class Judged(NamedTuple):
+    """An observer's memory, and the sums over all that has arrived."""
+
+    memory: Memory
+    so_far: Surprise
+
+
+def watched(layout: Layout) -> Layout:
+    """Return the layout with every observer judged that says what it expects of a sample."""
+    every = ((label, judged(o, o.innovation) if o.innovation else o) for label, o in layout.observers)
+    return layout._replace(observers=tuple(every))
+
+
+def judged(o: Observer, innovation: Innovation) -> Observer:
+    """Return an observer that does the same and sums what its innovations amount to."""
+
+    def init(gains: Gains, xhat0: Array) -> Judged:
+        return Judged(o.init(gains, xhat0), Surprise(jnp.zeros(()), jnp.zeros(())))
+
+    def note(gains: Gains, memory: Judged, now: Now) -> Array:
+        return o.note(gains, memory.memory, now)
+
+    def jump(gains: Gains, memory: Judged, now: Now, arrival: Arrival) -> Judged:
+        before, more = memory.so_far, innovation(gains, memory.memory, now, arrival)
+        so_far = Surprise(before.square + more.square, before.degrees + more.degrees)
+        return Judged(o.jump(gains, memory.memory, now, arrival), so_far)
+
+    def flow(gains: Gains, memory: Judged, now: Now) -> Judged:
+        return memory._replace(memory=o.flow(gains, memory.memory, now))
+
+    def estimate(gains: Gains, memory: Judged) -> Array:
+        return o.estimate(gains, memory.memory)
+
+    made = Observer(init, note, jump, flow, estimate)
+    if (covariance := o.covariance) is not None:
+        made = made._replace(covariance=lambda gains, memory, now: covariance(gains, memory.memory, now))
+    if (sampled := o.sampled) is not None:
+        made = made._replace(
+            sampled=lambda gains, memory, now, fresh: memory._replace(memory=sampled(gains, memory.memory, now, fresh))
+        )
+    return made
+
+
+def sums(memory: Any) -> Surprise | None:
+    """Return the sums of an observer that was judged."""
+    return memory.so_far if isinstance(memory, Judged) else None
