@@ -14,6 +14,7 @@ from jax import Array, lax
 
 from pcbench.simulation import consistency, events_per_lane, events_shared, lanes, steps
 from pcbench.simulation.closed_loop import control
+from pcbench.simulation.lifted import flow as lifted
 from pcbench.simulation.metrics import Weights
 from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
 from pcbench.simulation.schedule.per_lane import Times
@@ -42,7 +43,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
         new = lanes.like(steps.tick(layout, p, k, full, drawn(k))[0], full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
 
-    def flow(start: Array, stop: Array, state: State) -> State:
+    def stepped(start: Array, stop: Array, state: State) -> State:
         def pair(i: Array, state: State) -> State:  # two ticks in one body: 1.3 times as fast as one (memory passes)
             return tick(start + 2 * i + 1, tick(start + 2 * i, state))
 
@@ -51,6 +52,8 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
         pairs = (stop - start) // 2
         state = lax.fori_loop(0, pairs, pair, state)
         return lax.fori_loop(start + 2 * pairs, stop, tick, state)
+
+    flow = lifted.flow(layout, p, state) or stepped
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
         state = events.happen(k, state)  # a window's edge may be no event: then nothing happens
