@@ -1,4 +1,4 @@
-"""The chunks that a flow goes by: from an event, or a window's edge, as many ticks at a time as one product holds, and what is left."""
+"""The chunks that a flow goes by: from an event, or a window's edge, as many ticks as z is left standing for, then what is left."""
 
 from typing import NamedTuple
 
@@ -8,9 +8,10 @@ from jax import Array, lax
 
 from pcbench.simulation.problem import Problem
 
-TICKS = 8  # of a chunk: with 4 or 16 the product and its sums take more a tick
+TICKS = 64  # of a chunk at most
+BLOCK = 8  # of them in one product: with 4 or 16 the product and its sums take more a tick
 ROOM = 4_000_000  # numbers that the products of one observer may take together: 32 MB
-SPARSE = 2 * TICKS  # ticks an event, at least: below, stepping is as fast
+SPARSE = 2 * BLOCK  # ticks an event, at least: below, stepping is as fast
 
 
 class Chunks(NamedTuple):

@@ -5,6 +5,7 @@ Every metric is that of `metrics.update` and `metrics.look`, over the same ticks
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,9 +13,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.simulation import lanes, steps
-from pcbench.simulation.lifted.chunks import TICKS, Chunks, chunks
+from pcbench.simulation.lifted.chunks import BLOCK, Chunks, chunks
 from pcbench.simulation.lifted.form import Form, forms, leaves_of, with_leaves
-from pcbench.simulation.lifted.maps import maps
+from pcbench.simulation.lifted.maps import Maps, maps
 from pcbench.simulation.metrics import Stream, Watch
 from pcbench.simulation.problem import Layout, Problem, State
 
@@ -38,68 +39,110 @@ def flow(layout: Layout, p: Problem, state: State) -> Flow | None:
     products = {form.label: maps(layout, p, state, form, each) for form in found}
 
     def lifted(start: Array, stop: Array, state: State) -> State:
-        def chunk(c: Array, carried: Any) -> Any:
-            return {form.label: _chunk(layout, p, form, products[form.label][c], each, c, *carried[form.label]) for form in found}
-
-        carried = {form.label: (_moving(form, state), _sums(form, state)) for form in found}
-        carried = lax.fori_loop(each.before[start], each.before[stop], chunk, carried)
+        first, last = each.before[start], each.before[stop]
         after = _counted(layout, p, found, start, stop, state)
         for form in found:
-            after = _put(form, after, *carried[form.label])
+            mine = products[form.label]
+            begun, sums = _moving(form, state), _sums(form, state)
+            z, sums = lax.fori_loop(first, last, partial(_chunk, p, form, mine, each), (begun, sums))
+            after = _put(form, after, z, _bounded(p, mine, each, first, last, begun, sums))
         return after
 
     return lifted
 
 
-def _chunk(layout: Layout, p: Problem, form: Form, M: Array, each: Chunks, c: Array, z: Moving, sums: Sums) -> Any:
-    """Take one chunk: the errors of its ticks into the sums, and z behind it."""
-    r, errors = z.own.shape[0] - 1, TICKS * form.signals
-    common = M[:, jnp.r_[0, 1 + r : M.shape[1]]] @ z.shared
-    shared = jnp.append(1.0, common[errors + r :])
-    if not form.own:
-        return Moving(z.own, shared), _scored(p, each, c, common[:errors].reshape(TICKS, -1), sums)
-    own = jnp.concatenate([common[: errors + r, None], M[: errors + r, 1 : 1 + r]], 1)
-    ones = jnp.zeros((1, 1 + r)).at[0, 0].set(1.0)
-    out = jnp.concatenate([own[:errors], ones, own[errors:]]) @ z.own
-    e = out[:errors].reshape(TICKS, form.signals, -1)
-    return Moving(out[errors:], shared), _scored(p, each, c, e, sums)
+def _chunk(p: Problem, form: Form, m: Maps, each: Chunks, c: Array, carried: tuple[Moving, Sums]) -> tuple[Moving, Sums]:
+    """Take one chunk: the errors of its ticks into the sums, block by block, and z behind it."""
+    z, sums = carried
+    a, E = _errors(m, c, z.shared)
+
+    def block(i: Array, sums: Sums) -> Sums:
+        return _scored(p, each.start[c] + i * BLOCK, _block(form.signals, a, E, z.own, i), sums)
+
+    sums = lax.fori_loop(0, -(-each.length[c] // BLOCK), block, sums)
+    return _ahead(m, c, z), sums
 
 
-def _scored(p: Problem, each: Chunks, c: Array, e: Array, sums: Sums) -> Sums:
-    """Take the errors [TICKS, n] or [TICKS, n, L] of a chunk into the sums; a tick that is not there has the error 0."""
+def _ahead(m: Maps, c: Array, z: Moving) -> Moving:
+    """What is moved, behind a chunk."""
+    shared = jnp.append(1.0, m.shared_after[c] @ z.shared)
+    if z.own.ndim == 1:
+        return Moving(z.own, shared)
+    ahead = jnp.concatenate([(m.common_after[c] @ z.shared)[:, None], m.own_after[c]], 1)
+    ones = jnp.zeros((1, ahead.shape[1])).at[0, 0].set(1.0)
+    return Moving(jnp.concatenate([ones, ahead]) @ z.own, shared)
+
+
+def _errors(m: Maps, c: Array, shared: Array) -> tuple[Array, Array]:
+    """The errors of a chunk's ticks as a product: a [TICKS n], and [a, E] [TICKS n, 1 + r]."""
+    a = m.common[c] @ shared
+    return a, jnp.concatenate([a[:, None], m.own[c]], 1)
+
+
+def _block(n: int, a: Array, E: Array, own: Array, i: Array) -> Array:
+    """The errors of the ticks of block i, [BLOCK, n, L]; without lanes [BLOCK, n]."""
+    if own.ndim == 1:
+        return lax.dynamic_slice_in_dim(a, i * BLOCK * n, BLOCK * n).reshape(BLOCK, n)
+    return (lax.dynamic_slice_in_dim(E, i * BLOCK * n, BLOCK * n) @ own).reshape(BLOCK, n, -1)
+
+
+def _scored(p: Problem, k: Array, e: Array, sums: Sums) -> Sums:
+    """Take the errors of a block [BLOCK, n] or [BLOCK, n, L] from tick k into the sums; those beyond a chunk's end are 0."""
     stream, watch = sums
     size = jnp.abs(e)
-    peak = _folded(jnp.maximum, list(size))
     stream = Stream(
         stream.absolute + _folded(jnp.add, list(size)),
         stream.square + _folded(jnp.add, list(e * e)),
-        jnp.maximum(stream.peak, peak),
+        jnp.maximum(stream.peak, _folded(jnp.maximum, list(size))),
     )
-    return stream, watch and _watched(p, each, c, size, peak, watch)
+    return stream, watch and _watched(p, k, size, watch)
 
 
-def _watched(p: Problem, each: Chunks, c: Array, size: Array, peak: Array, watch: Watch) -> Watch:
-    """Look at every tick for what left its band, and for what left its bound where the peak says that something did."""
-    n, k, length = size.shape[1], each.start[c], each.length[c]
-    wide = (n, *(1 for _ in size.shape[2:]))
-    band, bound = (jnp.asarray(a)[:n].reshape(wide) for a in (p.band, p.bound))
-    unsettled, recovery = watch.unsettled, watch.recovery
-    for t in range(TICKS):
+def _watched(p: Problem, k: Array, size: Array, watch: Watch) -> Watch:
+    """Note at every tick of a block what left its band, as `metrics.look` does."""
+    band, unsettled, recovery = _limits(p.band, size[0]), watch.unsettled, watch.recovery
+    for t in range(BLOCK):
         outside = size[t] > band
         unsettled = jnp.where(outside, (k + t + 1).astype(float), unsettled)
         if p.jumps.shape[0]:
             since = jnp.min(jnp.where(p.jumps <= k + t, k + t - p.jumps, k + t))
             after = jnp.any(p.jumps <= k + t)
             recovery = jnp.where(outside & after, jnp.maximum(recovery, since + 1.0), recovery)
+    return watch._replace(unsettled=unsettled, recovery=recovery)
 
-    def first(bad: Array) -> Array:
-        for t in reversed(range(TICKS)):
-            good = jnp.all(size[t] <= bound, 0) | (t >= length)
-            found = jnp.where(good, -1.0 if t == TICKS - 1 else found, (k + t).astype(float))
-        return jnp.where(bad >= 0, bad, found)
 
-    inside = jnp.all(peak <= bound)
-    return Watch(unsettled, recovery, lax.cond(inside, lambda bad: bad, first, watch.first_bad))
+def _bounded(p: Problem, m: Maps, each: Chunks, first: Array, last: Array, z: Moving, sums: Sums) -> Sums:
+    """Where a peak says that a lane has left its bound, go over the chunks again and note when."""
+    stream, watch = sums
+    if not watch:
+        return sums
+    n = stream.peak.shape[0]
+    bound = _limits(p.bound, stream.peak)
+
+    def chunk(c: Array, carried: tuple[Moving, Array]) -> tuple[Moving, Array]:
+        z, bad = carried
+        a, E = _errors(m, c, z.shared)
+
+        def block(i: Array, bad: Array) -> Array:
+            e = _block(n, a, E, z.own, i)
+            for t in range(BLOCK):
+                there = i * BLOCK + t < each.length[c]
+                out = there & (bad < 0) & ~jnp.all(jnp.abs(e[t]) <= bound, 0)
+                bad = jnp.where(out, (each.start[c] + i * BLOCK + t).astype(float), bad)
+            return bad
+
+        return _ahead(m, c, z), lax.fori_loop(0, -(-each.length[c] // BLOCK), block, bad)
+
+    def look(bad: Array) -> Array:
+        return lax.fori_loop(first, last, chunk, (z, bad))[1]
+
+    inside = jnp.all(jnp.all(stream.peak <= bound, 0) | (watch.first_bad >= 0))
+    return stream, watch._replace(first_bad=lax.cond(inside, lambda bad: bad, look, watch.first_bad))
+
+
+def _limits(limits: Any, like: Array) -> Array:
+    """A limit of each signal, [n] or [n, 1] for [n, L]."""
+    return jnp.asarray(limits)[: like.shape[0]].reshape(-1, *(1 for _ in like.shape[1:]))
 
 
 def _folded(way: Callable[[Array, Array], Array], parts: list[Array]) -> Array:
