@@ -6,6 +6,7 @@ all lanes; the events are shared by all, or each lane has its own.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -38,22 +39,22 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
     end, drawn = p.windows[-1, 0], drawing(layout, p, root_seed, seeds)
 
-    def tick(k: Array, state: State) -> State:
+    def tick(layout: Layout, k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))
         new = lanes.like(steps.tick(layout, p, k, full, drawn(k))[0], full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
 
-    def stepped(start: Array, stop: Array, state: State) -> State:
+    def stepped(layout: Layout, start: Array, stop: Array, state: State) -> State:
         def pair(i: Array, state: State) -> State:  # two ticks in one body: 1.3 times as fast as one (memory passes)
-            return tick(start + 2 * i + 1, tick(start + 2 * i, state))
+            return tick(layout, start + 2 * i + 1, tick(layout, start + 2 * i, state))
 
         if not layout.strides:
-            return lax.fori_loop(start, stop, tick, state)
+            return lax.fori_loop(start, stop, partial(tick, layout), state)
         pairs = (stop - start) // 2
         state = lax.fori_loop(0, pairs, pair, state)
-        return lax.fori_loop(start + 2 * pairs, stop, tick, state)
+        return lax.fori_loop(start + 2 * pairs, stop, partial(tick, layout), state)
 
-    flow = lifted.flow(layout, p, state) or stepped
+    flow = lifted.flow(layout, p, state, stepped) or partial(stepped, layout)
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
         state = events.happen(k, state)  # a window's edge may be no event: then nothing happens
