@@ -10,7 +10,8 @@ from pcbench.simulation.problem import Problem
 
 TICKS = 64  # of a chunk at most
 BLOCK = 8  # of them in one product: with 4 or 16 the product and its sums take more a tick
-ROOM = 4_000_000  # numbers that the products of one observer may take together: 32 MB
+LANES = 64  # chunks are so many, or twice as many ...: their numbers then fill vectors, and few programs differ in them
+MOST = 2**17  # ticks in chunks: an observer of two states takes 20 MB for them
 SPARSE = 2 * BLOCK  # ticks an event, at least: below, stepping is as fast
 
 
@@ -22,10 +23,12 @@ class Chunks(NamedTuple):
     before: Array  # [N+2] how many chunks begin before each tick
 
 
-def needed(event: np.ndarray, windows: int) -> int:
-    """Return room for the chunks of a schedule; 0 where events are too dense for them."""
+def room(event: np.ndarray, windows: int) -> int:
+    """Return room for the chunks of a schedule, whatever its windows; 0 where events are too dense, or ticks too many for them."""
     lengths = np.diff(np.append(np.flatnonzero(event), len(event)))
-    return int((-(-lengths // TICKS)).sum()) + windows if len(event) >= SPARSE * len(lengths) else 0
+    many = int((-(-lengths // TICKS)).sum()) + windows
+    many += -many % LANES
+    return many if len(event) >= SPARSE * len(lengths) and many * TICKS <= MOST else 0
 
 
 def chunks(p: Problem, room: int) -> Chunks:
