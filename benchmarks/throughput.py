@@ -56,7 +56,7 @@ CAPTION = (
     "1e-9. NumPy and numba simulate the plant in every lane. With the fixed start and no process noise the plant is the "
     "same in all lanes, and pcbench computes it once: like for like are its random-start rows, where the plant differs "
     "from lane to lane. (b) and (c) have what depends on the input alone prepared beforehand; the full product adds "
-    "settling time and divergence. Stepped is what is not affine in its state: tick by tick in every lane. Ratios are of the best; busy is CPU time over wall time."
+    "settling time and divergence. Stepped: tick by tick in every lane. Ratios are of the best; busy is CPU over wall time."
 )
 
 

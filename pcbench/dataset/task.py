@@ -110,9 +110,7 @@ def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memo
         return p, in_memory.results(p, batch.serial(made, jobs)), made
 
 
-def block(
-    work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds, way: str
-) -> tuple[str, pa.Table]:
+def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds, way: str) -> tuple[str, pa.Table]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
     c, signals = p.certificates[label], signals_of(p.cell.scenario)
     many = len(results["mae"])

@@ -65,7 +65,9 @@ def test_lifted_equals_stepped_and_who_leaves_its_bound_does_so_at_the_same_tick
     peaks = np.asarray(left.streams["dkf"].peak).max(0)[2]
     _, left = both(["dkf"], jumps=(210, 300), bound=np.array([1e9, 1e9, np.median(peaks)]))
     bad = np.asarray(left.watches["dkf"].first_bad)
-    assert ways == {"dkf": "lifted"} and (bad > 0).any() and (bad < 0).any()
+    assert ways == {"dkf": "lifted"}
+    assert (bad > 0).any()
+    assert (bad < 0).any()
 
 
 @pytest.mark.slow
@@ -153,7 +155,8 @@ def test_reach_looks_into_loops_and_branches():
     found, same = reach.reach(f, 1.0, 2.0, 3.0)
     sets = [set(each) for each in jax.tree.leaves(found, is_leaf=lambda x: isinstance(x, frozenset))]
     assert sets == [{0, 1}, {0, 1}, {0, 2}, {0, 1, 2}, {2}, {0}]
-    assert same[4] and not any(same[:4])
+    assert same[4]
+    assert not any(same[:4])
 
 
 def test_chunks_are_of_every_tick_once_and_of_no_two_events():
@@ -164,7 +167,8 @@ def test_chunks_are_of_every_tick_once_and_of_no_two_events():
     ticks = [range(a, a + many) for a, many in zip(each.start, each.length, strict=True) if many]
     assert [k for some in ticks for k in some] == list(range(N - 1))
     edges = set(np.flatnonzero(event)) | set(p.windows[:, 0])
-    assert not any(k in edges for some in ticks for k in some[1:]) and max(map(len, ticks)) <= chunks.TICKS
+    assert not any(k in edges for some in ticks for k in some[1:])
+    assert max(map(len, ticks)) <= chunks.TICKS
     assert [each.before[some[0]] for some in ticks] == list(range(len(ticks)))
     assert len(ticks) <= chunks.room(event, 3) % (ROOM + 1)
 

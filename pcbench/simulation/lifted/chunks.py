@@ -1,4 +1,4 @@
-"""The chunks that a flow goes by: from an event, or a window's edge, as many ticks as z is left standing for, then what is left."""
+"""The chunks that a flow goes by: from an event, or a window's edge, 64 ticks at a time, then what is left."""
 
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ class Chunks(NamedTuple):
 
 
 def room(event: np.ndarray, windows: int) -> int:
-    """Return room for the chunks of a schedule, whatever its windows; 0 where events are too dense, or ticks too many for them."""
+    """Return room for the chunks of a schedule, whatever its windows; 0 where events are too dense or ticks too many."""
     lengths = np.diff(np.append(np.flatnonzero(event), len(event)))
     many = int((-(-lengths // TICKS)).sum()) + windows
     many += -many % LANES

@@ -26,7 +26,7 @@ All = dict[str, Any]  # by label
 
 
 def flow(layout: Layout, p: Problem, state: State, stepped: Stepped) -> Flow | None:
-    """Return what takes a block of lanes through a flow; None where all of it is to be stepped. `state` is that before tick 0."""
+    """Return what takes a block of lanes through a flow, `state` that before tick 0; None where all of it is to be stepped."""
     found = forms(layout, p, state) if layout.lifted else ()
     if not found:
         return None

@@ -1,9 +1,9 @@
 """What goes by products, the plant and each observer by itself: asked of their functions, by what depends on what.
 
-Let z be the numbers of plant and memory that a tick moves, or that the error depends on. A tick is affine in z exactly where its
-derivative along a direction does not depend on z. This is read from the derivative's own equations, so it is proven, and holds
-for a user's observer as for ours. Stepped is what is not affine, and what depends on a counter or a flag that a memory keeps (an
-observer with a schedule of its own). Whether an observer is stepped depends on itself and its plant, never on other observers.
+Let z be the numbers of plant and memory that a tick moves, or that the error depends on. A tick is affine in z exactly where
+its derivative along a direction does not depend on z. This is read from the derivative's own equations: so it is proven, and
+holds for a user's observer as for ours. Stepped is what is not affine, and what depends on a counter or a flag that a memory
+keeps (an observer with a schedule of its own). Whether an observer is stepped depends on itself and its plant, not on others.
 """
 
 from functools import partial
@@ -90,20 +90,18 @@ def motion(layout: Layout, p: Problem, label: str, tree: Any, k: Array, leaves: 
         return jnp.zeros(0), [moved]
     o, gains = dict(layout.observers)[label], p.gains[label]
     xhat = o.estimate(gains, memory)
-    return truth(layout, p.params, now, x)[: xhat.shape[0]] - xhat, [moved, *jax.tree.leaves(o.flow(gains, memory, now))]
+    e = truth(layout, p.params, now, x)[: xhat.shape[0]] - xhat
+    return e, [moved, *jax.tree.leaves(o.flow(gains, memory, now))]
 
 
-def tangents(
-    layout: Layout, p: Problem, label: str, tree: Any, k: Array, leaves: Leaves, along: Z
-) -> tuple[Array, Z]:
-    """Return the derivative of e and of the leaves at tick k + 1, by number, along a direction of some leaves."""
+def slopes(layout: Layout, p: Problem, label: str, tree: Any, k: Array, leaves: Leaves, along: Z) -> Any:
+    """Return e and some leaves at tick k + 1, by number, and their derivatives along a direction of those leaves."""
 
     def of_z(z: Z) -> tuple[Array, Z]:
         e, after = motion(layout, p, label, tree, k, [z.get(i, a) for i, a in enumerate(leaves)])
         return e, {i: after[i] for i in z}
 
-    slope: tuple[Array, Z] = jax.jvp(of_z, ({i: leaves[i] for i in along},), (along,))[1]
-    return slope
+    return jax.jvp(of_z, ({i: leaves[i] for i in along},), (along,))
 
 
 def _form(layout: Layout, p: Problem, state: State, label: str) -> Form | None:
@@ -139,8 +137,8 @@ def _classes(
     if not all(floats[i] for i in z) or any(among(of_leaf[i]) & z for i in counted):
         return None
 
-    def slope(p: Problem, k: Array, leaves: Leaves, along: Z) -> tuple[Array, Z]:
-        return tangents(layout, p, label, tree, k, leaves, along)
+    def slope(p: Problem, k: Array, leaves: Leaves, along: Z) -> Any:
+        return slopes(layout, p, label, tree, k, leaves, along)[1]
 
     (e, after), _ = reach(slope, p, k, each, {i: each[i] for i in sorted(z)})
     bent = any(0 <= i - first < len(each) and i - first in z for found in (e, *after.values()) for i in found)

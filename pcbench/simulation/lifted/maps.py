@@ -7,7 +7,6 @@ number of z. An observer's z has the plant's x in it, whose own A and b are the 
 """
 
 import math
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -17,7 +16,7 @@ from jax import Array, lax
 from pcbench.simulation import lanes
 from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.lifted.chunks import TICKS, Chunks
-from pcbench.simulation.lifted.form import PLANT, Form, Z, motion, one_lane, tangents
+from pcbench.simulation.lifted.form import PLANT, Form, Z, one_lane, slopes
 from pcbench.simulation.problem import Layout, Problem, State
 
 
@@ -34,53 +33,48 @@ class Maps(NamedTuple):
 def maps(layout: Layout, p: Problem, state: State, form: Form, each: Chunks) -> Maps:
     """Return the maps of one form."""
     tree, shapes = one_lane(state, form.label)
-    rest = [jnp.zeros(a.shape, a.dtype) for a in shapes]  # what no error depends on may be anything
     order = [*form.own, *form.shared]
     sizes = [math.prod(shapes[i].shape) for i in order]
     F, C, r = sum(sizes), each.start.shape[0], sum(sizes[: len(form.own)])
+    zeros = [jnp.zeros(a.shape, a.dtype) for a in shapes]  # what no error depends on may be anything
 
-    def affine(k: Array, z: Z) -> tuple[Array, Z]:
-        e, after = motion(layout, p, form.label, tree, k, [z.get(i, a) for i, a in enumerate(rest)])
-        return e, {i: after[i] for i in z}
+    def column(k: Array, first: Array, z: Z) -> tuple[Array, Z]:
+        (e, after), (de, dz) = slopes(layout, p, form.label, tree, k, zeros, z)
+        return de + jnp.where(first, e, 0.0), {i: dz[i] + jnp.where(first, after[i], 0.0) for i in z}
 
-    def start(rows: Array) -> Z:  # [F, lanes] -> z
-        parts = jnp.split(rows, np.cumsum(sizes)[:-1])
-        return {i: lanes.split(a.reshape(*shapes[i].shape, -1)) for i, a in zip(order, parts, strict=True)}
-
-    def by_chunk(found: tuple[Array, Z], columns: int) -> tuple[Array, Array]:  # [C, TICKS n, columns], [C, F, columns]
-        e, z = found
-        after = jnp.concatenate([lanes.join(z[i]).reshape(-1, C, columns) for i in order])
-        return jnp.moveaxis(e.reshape(-1, C, columns), 1, 0), jnp.moveaxis(after, 1, 0)
-
-    linear = partial(tangents, layout, p, form.label, tree)
-    a, b = by_chunk(_carried(affine, form.signals, start(jnp.zeros((F, C))), each, 1), 1)
-    along = _carried(lambda k, z: linear(k, rest, z), form.signals, start(jnp.tile(jnp.eye(F), C)), each, F)
-    E, A = by_chunk(along, F)
-    mine = [0 if form.label != PLANT and i == 0 else size for i, size in zip(order, sizes, strict=True)]
-    moves = np.repeat([many > 0 for many in mine], sizes)
+    parts = jnp.split(jnp.tile(jnp.eye(F, 1 + F, 1), C), np.cumsum(sizes)[:-1])
+    start = {i: lanes.split(a.reshape(*shapes[i].shape, -1)) for i, a in zip(order, parts, strict=True)}
+    e, z = _carried(column, form.signals, start, each, 1 + F)
+    errors = jnp.moveaxis(e.reshape(-1, C, 1 + F), 1, 0)  # [C, TICKS n, 1 + F]
+    after = jnp.moveaxis(jnp.concatenate([lanes.join(z[i]).reshape(-1, C, 1 + F) for i in order]), 1, 0)
+    moves = np.repeat([i != 0 or form.label == PLANT for i in order], sizes)
     own, shared = np.flatnonzero(moves[:r]), r + np.flatnonzero(moves[r:])
-    common = jnp.concatenate([b, A[..., r:]], -1)
+    common = np.r_[0, 1 + r : 1 + F]
     return Maps(
-        own=E[..., :r],
-        common=jnp.concatenate([a, E[..., r:]], -1),
-        own_after=A[:, own, :r],
-        common_after=common[:, own],
-        shared_after=common[:, shared],
+        own=errors[..., 1 : 1 + r],
+        common=errors[..., common],
+        own_after=after[:, own, 1 : 1 + r],
+        common_after=after[:, own][..., common],
+        shared_after=after[:, shared][..., common],
     )
 
 
-def _carried(f: Any, signals: int, z: Z, each: Chunks, columns: int) -> tuple[Array, Z]:
-    """Carry columns of every chunk through its ticks: e [TICKS, n, C columns], 0 beyond a chunk's end, and z behind it."""
+def _carried(column: Any, signals: int, z: Z, each: Chunks, columns: int) -> tuple[Array, Z]:
+    """Carry columns of every chunk through its ticks: e [TICKS, n, C columns], 0 beyond a chunk's end, and z behind it.
+
+    The first column is of z = 0, the others are directions.
+    """
     start, length = jnp.repeat(each.start, columns), jnp.repeat(each.length, columns)
     width = start.shape[0]
+    first = lanes.split(jnp.arange(width) % columns == 0)
 
-    def one_tick(k: Array, goes_on: Array, z: Z) -> tuple[Array, Z]:
-        e, after = f(k, z)
+    def one_tick(k: Array, goes_on: Array, first: Array, z: Z) -> tuple[Array, Z]:
+        e, after = column(k, first, z)
         return jnp.where(goes_on, e, 0.0), {i: jnp.where(goes_on, after[i], a) for i, a in z.items()}
 
     def tick(t: Array, carried: tuple[Z, Array]) -> tuple[Z, Array]:
         z, table = carried
-        e, after = over(one_tick)(lanes.split(start + t), lanes.split(t < length), z)
+        e, after = over(one_tick)(lanes.split(start + t), lanes.split(t < length), first, z)
         if signals:
             table = lax.dynamic_update_index_in_dim(table, lanes.join(e), t, 0)
         return lanes.like(after, z, width), table
