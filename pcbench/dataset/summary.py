@@ -68,14 +68,12 @@ def digest_of(content: pa.Buffer) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
 
 
-def closing_tables(
-    target: store.Target, owned: Owned, there: list[Block]
-) -> tuple[pa.Buffer, pa.Buffer, dict[str, dict[str, Any]]]:
-    """Return stats and pairs as the bytes of their files, and the weakest certificates.
+def closing_tables(target: store.Target, owned: Owned, there: list[Block]) -> tuple[pa.Buffer, pa.Buffer]:
+    """Return stats and pairs as the bytes of their files.
 
     Cells are taken in the order of the study, those without runs left out.
     """
-    return Closing(target, owned, there).content()[:3]
+    return Closing(target, owned, there).content()[:2]
 
 
 class Closing:

@@ -234,7 +234,7 @@ def _closing_differs(target: store.Target, owned: Owned, kept: list[Block]) -> l
     """Return a sentence for every closing table that does not follow from the blocks."""
     if not summary.is_closed(target, kept):
         return ["stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."]
-    stats, pairs, _ = summary.closing_tables(target, owned, kept)
+    stats, pairs = summary.closing_tables(target, owned, kept)
     out = []
     for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
         there = summary.table(target, name)

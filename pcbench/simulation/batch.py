@@ -95,7 +95,15 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     asked = kept_programs.asked(layout, kinds, device, options)
     call, ways = compiling.compiled(simulate, given, device, options, asked), _ways(layout, given[0], asked)
     took = perf_counter() - start
-    return Program(lambda *a: call(*jax.device_put(a, device)), device, layout.width, took, call, ways, _memory(call))
+    return Program(
+        call=lambda *a: call(*jax.device_put(a, device)),
+        device=device,
+        width=layout.width,
+        compile_seconds=took,
+        compiled=call,
+        ways=ways,
+        memory=_memory(call),
+    )
 
 
 def _ways(layout: Layout, given: Any, asked: str | None) -> dict[str, str]:
