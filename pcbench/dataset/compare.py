@@ -38,6 +38,7 @@ MADE_BY = (
     "device",
     "system",
     "precision",
+    "flow",
     "git",
 )  # of a provenance: what may decide the last bits
 

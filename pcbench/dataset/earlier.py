@@ -9,6 +9,7 @@ from pcbench.dataset import columns
 # the runs are the same in all; stats and pairs of schema 5 lack `certified`, and of both what 7 has of exact numbers
 READ = ("5", "6", columns.SCHEMA)
 ALWAYS = {"method": "runs"}  # what an earlier release had no word for
+FLOW = "stepped"  # of a block that does not say how its observer went
 Order = Callable[[list[str]], list[str]]  # axes -> the columns of a table
 
 

@@ -37,7 +37,7 @@ def close(
     `begun` are tables that have grown while the blocks came, if they are of these.
     """
     mine = begun if begun and begun.made_of == {FROM: fingerprint(there)} else Closing(target, owned, there)
-    stats, pairs, weakest = mine.content()
+    stats, pairs, weakest, ways = mine.content()
     store.put(target, "stats.parquet", stats)
     store.put(target, "pairs.parquet", pairs)
     digests = {"stats.parquet": digest_of(stats), "pairs.parquet": digest_of(pairs)}
@@ -48,7 +48,7 @@ def close(
         "root_seed": owned.study.root_seed,
         "blocks": len(there),
     }
-    said = provenance.describe() | study | about | {"certificates": weakest, "digests": digests}
+    said = provenance.describe() | study | about | {"certificates": weakest, "flow": ways, "digests": digests}
     store.put_json(target, PROVENANCE, said | {"digest": _digest(said)})
 
 
@@ -68,14 +68,12 @@ def digest_of(content: pa.Buffer) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
 
 
-def closing_tables(
-    target: store.Target, owned: Owned, there: list[Block]
-) -> tuple[pa.Buffer, pa.Buffer, dict[str, dict[str, Any]]]:
-    """Return stats and pairs as the bytes of their files, and the weakest certificates.
+def closing_tables(target: store.Target, owned: Owned, there: list[Block]) -> tuple[pa.Buffer, pa.Buffer]:
+    """Return stats and pairs as the bytes of their files.
 
     Cells are taken in the order of the study, those without runs left out.
     """
-    return Closing(target, owned, there).content()
+    return Closing(target, owned, there).content()[:2]
 
 
 class Closing:
@@ -90,6 +88,7 @@ class Closing:
         self.stats, self.pairs = GrowingTable(self.made_of), GrowingTable(self.made_of)
         self.exact = exact_part.rows_by_cell(target)
         self.weakest: dict[str, dict[str, Any]] = {}
+        self.ways: dict[str, dict[str, str]] = {}
         self.left = iter(owned.cells)
         self.next = next(self.left, None)
         self.blocks: dict[tuple[str, int, str], list[Block]] = {}
@@ -102,11 +101,11 @@ class Closing:
         while self.next is not None and not self.lacking.get(self.next.key):
             self._add(self.next)
 
-    def content(self) -> tuple[pa.Buffer, pa.Buffer, dict[str, dict[str, Any]]]:
-        """Return the tables of all cells, and the weakest certificates."""
+    def content(self) -> tuple[pa.Buffer, pa.Buffer, dict[str, dict[str, Any]], dict[str, dict[str, str]]]:
+        """Return the tables of all cells, the weakest certificates, and how observers went: lifted, stepped, or both."""
         while self.next is not None:
             self._add(self.next)
-        return self.stats.content(), adjusted(self.pairs.content(), self.made_of), self.weakest
+        return self.stats.content(), adjusted(self.pairs.content(), self.made_of), self.weakest, self.ways
 
     def _add(self, cell: Cell) -> None:
         self.next = next(self.left, None)
@@ -125,6 +124,8 @@ class Closing:
         for name, each in found.items():
             c = each.about["certificate"]
             mine[name] = min(mine.get(name, c), c, key=_strength)
+            went, way = self.ways.setdefault(cell.scenario.name, {}), each.about.get("flow", earlier.FLOW)
+            went[name] = way if went.get(name, way) == way else "both"
 
 
 def _in_order(cell: Cell, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

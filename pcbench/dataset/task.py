@@ -73,7 +73,7 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         p, results, made = simulated(work, task, device)
         computing = perf_counter() - began
     start, target = perf_counter(), store.target(work.out)
-    for name, table in files(work, task, p, results):
+    for name, table in files(work, task, p, results, made.ways):
         store.put_table(target, name, table)
     return Report(
         cell=p.cell.key,
@@ -86,13 +86,16 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     )
 
 
-def files(work: Work, task: Task, p: Plan, results: in_memory.Results) -> Iterator[tuple[str, pa.Table]]:
-    """Yield the blocks of a task, (name, rows) each."""
+def files(
+    work: Work, task: Task, p: Plan, results: in_memory.Results, ways: dict[str, str]
+) -> Iterator[tuple[str, pa.Table]]:
+    """Yield the blocks of a task, (name, rows) each; `ways` by the program's observers."""
+    names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
     at = 0
     for seeds, labels in task.pieces:
         for label in labels:
             mine = {m: values[..., at : at + seeds.many] for m, values in results[label].items()}
-            yield block(work, p, label, mine, seeds)
+            yield block(work, p, label, mine, seeds, ways[names[label]])
         at += seeds.many
 
 
@@ -107,7 +110,7 @@ def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memo
         return p, in_memory.results(p, batch.serial(made, jobs)), made
 
 
-def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds) -> tuple[str, pa.Table]:
+def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds, way: str) -> tuple[str, pa.Table]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
     c, signals = p.certificates[label], signals_of(p.cell.scenario)
     many = len(results["mae"])
@@ -129,6 +132,7 @@ def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds
             "solver": c.solver,
             "status": c.status,
         },
+        "flow": way,
         "versions": provenance.versions(),
     }
     head = columns.keys(work.study, p.cell)

@@ -159,8 +159,8 @@ def _asked(cell: Cell, by: dict[Seeds, list[str]]) -> Cell:
 def _compared(target: store.Target, work: task.Work, one: task.Task, hold: task.Hold) -> tuple[int, list[str]]:
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
-        p, results, _ = task.simulated(work, one, device)
-    made = [(block_files.block_of(name), table) for name, table in task.files(work, one, p, results)]
+        p, results, program = task.simulated(work, one, device)
+    made = [(block_files.block_of(name), table) for name, table in task.files(work, one, p, results, program.ways)]
     return len(made), [said for b, now in made if b for said in _difference(b, block_files.read(target, b), now)]
 
 
@@ -168,7 +168,7 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
     """Yield how a block differs from what comes out now, if it does: rows to the bit, then what it says of itself."""
     old, new = (block_files.about(table) for table in (there, here))
     if there.equals(here):
-        if [k for k in old.keys() | new.keys() if k not in ("versions", "digest") and old.get(k) != new.get(k)]:
+        if [k for k in old.keys() | new.keys() if k not in ("versions", "digest", "flow") and old.get(k) != new.get(k)]:
             yield f"{b.name}: its rows come out again, what it says of itself does not."
         return
     apart = difference(there, here)
@@ -177,6 +177,8 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
         return
     now = new["versions"]
     changed = [f"{k} {v}, now {now.get(k)}" for k, v in old["versions"].items() if now.get(k) != v]
+    if (way := old.get("flow", earlier.FLOW)) != new["flow"]:
+        changed.append(f"flow {way}, now {new['flow']}")
     made = f"made with {'; '.join(changed)}; " if changed else ""
     kind = "rounding" if apart.relative < ROUNDING or apart.of_largest < ZERO else "more than rounding"
     yield f"{b.name}: {made}numbers differ by {apart.relative:.1e} of themselves ({kind})."
@@ -232,7 +234,7 @@ def _closing_differs(target: store.Target, owned: Owned, kept: list[Block]) -> l
     """Return a sentence for every closing table that does not follow from the blocks."""
     if not summary.is_closed(target, kept):
         return ["stats.parquet and pairs.parquet are not of the blocks that stand; run the study again to go on."]
-    stats, pairs, _ = summary.closing_tables(target, owned, kept)
+    stats, pairs = summary.closing_tables(target, owned, kept)
     out = []
     for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
         there = summary.table(target, name)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Container, Iterator
 from typing import Any
 
+import jax
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel
@@ -18,6 +19,8 @@ from pcbench.plants import lti
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
 from pcbench.simulation import batch
+from pcbench.simulation.lifted import chunks
+from pcbench.simulation.lifted.form import plant_goes
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.sample_noise import Outliers
 from pcbench.simulation.schedule import per_lane, shared
@@ -117,7 +120,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     )
     return Plan(
         cell=cell,
-        layout=layout,
+        layout=layout._replace(lifted=_chunks(layout, problem, ask)),
         problem=problem,
         certificates={o: d.certificate for o, d in designs.items()},
         bound=bound(cell, known, ask) if options else None,
@@ -137,6 +140,18 @@ def _strides(schedule: AnySchedule, heavy: bool) -> bool:
     """Whether flow goes by two ticks: not where nearly every tick has an event, nor where a body takes long to compile."""
     dense = isinstance(schedule, shared.Schedule) and schedule.event.mean() >= 0.5
     return not (dense or heavy)
+
+
+def _chunks(layout: Layout, problem: Problem, ask: once.Once) -> int:
+    """Room for the chunks of a cell that goes by them; 0 of one that is stepped, whatever its observers."""
+    schedule = problem.schedule
+    room = chunks.room(schedule.event, len(problem.windows)) if isinstance(schedule, shared.Schedule) else 0
+    if not room:
+        return 0
+    bare = layout._replace(observers=(), width=1, ring=1)
+    shapes = tuple(np.shape(a) for a in jax.tree.leaves((problem.params, problem.inputs, problem.process_std)))
+    goes: bool = ask("lifted", (bare, shapes), lambda: plant_goes(bare, problem._replace(gains={})))
+    return room if goes else 0
 
 
 def _inputs(cell: Cell, known: Setting, ask: once.Once) -> NDArray[np.float64]:

@@ -45,6 +45,7 @@ class Capacity(NamedTuple):
     ahead: int = 0  # and ahead
     falls: int = 0  # jumps of the unknown input
     pending: int = 0  # commands on their way over a network
+    chunks: int = 0  # of a flow that goes by them
     rows: tuple[tuple[tuple[str, int], int], ...] = ()  # by plant and leaf of its numbers
 
 
@@ -62,6 +63,7 @@ def room_of(p: Plan) -> Capacity:
         ahead=rounded(ahead),
         falls=len(p.problem.jumps),
         pending=rounded(p.layout.pending),
+        chunks=p.layout.lifted,
         rows=tuple(rows.items()),
     )
 
@@ -88,7 +90,7 @@ def fitted(p: Plan, room: Capacity) -> Plan:
     ]
     falling = np.pad(p.problem.jumps, (0, room.falls - len(p.problem.jumps)), constant_values=shared.NEVER)
     problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, wide), jumps=falling)
-    layout = p.layout._replace(ring=room.ring)
+    layout = p.layout._replace(ring=room.ring, lifted=p.layout.lifted and room.chunks)
     if p.reach:
         law, line = controller.close(p.cell, controller.Reach(room.back, room.ahead), p.cell.times.ticks)
         pending = room.pending if layout.pending else 0

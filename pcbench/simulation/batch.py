@@ -20,6 +20,7 @@ import numpy as np
 from pcbench.errors import UserError
 from pcbench.machine import process
 from pcbench.simulation import compiling, kept_programs, loop
+from pcbench.simulation.lifted import form
 from pcbench.simulation.problem import Layout, Outcome, Problem
 
 WIDTH = 1024  # lanes a call
@@ -46,6 +47,7 @@ class Program(NamedTuple):
     width: int
     compile_seconds: float
     compiled: Any  # the executable itself, for those who want to read it
+    ways: dict[str, str]  # by observer: lifted or stepped
     memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
 
 
@@ -90,9 +92,30 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     def simulate(*a: Any) -> Outcome:
         return loop.simulate(layout, *a)
 
-    call = compiling.compiled(simulate, given, device, options, kept_programs.asked(layout, kinds, device, options))
+    asked = kept_programs.asked(layout, kinds, device, options)
+    call, ways = compiling.compiled(simulate, given, device, options, asked), _ways(layout, given[0], asked)
     took = perf_counter() - start
-    return Program(lambda *a: call(*jax.device_put(a, device)), device, layout.width, took, call, _memory(call))
+    return Program(
+        call=lambda *a: call(*jax.device_put(a, device)),
+        device=device,
+        width=layout.width,
+        compile_seconds=took,
+        compiled=call,
+        ways=ways,
+        memory=_memory(call),
+    )
+
+
+def _ways(layout: Layout, given: Any, asked: str | None) -> dict[str, str]:
+    """How each observer goes; asked of its functions once, and kept beside the program."""
+    where, key = kept_programs.folder(), asked and f"{asked}-ways"
+    text = kept_programs.known(where, key) if where and key else None
+    if text is not None:
+        return dict(zip((label for label, _ in layout.observers), text.split(), strict=True))
+    found = form.ways(layout, given)
+    if where:
+        kept_programs.keep(where, " ".join(found.values()), key)
+    return found
 
 
 def _memory(call: Any) -> int:

@@ -6,6 +6,7 @@ all lanes; the events are shared by all, or each lane has its own.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -14,6 +15,7 @@ from jax import Array, lax
 
 from pcbench.simulation import consistency, events_per_lane, events_shared, judging, lanes, steps
 from pcbench.simulation.closed_loop import control
+from pcbench.simulation.lifted import flow as lifted
 from pcbench.simulation.metrics import Weights
 from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
 from pcbench.simulation.schedule.per_lane import Times
@@ -38,20 +40,22 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
     end, drawn = p.windows[-1, 0], drawing(layout, p, root_seed, seeds)
 
-    def tick(k: Array, state: State) -> State:
+    def tick(layout: Layout, k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))
         new = lanes.like(steps.tick(layout, p, k, full, drawn(k))[0], full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
 
-    def flow(start: Array, stop: Array, state: State) -> State:
+    def stepped(layout: Layout, start: Array, stop: Array, state: State) -> State:
         def pair(i: Array, state: State) -> State:  # two ticks in one body: 1.3 times as fast as one (memory passes)
-            return tick(start + 2 * i + 1, tick(start + 2 * i, state))
+            return tick(layout, start + 2 * i + 1, tick(layout, start + 2 * i, state))
 
         if not layout.strides:
-            return lax.fori_loop(start, stop, tick, state)
+            return lax.fori_loop(start, stop, partial(tick, layout), state)
         pairs = (stop - start) // 2
         state = lax.fori_loop(0, pairs, pair, state)
-        return lax.fori_loop(start + 2 * pairs, stop, tick, state)
+        return lax.fori_loop(start + 2 * pairs, stop, partial(tick, layout), state)
+
+    flow = lifted.flow(layout, p, state, stepped) or partial(stepped, layout)
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
         state = events.happen(k, state)  # a window's edge may be no event: then nothing happens

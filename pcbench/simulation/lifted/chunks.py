@@ -1,0 +1,44 @@
+"""The chunks that a flow goes by: from an event, or a window's edge, 64 ticks at a time, then what is left."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from pcbench.simulation.problem import Problem
+
+TICKS = 64  # of a chunk at most
+BLOCK = 8  # of them in one product: with 4 or 16 the product and its sums take more a tick
+LANES = 64  # chunks are so many, or twice as many ...: their numbers then fill vectors, and few programs differ in them
+MOST = 2**17  # ticks in chunks: an observer of two states takes 20 MB for them
+SPARSE = 2 * BLOCK  # ticks an event, at least: below, stepping is as fast
+
+
+class Chunks(NamedTuple):
+    """C chunks of N ticks; those beyond the last have no ticks."""
+
+    start: Array  # [C] first tick
+    length: Array  # [C] ticks
+    before: Array  # [N+2] how many chunks begin before each tick
+
+
+def room(event: np.ndarray, windows: int) -> int:
+    """Return room for the chunks of a schedule, whatever its windows; 0 where events are too dense or ticks too many."""
+    lengths = np.diff(np.append(np.flatnonzero(event), len(event)))
+    many = int((-(-lengths // TICKS)).sum()) + windows
+    many += -many % LANES
+    return many if len(event) >= SPARSE * len(lengths) and many * TICKS <= MOST else 0
+
+
+def chunks(p: Problem, room: int) -> Chunks:
+    """Return the chunks of a schedule and its windows, up to the last tick."""
+    ticks, end = p.schedule.event.shape[0], p.windows[-1, 0]
+    edge = p.schedule.event.at[p.windows[:, 0]].set(True)
+    k = jnp.arange(ticks)
+    begins = ((k - lax.cummax(jnp.where(edge, k, 0))) % TICKS == 0) & (k < end)
+    (start,) = jnp.nonzero(begins, size=room, fill_value=end)
+    following = lax.cummin(jnp.where(edge, k, ticks), reverse=True)
+    stop = jnp.minimum(jnp.append(following, ticks)[start + 1], end)
+    before = jnp.concatenate([jnp.zeros(1, int), jnp.cumsum(begins)])
+    return Chunks(start, jnp.minimum(stop - start, TICKS), before)

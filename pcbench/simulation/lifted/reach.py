@@ -1,0 +1,62 @@
+"""Which arguments each result of a function depends on, read from its jaxpr.
+
+An equation that applies a program is looked into; of any other every result depends on every operand. So what is found may be
+too much, never too little.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
+from pcbench.simulation.lanes import primitives
+from pcbench.simulation.lanes.primitives import CALLS, Jaxpr, Literal
+
+Found = frozenset[int]  # numbers of arguments, as flattened
+NONE: Found = frozenset()
+
+
+def reach(f: Callable[..., Any], *args: Any) -> tuple[Any, list[bool]]:
+    """Return by result, in the form of what f returns, the arguments it depends on; and of each, whether it is one as it is.
+
+    Arguments are arrays or their shapes; both are counted as `jax.tree.leaves` does.
+    """
+    closed, shape = jax.make_jaxpr(f, return_shape=True)(*args)
+    out = _through(closed.jaxpr, [frozenset([i]) for i in range(len(closed.jaxpr.invars))])
+    given = {id(v) for v in closed.jaxpr.invars}
+    return jax.tree.unflatten(jax.tree.structure(shape), out), [id(v) in given for v in closed.jaxpr.outvars]
+
+
+def _through(jaxpr: Jaxpr, args: list[Found]) -> list[Found]:
+    known: dict[Any, Found] = dict(zip(jaxpr.invars, args, strict=True))
+
+    def of(v: Any) -> Found:
+        return NONE if isinstance(v, Literal) else known.get(v, NONE)
+
+    for eqn in jaxpr.eqns:
+        known.update(zip(eqn.outvars, _applied(eqn, [of(v) for v in eqn.invars]), strict=True))
+    return [of(v) for v in jaxpr.outvars]
+
+
+def _applied(eqn: Any, args: list[Found]) -> list[Found]:
+    name = eqn.primitive.name
+    if name in CALLS:
+        return _through(primitives.called(eqn.params).jaxpr, args)
+    if name == "cond":
+        each = [_through(branch.jaxpr, args[1:]) for branch in primitives.branches(eqn.params)]
+        return [args[0].union(*found) for found in zip(*each, strict=True)]
+    if name == "scan":
+        s = primitives.scan(eqn.params)
+        fixed, carried, rows = args[: s.consts], args[s.consts : s.consts + s.carry], args[s.consts + s.carry :]
+        return _again(lambda c: _through(s.body.jaxpr, [*fixed, *c, *rows]), carried)
+    return [NONE.union(*args)] * len(eqn.outvars)
+
+
+def _again(body: Callable[[list[Found]], list[Found]], carried: list[Found]) -> list[Found]:
+    """The results of a body that is applied to its own first results until nothing is added."""
+    while True:
+        out = body(carried)
+        wider = [a | b for a, b in zip(carried, out, strict=False)]
+        if wider == carried:
+            return [*wider, *out[len(carried) :]]
+        carried = wider

@@ -1,0 +1,179 @@
+"""A flow that goes by chunks leaves what one leaves that goes tick by tick; what cannot go so is stepped.
+
+The oracle of the sums is a loop in NumPy over the recording of a run, which goes tick by tick.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from pcbench.machine import process
+from pcbench.observers import OBSERVERS
+from pcbench.protocols import Observer
+from pcbench.simulation import batch, metrics
+from pcbench.simulation.lifted import chunks, form, reach
+from tests.support.harness import LINEAR, ODD, Case, problem, recorder
+
+STEPPED = {"chain", "equal-delay", "no-delay", "kf-horizon"}  # with schedules of their own in memory
+LIFTED = sorted({"dkf", "ekf", "kfbo", "pccebo", "pco", "kf-larsen", "kf-now", "oosm-lag", "open-loop"})
+CASE = Case(ODD, 37, 74, ticks=400, h=0.01, noise_std=0.4, seed=3, xhat0=[0.5, -1.0, 2.0], input_intensity=0.05)
+ROOM, WIDTH, N = 64, 4, CASE.ticks
+BAND, FAR = np.array([1.0, 0.5, 0.8]), np.full(3, 1e9)
+RELATIVE, ZERO = 1e-11, 1e-13  # other orders of sums; and that, as a part of the largest, is rounding of zero
+
+
+def outcome(observers, lifted, bound=FAR, jumps=(), spread=1.0):
+    """What runs of CASE leave, by its own start or by random ones."""
+    layout, p = problem(CASE, {o: {} for o in observers})
+    p = p._replace(band=BAND, bound=bound, jumps=np.array(jumps, int), spread0=np.eye(3) * spread)
+    layout = layout._replace(lifted=lifted, width=WIDTH, random_start=spread > 0)
+    job = batch.Job(p, 0, np.arange(WIDTH) + CASE.seed)
+    with process.float64():
+        made = batch.program(layout, job)
+        return made.ways, next(batch.serial(made, [job]))[1]
+
+
+def read(left, label):
+    return metrics.read(left.streams[label], left.watches[label], left.final[label], N, N // 2, CASE.h, True)
+
+
+def agree(a, b):
+    largest = np.nanmax(a["peak"], -1, keepdims=True)
+    for name in a:
+        if name in ("settling_time", "recovery_time", "unsettled", "diverged", "first_bad_time"):
+            np.testing.assert_array_equal(a[name], b[name], err_msg=name)
+        else:
+            size = largest**2 if name.endswith("mse") and not name.endswith("rmse") else largest
+            within = RELATIVE * np.abs(a[name]) + ZERO * size
+            assert ((np.abs(a[name] - b[name]) <= within) | np.isnan(a[name])).all(), name
+            np.testing.assert_array_equal(np.isnan(a[name]), np.isnan(b[name]))
+
+
+def both(observers, **given):
+    """Compare the two; return how observers went, and what those that were lifted leave."""
+    (ways, quick), (_, slow) = outcome(observers, ROOM, **given), outcome(observers, 0, **given)
+    for o in observers:
+        agree(read(slow, o), read(quick, o))
+    return ways, quick
+
+
+def test_lifted_equals_stepped_and_who_leaves_its_bound_does_so_at_the_same_tick():
+    ways, left = both(["dkf"], jumps=(210, 300))
+    peaks = np.asarray(left.streams["dkf"].peak).max(0)[2]
+    _, left = both(["dkf"], jumps=(210, 300), bound=np.array([1e9, 1e9, np.median(peaks)]))
+    bad = np.asarray(left.watches["dkf"].first_bad)
+    assert ways == {"dkf": "lifted"}
+    assert (bad > 0).any()
+    assert (bad < 0).any()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("spread", [0.0, 1.0])
+@pytest.mark.parametrize("bound", [4.0, 1e9], ids=["some leave", "none leaves"])
+def test_every_affine_observer_is_the_same_lifted_and_stepped(spread, bound):
+    ways, _ = both([*LIFTED, "chain", "kf-horizon"], jumps=(210, 300), spread=spread, bound=np.full(3, bound))
+    assert {o for o, way in ways.items() if way == "stepped"} == {"chain", "kf-horizon"}
+
+
+def test_sums_are_those_of_the_errors_of_a_recorded_run():
+    layout, p = problem(CASE, {"dkf": {}})
+    with process.float64():
+        run = recorder()(layout._replace(random_start=True), p, np.asarray(0), np.asarray(CASE.seed))
+    e = np.abs(np.asarray(run.x) - np.asarray(run.estimates["dkf"]))[:N]
+    _, left = outcome(["dkf"], ROOM, jumps=(210, 300))
+    found = read(left, "dkf")
+    expected = {"mae": e.mean(0), "mse": (e**2).mean(0), "peak": e.max(0), "tail_mae": e[N // 2 :].mean(0)}
+    for name, value in expected.items():
+        np.testing.assert_allclose(found[name][:, 0], value, 1e-10, err_msg=name)
+    last = np.array([np.flatnonzero(e[:, i] > BAND[i])[-1] + 1 for i in range(3)])
+    np.testing.assert_array_equal(found["settling_time"][:, 0], last * CASE.h)
+
+
+def ways(observer=None, label="dkf", case=CASE):
+    """How an observer goes, by its shapes alone; one's own takes the gains of `dkf`."""
+    layout, p = problem(case, {label: {}})
+    each = ((label, observer or OBSERVERS[label].observer),)
+    with process.float64():
+        return form.ways(layout._replace(observers=each, lifted=ROOM, random_start=True), p)[label]
+
+
+@pytest.mark.parametrize("label", ["dkf", "kfbo", "chain", "kf-horizon"])
+def test_who_keeps_a_schedule_of_its_own_is_stepped(label):
+    assert ways(label=label) == ("stepped" if label in STEPPED else "lifted")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("label", sorted({*LIFTED, *STEPPED}))
+def test_who_goes_by_products(label):
+    assert ways(label=label) == ("stepped" if label in STEPPED else "lifted")
+
+
+def own(flow):
+    return Observer(
+        init=lambda gains, xhat0: (xhat0, jnp.asarray(0)),
+        note=lambda gains, memory, now: jnp.zeros(0),
+        jump=lambda gains, memory, now, arrival: (memory[0] + 0.1 * arrival.value[0], memory[1]),
+        flow=flow,
+        estimate=lambda gains, memory: memory[0],
+    )
+
+
+FLOWS = {
+    "affine": (lambda g, m, now: (0.9 * m[0] + now.u[0], m[1] + 1), "lifted"),
+    "affine by the time": (lambda g, m, now: (jnp.where(now.tick > 50, m[0], 0.5 * m[0]), m[1]), "lifted"),
+    "a square": (lambda g, m, now: (m[0] * m[0], m[1]), "stepped"),
+    "a bend": (lambda g, m, now: (jnp.where(m[0] > 0, m[0], 0.5 * m[0]), m[1]), "stepped"),
+    "by a counter of its own": (lambda g, m, now: (jnp.where(m[1] > 50, m[0], 0.5 * m[0]), m[1] + 1), "stepped"),
+    "a counter of what it finds": (lambda g, m, now: (m[0], m[1] + (m[0][0] > 0).astype(int)), "stepped"),
+}
+
+
+@pytest.mark.parametrize("kind", FLOWS)
+def test_an_observer_of_ones_own_is_lifted_where_its_flow_is_affine(kind):
+    flow, way = FLOWS[kind]
+    assert ways(own(flow)) == way
+
+
+def test_a_plant_that_bends_lifts_nobody():
+    layout, p = problem(CASE, {"dkf": {}})
+    bent = LINEAR._replace(step=lambda params, now, x: jnp.sin(x))
+    with process.float64():
+        assert form.ways(layout._replace(plant=bent, lifted=ROOM), p) == {"dkf": "stepped"}
+        assert not form.plant_goes(layout._replace(plant=bent), p)
+        assert not form.plant_goes(layout, p._replace(process_std=np.ones(3)))
+
+
+def test_reach_looks_into_loops_and_branches():
+    def f(a, b, c):
+        looped = jax.lax.scan(lambda s, r: ((s[1], s[0] + r), s[1]), (a, b), jnp.ones(3))
+        chosen = jax.lax.cond(c > 0, lambda a, b: (a + 1, b), lambda a, b: (a, a * a), a, b)
+        return looped[0][0], looped[1], chosen, c, jax.jit(lambda x, y: x)(a, b)
+
+    found, same = reach.reach(f, 1.0, 2.0, 3.0)
+    sets = [set(each) for each in jax.tree.leaves(found, is_leaf=lambda x: isinstance(x, frozenset))]
+    assert sets == [{0, 1}, {0, 1}, {0, 2}, {0, 1, 2}, {2}, {0}]
+    assert same[4]
+    assert not any(same[:4])
+
+
+def test_chunks_are_of_every_tick_once_and_of_no_two_events():
+    _, p = problem(CASE, {"dkf": {}})
+    event = np.asarray(p.schedule.event)
+    with process.float64():
+        each = jax.tree.map(np.asarray, jax.jit(partial(chunks.chunks, room=ROOM))(p))
+    ticks = [range(a, a + many) for a, many in zip(each.start, each.length, strict=True) if many]
+    assert [k for some in ticks for k in some] == list(range(N - 1))
+    edges = set(np.flatnonzero(event)) | set(p.windows[:, 0])
+    assert not any(k in edges for some in ticks for k in some[1:])
+    assert max(map(len, ticks)) <= chunks.TICKS
+    assert [each.before[some[0]] for some in ticks] == list(range(len(ticks)))
+    assert len(ticks) <= chunks.room(event, 3) % (ROOM + 1)
+
+
+def test_dense_events_and_long_horizons_are_stepped():
+    assert chunks.room(np.ones(1000, bool), 3) == 0
+    assert chunks.room(np.arange(10**6) % 200 == 0, 3) == 0
+    assert chunks.room(np.arange(10**4) % 200 == 0, 3) == 256
