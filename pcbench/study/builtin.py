@@ -109,7 +109,7 @@ STUDIES = {
     "faults": Study(  # how many outliers does an observer bear before the model alone is better?
         name="faults",
         scenarios=["cart/gaussian"],
-        observers=["dkf", "dkf-gate", "dkf-huber", "ekf-gate", "pccebo", "open-loop"],
+        observers=["dkf", "dkf-gate", "dkf-huber", "pccebo", "open-loop"],
         seeds=256,
         axes={
             "outlier_probability": [0.0, 0.01, 0.05, 0.2],
@@ -120,7 +120,6 @@ STUDIES = {
             "scenario": {"random_start": True, "consistency": True},
             "dkf-gate": {"gate": 3.0},
             "dkf-huber": {"huber": 1.5},
-            "ekf-gate": {"gate": 3.0},
         },
     ),
     "map": Study(  # which period and which delay can I afford? 20 x 20, without a seed
