@@ -146,5 +146,6 @@ def _reach(errors: Any) -> dict[str, NDArray[np.float64]]:
         return {}
     with warnings.catch_warnings(), np.errstate(over="ignore", invalid="ignore"):
         warnings.simplefilter("ignore", RuntimeWarning)
-        low, high = np.nanquantile(errors, [0.05, 0.95], axis=1)
+        quantile = np.nanquantile if np.isnan(errors).any() else np.quantile  # which takes a tenth of the time
+        low, high = quantile(errors, [0.05, 0.95], axis=1)
         return {"low": low, "high": high, "rms": np.sqrt(np.nanmean(errors**2, axis=1))}

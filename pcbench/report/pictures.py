@@ -1,6 +1,7 @@
 """The pictures of a study, each with its words: the page shows these, and `--figures` writes the same as files."""
 
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import pandas as pd
@@ -63,8 +64,10 @@ class Place(NamedTuple):
 def places(result: Result, scenarios: list[str], shown: Shown, progress: Progress = SILENT) -> dict[str, Place]:
     """Return scenarios with their runs in time, simulated together, and what their observers cost; what is not kept is made."""
     at = {scenario: cell_of(result, scenario, shown) for scenario in scenarios}
-    runs = one_run.several(result.study, at, result.out, shown.seed, progress)
-    costs = {scenario: observer_costs.of(result.study, scenario, result.out, cell) for scenario, cell in at.items()}
+    with ThreadPoolExecutor(1) as pool:  # costs are counted while programs are compiled
+        asked = pool.submit(one_run.several, result.study, at, result.out, shown.seed, progress)
+        costs = {name: observer_costs.of(result.study, name, result.out, cell) for name, cell in at.items()}
+        runs = asked.result()
     return {name: Place(result, name, cell, runs[name], costs[name], shown) for name, cell in at.items()}
 
 

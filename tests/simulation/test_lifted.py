@@ -159,7 +159,8 @@ def test_reach_looks_into_loops_and_branches():
     assert not any(same[:4])
 
 
-def test_chunks_are_of_every_tick_once_and_of_no_two_events():
+def test_chunks_are_of_every_tick_once_and_of_no_two_events(monkeypatch):
+    monkeypatch.setattr(chunks, "FEWEST", 0)
     _, p = problem(CASE, {"dkf": {}})
     event = np.asarray(p.schedule.event)
     with process.float64():
@@ -173,7 +174,9 @@ def test_chunks_are_of_every_tick_once_and_of_no_two_events():
     assert len(ticks) <= chunks.room(event, 3) % (ROOM + 1)
 
 
-def test_dense_events_and_long_horizons_are_stepped():
-    assert chunks.room(np.ones(1000, bool), 3) == 0
+def test_dense_events_and_long_and_short_horizons_are_stepped():
+    assert chunks.room(np.ones(10**4, bool), 3) == 0
+    assert chunks.room(np.arange(chunks.FEWEST - 1) % 200 == 0, 3) == 0
+    assert chunks.room(np.arange(chunks.FEWEST) % 200 == 0, 3) > 0
     assert chunks.room(np.arange(10**6) % 200 == 0, 3) == 0
     assert chunks.room(np.arange(10**4) % 200 == 0, 3) == 256

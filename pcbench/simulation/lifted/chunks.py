@@ -12,6 +12,7 @@ TICKS = 64  # of a chunk at most
 BLOCK = 8  # of them in one product: with 4 or 16 the product and its sums take more a tick
 LANES = 64  # chunks are so many, or twice as many ...: their numbers then fill vectors, and few programs differ in them
 MOST = 2**17  # ticks in chunks: an observer of two states takes 20 MB for them
+FEWEST = 2**11  # ticks of a run: of fewer, all that is saved is less than the larger program takes to compile
 SPARSE = 2 * BLOCK  # ticks an event, at least: below, stepping is as fast
 
 
@@ -24,11 +25,15 @@ class Chunks(NamedTuple):
 
 
 def room(event: np.ndarray, windows: int) -> int:
-    """Return room for the chunks of a schedule, whatever its windows; 0 where events are too dense or ticks too many."""
+    """Return room for the chunks of a schedule, whatever its windows; 0 where it is to be stepped.
+
+    That is where events are too dense, or ticks too many or too few.
+    """
     lengths = np.diff(np.append(np.flatnonzero(event), len(event)))
     many = int((-(-lengths // TICKS)).sum()) + windows
     many += -many % LANES
-    return many if len(event) >= SPARSE * len(lengths) and many * TICKS <= MOST else 0
+    long = len(event) >= FEWEST and many * TICKS <= MOST
+    return many if long and len(event) >= SPARSE * len(lengths) else 0
 
 
 def chunks(p: Problem, room: int) -> Chunks:
