@@ -217,7 +217,8 @@ def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values
     known = enough[0] & enough[1] & (va + vb > 0)
     na, nb = np.maximum(na, 2), np.maximum(nb, 2)
     va, vb = np.where(known, va, 1.0), np.where(known, vb, 1.0)
-    df = (va + vb) ** 2 / (va**2 / np.where(known, na - 1, 1) + vb**2 / np.where(known, nb - 1, 1))
+    a, b = va / (va + vb), vb / (va + vb)  # variances may be so small that their squares are zero
+    df = 1 / (a**2 / np.where(known, na - 1, 1) + b**2 / np.where(known, nb - 1, 1))
     return np.where(known, 2 * stdtr(df, -np.abs(mb - ma) / np.sqrt(va + vb)), np.nan)
 
 

@@ -14,15 +14,16 @@ from pcbench.study import read
 AXES = {"sampling_period": [0.1, 0.25], "delay": [0.0, 0.2, 0.7], "noise_std": [0.0, 0.5], "drift": [0.0, 1.0]}
 
 
-def planned(**axes):
+def planned(few=(), **axes):
     raw = {"name": "axes", "scenarios": ["cart/white"], "axes": axes, "seeds": 3}
+    raw |= {"observers": list(few)} if few else {}
     chosen = read.parse(raw, "axes")
     return chosen, planning.plan(chosen)
 
 
 def test_one_compilation_for_every_period_delay_noise_and_drift():
     with hurried.programs():
-        chosen, cells = planned(**AXES)
+        chosen, cells = planned(["kfbo", "dkf"], **AXES)
         done = list(in_memory.execute(chosen, cells))
         assert batch.compilations() == 1
     assert len(done) == 24
@@ -33,11 +34,12 @@ def test_one_compilation_for_every_period_delay_noise_and_drift():
 def test_gains_are_traced():
     """Other weights, the same program."""
     counts = []
-    for R in (0.1, 3.0):
-        raw = {"name": "gains", "scenarios": ["cart/white"], "options": {"kfbo": {"R": R}}, "seeds": 2}
-        chosen = read.parse(raw, "gains")
-        list(in_memory.execute(chosen, planning.plan(chosen)))
-        counts.append(batch.compilations())
+    raw = {"name": "gains", "scenarios": ["cart/white"], "observers": ["kfbo"], "seeds": 2}
+    with hurried.programs():
+        for R in (0.1, 3.0):
+            chosen = read.parse(raw | {"options": {"kfbo": {"R": R}}}, "gains")
+            list(in_memory.execute(chosen, planning.plan(chosen)))
+            counts.append(batch.compilations())
     assert counts[0] == counts[1]
 
 

@@ -36,7 +36,7 @@ def error(got):
     return {name: np.abs(got.x - xhat).max() / size for name, xhat in got.estimates.items()}
 
 
-@settings(max_examples=15)
+@settings(max_examples=10)
 @given(te=st.integers(1, 399), d=st.integers(0, 399), odd=st.booleans())
 def test_no_error_for_any_period_and_delay(te, d, odd):
     case = perfect(ODD, te, d, h=0.01) if odd else perfect(CART, te, d)

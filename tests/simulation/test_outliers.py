@@ -8,6 +8,7 @@ from reference import threefry
 import pcbench
 from pcbench.errors import UserError
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
 PLAIN = STUDY | {"observers": ["dkf"], "options": {}}
 
 

@@ -15,6 +15,7 @@ from pcbench.sufficing import growing
 from pcbench.sufficing.axis import axis_of, scale_of
 from pcbench.sufficing.question import notes, question
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
 ASKED = {"over": "noise_std", "below": 0.2, "metric": "tail_rmse", "seeds": 16, "observers": ["dkf", "open-loop"]}
 BETWEEN = {"between": (0.05, 3.2), "within": 0.2, "max_seeds": 64}
 TWO_CLOCKS = """
