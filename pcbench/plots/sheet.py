@@ -154,7 +154,7 @@ def _legend(figure: Figure, rows: list[list[tuple[float, Key]]], top: float, pap
             else:
                 mark = style.marker if kind == "points" else ""
                 line = Line2D([x, x + 1.2 * em, x + 2.4 * em], [y] * 3, transform=inches, marker=mark, markersize=4.5)
-                line.set(color=style.colour, linewidth=width, linestyle=style.line, markevery=[1])
+                line.set(color=style.colour, linewidth=width, linestyle=style.line if width else "none", markevery=[1])
                 figure.add_artist(line)
             figure.text(x + 2.8 * em, y, label, transform=inches, ha="left", va="center_baseline", color=INK)
 

@@ -14,7 +14,7 @@ from pcbench.errors import UserError
 
 STUDY = {
     "name": "until",
-    "scenarios": ["cart/slow"],
+    "scenario": {"base": "cart/slow", "horizon": 4.0, "tail": 2.0},
     "observers": ["pccebo", "kfbo"],
     "seeds": 64,
     "axes": {"noise_std": [0.0, 0.1, 0.5]},
@@ -99,7 +99,7 @@ def test_a_goal_that_is_none_is_one_sentence(tmp_path, text, said):
 
 
 def test_a_metric_that_a_scenario_lacks_is_one_sentence(done):
-    with pytest.raises(UserError, match="tracking_rmse of position, which cart/slow does not have"):
+    with pytest.raises(UserError, match="tracking_rmse of position, which until does not have"):
         pcbench.run(STUDY, out=done.out, until_se="tracking_rmse=0.1")
 
 

@@ -21,6 +21,7 @@ import pcbench
 from pcbench.observers import OBSERVERS
 from pcbench.study.cells import told
 
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
 CHOICES = [{"gate": 3.0}, {"gate": 1.0, "gate_opens": 2}, {"huber": 1.3}, {"gate": 2.0, "huber": 1.0, "gate_opens": 3}]
 
 

@@ -12,6 +12,7 @@ from pcbench.simulation.consistency import normalised
 from pcbench.statistics.consistency import INSIDE, Band, band, inside, verdict
 
 P = np.array([[2.0, 0.6, -0.3], [0.6, 1.0, 0.2], [-0.3, 0.2, 0.5]])
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
 DRAWS = np.random.default_rng(5).normal(size=(400, 64, 3)) @ np.linalg.cholesky(P).T
 
 
