@@ -94,12 +94,13 @@ def fair(table: pd.DataFrame, console: Console) -> None:
     columns += [
         Column("held out", [_mean(r["held_out"], r["held_out_se"]) for r in rows]),
         Column("of the bound\n(tail)", [_share(r["efficiency"]) for r in rows]),
-        Column("training", [_mean(r["training"], r["training_se"]) for r in rows], spare=1),
-        Column("gap", [_mean(r["gap"], r["gap_se"], "+") for r in rows], spare=2),
+        Column("training", [_mean(r["training"], r["training_se"]) for r in rows], spare=2),
+        Column("gap", [_mean(r["gap"], r["gap_se"], "+") for r in rows], spare=1),
     ]
     if table.diverged.any():
         columns.append(Column("diverged", [str(r["diverged"]) for r in rows]))
-    printed(title, columns, console)
+    if left_out := printed(title, columns, console):
+        console.print(f"Left out for want of room: {', '.join(left_out)}.", highlight=False)
     _say_what_is_unproven(table.certified, console)
     for label, note in dict.fromkeys((row["label"], row["note"]) for row in rows if row["note"]):
         console.print(f"{label}: the start is kept: {note}.", highlight=False)
