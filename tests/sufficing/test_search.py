@@ -6,7 +6,7 @@ from math import inf, isclose, isnan, nan
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from pcbench.statistics import sufficing
@@ -43,6 +43,8 @@ def by_every_tick(f, scale=PERIODS):
     return good[-1] if len(good) else nan
 
 
+@example(1.0, 1.0)
+@example(0.5, 1.0)
 @given(st.floats(0.02, 5.0), st.floats(0.3, 3.0))
 def test_without_noise_it_is_the_answer_of_every_tick_to_the_tick(size, power):
     def error(v):
@@ -51,15 +53,15 @@ def test_without_noise_it_is_the_answer_of_every_tick_to_the_tick(size, power):
     want = by_every_tick(error)
     asked = []
     found = answer(search(runs({"a": error}, asked=asked), PERIODS._replace(within=1e-3), LIMIT, MOST)["a"])
+    at_limit = sum(p.verdict == "undecided" for p in found.points)  # an error of the limit itself, without spread
     if isnan(want):
         assert found.kind == "no value"
     elif want == PERIODS.high:
         assert found.kind == "every value"
     else:
         assert found.largest.value == want
-        at_limit = sum(p.verdict == "undecided" for p in found.points)  # an error of the limit itself, without spread
         assert isclose(found.exceeds.value, want + 1e-3 * (1 + at_limit))
-    assert len(asked[-1][0]) < 20, "of 2000"
+    assert len(asked[-1][0]) < 20 * (1 + at_limit), "of 2000; both sides of one at the limit are searched"
 
 
 @given(st.floats(0.06, 5.0), st.floats(0.5, 2.0))
