@@ -7,7 +7,7 @@ moments are at ticks 0 .. N, of long horizons at every so many that `POINTS` are
 import itertools
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import pyarrow as pa
 from pcbench.dataset import columns, ownership, parquet, store
 from pcbench.dataset.exact import Exact
 from pcbench.dataset.ownership import Owned
-from pcbench.machine import provenance
+from pcbench.machine import pools, provenance
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.study.as_toml import digest
 from pcbench.study.cells import Grid
@@ -68,10 +68,10 @@ def _cells(owned: Owned, exact: Exact, rows: list[Row], progress: Progress) -> I
 
 def _put(target: store.Target, files: Iterator[tuple[str, pa.Table]]) -> None:
     """Put files while the next are made: what they wait for is the disk."""
-    with ThreadPoolExecutor(WRITERS) as pool:
+    with pools.pool(WRITERS) as threads:
         waiting: deque[Future[None]] = deque()
         for name, table in files:
-            waiting.append(pool.submit(lambda n, t: store.put_table(target, n, parquet.sealed(t)), name, table))
+            waiting.append(threads.submit(lambda n, t: store.put_table(target, n, parquet.sealed(t)), name, table))
             if len(waiting) > 2 * WRITERS:
                 waiting.popleft().result()
         for each in waiting:

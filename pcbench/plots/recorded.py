@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Hashable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import jax
@@ -10,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from pcbench.machine import process
+from pcbench.machine import pools, process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import alone, drafts, padding
 from pcbench.planning.padding import Plan
@@ -46,8 +45,8 @@ def several(at: dict[str, Cell], root_seed: int, seed: int, progress: Progress =
     for i, each in enumerate(asked):
         groups.setdefault(_shapes(each), []).append(i)
     made: dict[int, trace.Thinned] = {}
-    with ThreadPoolExecutor(batch.cores()) as pool:
-        work = [pool.submit(batch.in_float64, _recorded, [asked[i] for i in group]) for group in groups.values()]
+    with pools.pool(batch.cores()) as threads:
+        work = [threads.submit(batch.in_float64, _recorded, [asked[i] for i in group]) for group in groups.values()]
         for group, done in zip(groups.values(), work, strict=True):
             made |= zip(group, done.result(), strict=True)
             progress.step(len(group))

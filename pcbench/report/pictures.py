@@ -1,7 +1,6 @@
 """The pictures of a study, each with its words: the page shows these, and `--figures` writes the same as files."""
 
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import pandas as pd
@@ -9,6 +8,7 @@ from matplotlib.figure import Figure
 
 from pcbench import plots
 from pcbench.dataset.result import Result
+from pcbench.machine import pools
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.plants import signals_of
 from pcbench.plots import frames, honesty, observer_costs, one_run, time_series
@@ -64,11 +64,10 @@ class Place(NamedTuple):
 def places(result: Result, scenarios: list[str], shown: Shown, progress: Progress = SILENT) -> dict[str, Place]:
     """Return scenarios with their runs in time, simulated together, and what their observers cost; what is not kept is made."""
     at = {scenario: cell_of(result, scenario, shown) for scenario in scenarios}
-    with ThreadPoolExecutor(1) as pool:  # costs are counted while programs are compiled
-        asked = pool.submit(one_run.several, result.study, at, result.out, shown.seed, progress)
-        costs = {name: observer_costs.of(result.study, name, result.out, cell) for name, cell in at.items()}
-        runs = asked.result()
-    return {name: Place(result, name, cell, runs[name], costs[name], shown) for name, cell in at.items()}
+    with pools.pool(1) as threads:  # costs are counted while programs are compiled
+        costs = {name: threads.submit(observer_costs.of, result.study, name, result.out, at[name]) for name in at}
+        runs = one_run.several(result.study, at, result.out, shown.seed, progress)
+        return {name: Place(result, name, cell, runs[name], costs[name].result(), shown) for name, cell in at.items()}
 
 
 def of_signal(where: Place, signal: str) -> Iterator[Picture]:
