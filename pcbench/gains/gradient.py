@@ -54,7 +54,7 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
     which = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
     bare = p.problem._replace(gains={})
     calls = [_padded(seeds[i : i + layout.width], layout.width, len(seeds)) for i in range(0, len(seeds), layout.width)]
-    options = batch.ONE_THREAD if jax.devices()[0].platform == "cpu" else None
+    options = batch.OPTIONS if jax.devices()[0].platform == "cpu" else None
     compiled: list[Any] = []
 
     def at(gains: Any) -> Slope:

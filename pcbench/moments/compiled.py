@@ -46,7 +46,7 @@ def _program(layout: Layout, one: Realised, own: tuple[bool, ...], width: int, r
         if key not in _MADE:
             shape = Shape(width, form_of(layout, one.problem), own, recorded)
             lowered = jax.jit(program.run, static_argnums=(0, 1)).lower(layout, shape, given)
-            _MADE[key] = lowered.compile(batch.ONE_THREAD if jax.devices()[0].platform == "cpu" else None)
+            _MADE[key] = lowered.compile(batch.OPTIONS if jax.devices()[0].platform == "cpu" else None)
         return _MADE[key]
 
 

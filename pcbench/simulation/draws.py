@@ -1,7 +1,7 @@
 """Random numbers addressed by run: (root seed, seed index, stream, channel, sample index), and by nothing else.
 
 A draw never depends on the observer, the order of cells, the size of a block, the device or the worker: all observers
-see the same noise, and a run has the same numbers alone or among thousands. Threefry-2x32 in counter form (`primitives.key`),
+see the same noise, and a run has the same numbers alone or among thousands. Threefry-2x32 in counter form (`generator`),
 float64; no setting of jax or of the environment changes a draw.
 """
 
@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.simulation.lanes import primitives
+from pcbench.simulation import generator
 
 STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "process": 5}
 STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8, "outlier": 9}
@@ -23,7 +23,7 @@ def run_keys(root_seed: Array, seeds: Array, stream: str, channels: int) -> list
 
 
 def _key(root_seed: Array, seed: Array, stream: str, channel: Array | int) -> Array:
-    base = jax.random.fold_in(primitives.key(root_seed), seed)
+    base = jax.random.fold_in(generator.key(root_seed), seed)
     return jax.random.fold_in(jax.random.fold_in(base, STREAMS[stream]), channel)
 
 

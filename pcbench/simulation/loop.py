@@ -55,19 +55,20 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
         state = lax.fori_loop(0, pairs, pair, state)
         return lax.fori_loop(start + 2 * pairs, stop, partial(tick, layout), state)
 
-    flow = lifted.flow(layout, p, state, stepped) or partial(stepped, layout)
+    way = lifted.way(layout, p, state, stepped)
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
         state = events.happen(k, state)  # a window's edge may be no event: then nothing happens
         following = events.following(k, state)
         stop = jnp.minimum(jnp.minimum(following, edge), end)  # the last tick's events happen, its flow is not needed
-        return jnp.where(k < end, stop, k + 1), flow(k, stop, state)
+        return jnp.where(k < end, stop, k + 1), way.flow(k, stop, state)
 
     def window(state: State, edges: Array) -> tuple[State, Any]:
         _, state = lax.while_loop(lambda c: c[0] < edges[1], lambda c: segment(edges[1], *c), (edges[0], state))
         return state._replace(**empty), (state.streams, state.tracking, state.effort)
 
-    state, sums = lax.scan(window, state, p.windows)
+    state, sums = lax.scan(window, way.ready(state), p.windows)
+    state = way.settled(state)
     state = state._replace(memories=events.whole(state.memories))
     last = steps.score(layout, p, end, state)  # of the last tick its error is all that is needed
     if isinstance(p.weights, Weights):  # or its command, where the input counts

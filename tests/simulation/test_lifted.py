@@ -64,7 +64,7 @@ def both(observers, **given):
 def test_lifted_equals_stepped_and_who_leaves_its_bound_does_so_at_the_same_tick():
     ways, left = both(["dkf"], jumps=(210, 300))
     peaks = np.asarray(left.streams["dkf"].peak).max(0)[2]
-    _, left = both(["dkf"], jumps=(210, 300), bound=np.array([1e9, 1e9, np.median(peaks)]))
+    _, left = both(["dkf"], bound=np.array([1e9, 1e9, np.median(peaks)]))
     bad = np.asarray(left.watches["dkf"].first_bad)
     assert ways == {"dkf": "lifted"}
     assert (bad > 0).any()
@@ -74,17 +74,19 @@ def test_lifted_equals_stepped_and_who_leaves_its_bound_does_so_at_the_same_tick
 @pytest.mark.slow
 @pytest.mark.parametrize("spread", [0.0, 1.0])
 @pytest.mark.parametrize("bound", [4.0, 1e9], ids=["some leave", "none leaves"])
-def test_every_affine_observer_is_the_same_lifted_and_stepped(spread, bound):
-    ways, _ = both([*LIFTED, "chain", "kf-horizon"], jumps=(210, 300), spread=spread, bound=np.full(3, bound))
+@pytest.mark.parametrize("jumps", [(), (210, 300)])
+def test_every_affine_observer_is_the_same_lifted_and_stepped(spread, bound, jumps):
+    ways, _ = both([*LIFTED, "chain", "kf-horizon"], jumps=jumps, spread=spread, bound=np.full(3, bound))
     assert {o for o, way in ways.items() if way == "stepped"} == {"chain", "kf-horizon"}
 
 
-def test_sums_are_those_of_the_errors_of_a_recorded_run():
+@pytest.mark.parametrize("jumps", [(), (210, 300)])
+def test_sums_are_those_of_the_errors_of_a_recorded_run(jumps):
     layout, p = problem(CASE, {"dkf": {}})
     with process.float64():
         run = recorder()(layout._replace(random_start=True), p, np.asarray(0), np.asarray(CASE.seed))
     e = np.abs(np.asarray(run.x) - np.asarray(run.estimates["dkf"]))[:N]
-    _, left = outcome(["dkf"], ROOM, jumps=(210, 300))
+    _, left = outcome(["dkf"], ROOM, jumps=jumps)
     found = read(left, "dkf")
     expected = {"mae": e.mean(0), "mse": (e**2).mean(0), "peak": e.max(0), "tail_mae": e[N // 2 :].mean(0)}
     for name, value in expected.items():

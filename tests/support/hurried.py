@@ -50,6 +50,6 @@ def programs():
         patch.setattr(compiled, "_MADE", {})
         patch.setattr(batch, "WIDTH", LANES)
         patch.setattr(batch, "HEAVY", LANES)
-        patch.setattr(batch, "ONE_THREAD", batch.ONE_THREAD | options())
+        patch.setattr(batch, "OPTIONS", batch.OPTIONS | options())
         patch.setattr(batch, "_compiled", lru_cache(maxsize=64)(batch._compiled.__wrapped__))
         yield

@@ -1,20 +1,13 @@
 """What pcbench takes from jax's insides: names of primitives, and where their equations keep what the interpreter needs.
 
-The generator too: it is put together here, so that draws are the same whatever jax's defaults are or become.
 jax promises none of this to last; nothing else in pcbench looks at an equation's parameters. Read against jax 0.10.0 to
 0.12.0: up to 0.10 a scan counts its constants and carries (`num_consts`, `num_carry`), from 0.11 on it has one tree of its
 operands in three parts (`ft_in`: constants, carries, rows). A release in which the tests of this file pass is fine; one that
 moves things fails here, in one sentence, and not with other numbers.
-
-Source of the generator: Salmon, Moraes, Dror, Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011 (Threefry 2x32).
 """
 
-import math
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
-from jax import Array
 from jax.extend import random as generators
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 from jax.lax import GatherScatterMode
@@ -32,9 +25,9 @@ __all__ = [
     "branches",
     "called",
     "fold_axes",
+    "generators",
     "inner",
     "jaxpr_as_fun",
-    "key",
     "products_of",
     "said",
     "scan",
@@ -140,28 +133,3 @@ def inner(params: dict[str, Any]) -> list[Any]:
     """Return every program among an equation's parameters, closed or not."""
     each = (v for value in params.values() for v in (value if isinstance(value, tuple | list) else (value,)))
     return [v for v in each if isinstance(v, ClosedJaxpr | Jaxpr)]
-
-
-def key(seed: Array | int) -> Array:
-    """Return the generator's key for a whole number: no setting of jax, nor of its environment, is asked."""
-    return jax.random.wrap_key_data(generators.threefry_prng_impl.seed(jnp.asarray(seed)), impl=_GENERATOR)
-
-
-def _bits(key: Array, width: int, shape: tuple[int, ...]) -> Array:
-    """Random bits for each of a shape, from the two words of Threefry at the counters (0, 0), (0, 1), ..."""
-    many = math.prod(shape)
-    counters = jnp.concatenate([jnp.zeros(many, jnp.uint32), jnp.arange(many, dtype=jnp.uint32)])
-    high, low = jnp.split(generators.threefry_2x32(key, counters), 2)
-    whole = (high.astype(jnp.uint64) << 32) | low.astype(jnp.uint64) if width == 64 else high ^ low
-    return whole.reshape(shape)
-
-
-_GENERATOR = generators.define_prng_impl(
-    key_shape=(2,),
-    seed=generators.threefry_prng_impl.seed,
-    split=generators.threefry_prng_impl.split,
-    random_bits=_bits,
-    fold_in=generators.threefry_prng_impl.fold_in,
-    name="pcbench",
-    tag="pcb",
-)

@@ -1,105 +1,147 @@
 """Take all lanes from an event to the next, 64 ticks at a time: errors are products with z, which stands still so long.
 
-A lane's errors of eight ticks are one product, and their sums are taken from it; at the end of a chunk z is moved. The plant
+A lane's errors of some ticks are taken at once, and their sums from them; at the end of a chunk z is moved. The plant
 is moved by itself, so that its numbers do not depend on who observes it; observers that cannot go so are stepped beside.
 """
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.simulation import lanes, steps
-from pcbench.simulation.lifted import moving, sums
-from pcbench.simulation.lifted.chunks import BLOCK, TICKS, Chunks, chunks
+from pcbench.simulation.lifted import moving, products, settling, sums
+from pcbench.simulation.lifted.chunks import BLOCK, TICKS, WRITTEN, Chunks, chunks
 from pcbench.simulation.lifted.form import PLANT, Form, forms, leaves_of, with_leaves
-from pcbench.simulation.lifted.maps import Maps, maps
-from pcbench.simulation.lifted.moving import Moving
+from pcbench.simulation.lifted.maps import Maps, Moving, maps
 from pcbench.simulation.problem import Layout, Problem, State
 
 Flow = Callable[[Array, Array, State], State]  # (first tick, tick after the last, state) -> state
 Stepped = Callable[[Layout, Array, Array, State], State]  # the same tick by tick, for the observers of a layout
-Take = Callable[[Array, Array, Array, Any], Any]  # (tick, ticks left of a chunk, errors of a block, kept) -> kept
+Take = Callable[
+    [Array, Array, list[Array], Any], Any
+]  # (tick, ticks left of a chunk, e [n, L] from there, kept) -> kept
 All = dict[str, Any]  # by label
+Visit = Callable[[str, Array, Moving, Any], Any]  # (label, chunk, z at its start, kept) -> kept
 
 
-def flow(layout: Layout, p: Problem, state: State, stepped: Stepped) -> Flow | None:
-    """Return what takes a block of lanes through a flow, `state` that before tick 0; None where all of it is to be stepped."""
+class Way(NamedTuple):
+    """How a block of lanes flows."""
+
+    ready: Callable[[State], State]  # before tick 0
+    flow: Flow
+    settled: Callable[[State], State]  # behind the last flow: watches as of every tick
+
+
+def unchanged(state: State) -> State:
+    """Return the state."""
+    return state
+
+
+def way(layout: Layout, p: Problem, state: State, stepped: Stepped) -> Way:
+    """Return what takes a block of lanes through its flows, `state` that before tick 0: by products, what can be."""
     found = forms(layout, p, state) if layout.lifted else ()
     if not found:
-        return None
+        return Way(unchanged, partial(stepped, layout), unchanged)
     each, quick = chunks(p, layout.lifted), [form.label for form in found if form.label != PLANT]
     every = {form.label: maps(layout, p, state, form, each) for form in found}
     slow = layout._replace(observers=tuple(o for o in layout.observers if o[0] not in quick))
+    at_the_end = layout.watch and not p.jumps.shape[0]  # an exit's tick is looked for
+
+    def taken(state: State) -> All:
+        return {form.label: moving.taken(form, state) for form in found}
+
+    def ready(state: State) -> State:
+        z = _together(taken(state))
+        return state._replace(exits={o: settling.none(every[o], z[o]) for o in quick} if at_the_end else {})
 
     def lifted(start: Array, stop: Array, state: State) -> State:
-        over = partial(_over_chunks, every, each, (each.before[start], each.before[stop]))
-        z = {form.label: moving.taken(form, state) for form in found}
-        after, kept = over(partial(sums.score, p), z, {label: moving.sums_of(label, state) for label in quick})
-        kept = _bounded(p, over, z, kept) if layout.watch and quick else kept
+        over = partial(_over_chunks, every, (each.before[start], each.before[stop]))
+        z, kept = taken(state), {label: (*moving.sums_of(label, state), state.exits.get(label)) for label in quick}
+        after, kept = over(partial(_scored, p, every, each), z, kept)
+        kept = _bounded(p, over, partial(_blocks, every, each), z, kept) if layout.watch and quick else kept
         out = _beside(slow, stepped, start, stop, _counted(layout, p, found, start, stop, state))
         for form in found:
             out = moving.put(form, out, after[form.label])
         for label in quick:
-            out = moving.keep(label, out, kept[label])
-        return out
+            out = moving.keep(label, out, kept[label][:2])
+        return out._replace(exits={label: kept[label][2] for label in state.exits})
 
-    return lifted
+    def settled(state: State) -> State:
+        for label, exits in state.exits.items():
+            stream, watch = moving.sums_of(label, state)
+            last = settling.unsettled(p.band, every[label], each, exits)
+            state = moving.keep(label, state, (stream, watch._replace(unsettled=last)))
+        return state._replace(exits={})
+
+    return Way(ready, lifted, settled)
 
 
-def _over_chunks(every: All, each: Chunks, span: tuple[Array, Array], take: Take, z: All, kept: All) -> tuple[All, All]:
+def _together(z: All) -> All:
+    """By label, what an observer's errors depend on: its own numbers and the plant's."""
+    return {label: moving.together(z[PLANT], mine) if label != PLANT else mine for label, mine in z.items()}
+
+
+def _over_chunks(every: All, span: tuple[Array, Array], visit: Visit, z: All, kept: All) -> tuple[All, All]:
     """Go over some chunks; return z behind them, and what is kept of every observer's errors."""
 
     def chunk(c: Array, carried: tuple[All, All]) -> tuple[All, All]:
         z, kept = carried
-        both = {label: moving.together(z[PLANT], mine) if label != PLANT else mine for label, mine in z.items()}
-        kept = {label: _errors(every[label], each, c, both[label], take, mine) for label, mine in kept.items()}
+        both = _together(z)
+        kept = {label: visit(label, c, both[label], mine) for label, mine in kept.items()}
         return {label: _ahead(every[label], c, mine) for label, mine in both.items()}, kept
 
     end: tuple[All, All] = lax.fori_loop(*span, chunk, (z, kept))
     return end
 
 
-def _errors(m: Maps, each: Chunks, c: Array, z: Moving, take: Take, kept: Any) -> Any:
+def _scored(p: Problem, every: All, each: Chunks, label: str, c: Array, z: Moving, kept: Any) -> Any:
+    """Take the errors of a chunk into streams, watch and exits."""
+    (stream, watch, exits), m = kept, every[label]
+    looks = bool(watch) and exits is None
+
+    def take(k: Array, left: Array, e: list[Array], kept: Any) -> Any:
+        return sums.sized(e, kept[0]), sums.looked(p, k, e, kept[1]) if looks else kept[1]
+
+    sizes, watch = _blocks(every, each, take, label, c, z, (sums.none(stream.peak), watch))
+    exits = exits and settling.noted(p.band, exits, c, sizes.imag, z)
+    return sums.scored(stream, sizes, sums.squares(m, c, z)), watch, exits
+
+
+def _blocks(every: All, each: Chunks, take: Take, label: str, c: Array, z: Moving, kept: Any) -> Any:
     """Take the errors of a chunk, block by block."""
-    common = _applied(m.common[c], z.shared)
-    n = len(common) // TICKS
-    E, ones = (jnp.concatenate([common[:, None], m.own[c]], 1), _with_ones(z.own)) if z.own.size else (common, None)
+    m = every[label]
+    common = products.same(m.common[c], z.shared)
+    n, ticks = len(common) // TICKS, WRITTEN if products.written(z.own) else BLOCK
+    E = jnp.concatenate([common[:, None], m.own[c]], 1)
 
     def block(i: Array, kept: Any) -> Any:
-        rows = lax.dynamic_slice_in_dim(E, i * BLOCK * n, BLOCK * n)
-        e = rows if ones is None else rows @ ones
-        return take(each.start[c] + i * BLOCK, each.length[c] - i * BLOCK, e.reshape(BLOCK, n, *e.shape[1:]), kept)
+        rows = lax.dynamic_slice_in_dim(E, i * ticks * n, ticks * n)
+        if products.written(z.own):  # tick by tick: what is cut out of a whole would be kept
+            e = [products.of_lanes(row[:, 1:], row[:, 0], z.own) for row in rows.reshape(ticks, n, -1)]
+        else:
+            e = list(products.of_lanes(rows[:, 1:], rows[:, 0], z.own).reshape(ticks, n, -1))
+        return take(each.start[c] + i * ticks, each.length[c] - i * ticks, e, kept)
 
-    return lax.fori_loop(0, -(-each.length[c] // BLOCK), block, kept)
+    return lax.fori_loop(0, -(-each.length[c] // ticks), block, kept)
 
 
 def _ahead(m: Maps, c: Array, z: Moving) -> Moving:
     """Return what is moved, behind a chunk."""
-    shared = _applied(m.shared_after[c], z.shared)
-    if not m.own_after.shape[1]:
-        return Moving(jnp.zeros(0), shared)
-    A = jnp.concatenate([_applied(m.common_after[c], z.shared)[:, None], m.own_after[c]], 1)
-    return Moving(A @ _with_ones(z.own), shared)
+    shared, fixed = products.same(m.shared_after[c], z.shared), products.same(m.common_after[c], z.shared)
+    own = products.of_lanes(m.own_after[c], fixed, z.own) if m.own_after.shape[1] else jnp.zeros((0, 1))
+    return Moving(own, shared)
 
 
-def _applied(M: Array, shared: Array) -> Array:
-    """What is the same in all lanes: M [1, shared]."""
-    return M @ jnp.append(1.0, shared)
-
-
-def _with_ones(own: Array) -> Array:
-    return jnp.concatenate([jnp.ones((1, own.shape[1])), own])
-
-
-def _bounded(p: Problem, over: Callable[[Take, All, All], tuple[All, All]], z: All, kept: All) -> All:
+def _bounded(p: Problem, over: Callable[..., tuple[All, All]], blocks: Callable[..., Any], z: All, kept: All) -> All:
     """Where a peak says that some lane has left its bound, go over the chunks again and note at which tick."""
-    bad = {label: watch.first_bad for label, (_, watch) in kept.items()}
-    stays = jnp.all(jnp.stack([sums.stays(p, mine) for mine in kept.values()]))
-    found = lax.cond(stays, lambda bad: bad, lambda bad: over(partial(sums.first_bad, p), z, bad)[1], bad)
-    return {label: (stream, watch._replace(first_bad=found[label])) for label, (stream, watch) in kept.items()}
+    bad = {label: watch.first_bad for label, (_, watch, _) in kept.items()}
+    stays = jnp.all(jnp.stack([sums.stays(p, stream, watch) for stream, watch, _ in kept.values()]))
+    again = partial(over, partial(blocks, partial(sums.first_bad, p)), z)
+    found = lax.cond(stays, lambda bad: bad, lambda bad: again(bad)[1], bad)
+    return {o: (stream, watch._replace(first_bad=found[o]), exits) for o, (stream, watch, exits) in kept.items()}
 
 
 def _beside(slow: Layout, stepped: Stepped, start: Array, stop: Array, state: State) -> State:

@@ -25,9 +25,18 @@ class Maps(NamedTuple):
 
     own: Array  # [C, TICKS n, r] what each own number adds to the errors
     common: Array  # [C, TICKS n, 1 + S] what is the same in all lanes, and what shared numbers add
+    own_root: Array  # [C, n, r, r] R of the QR of a signal's map: its sum of squares is |R (z, 1, shared)|^2
+    common_root: Array  # [C, n, F, 1 + S]; of F = r + 1 + S rows the first r depend on a lane's own numbers
     own_after: Array  # [C, r', r] the same of own numbers behind the chunk
     common_after: Array  # [C, r', 1 + S]
     shared_after: Array  # [C, S', 1 + S] and of shared ones
+
+
+class Moving(NamedTuple):
+    """What is moved of a plant, or of an observer's memory: r own numbers of each lane, S shared ones."""
+
+    own: Array  # [r, L]; where no lane has its own, [0, 1]
+    shared: Array  # [S]
 
 
 def maps(layout: Layout, p: Problem, state: State, form: Form, each: Chunks) -> Maps:
@@ -50,13 +59,36 @@ def maps(layout: Layout, p: Problem, state: State, form: Form, each: Chunks) -> 
     moves = np.repeat([i != 0 or form.label == PLANT for i in order], sizes)
     own, shared = np.flatnonzero(moves[:r]), r + np.flatnonzero(moves[r:])
     common = np.r_[0, 1 + r : 1 + F]
+    root = _roots(jnp.concatenate([errors[..., 1 : 1 + r], errors[..., common]], -1), form.signals)
     return Maps(
         own=errors[..., 1 : 1 + r],
         common=errors[..., common],
+        own_root=root[:, :, :r, :r],
+        common_root=root[..., r:],
         own_after=after[:, own, 1 : 1 + r],
         common_after=after[:, own][..., common],
         shared_after=after[:, shared][..., common],
     )
+
+
+def _roots(E: Array, signals: int) -> Array:
+    """Return R of each chunk's and signal's rows, [C, TICKS n, F] to [C, n, F, F]: rows = Q R, R 0 below its diagonal.
+
+    By the modified method of Gram and Schmidt, whose R is as accurate as that of reflections (Bjorck 1967), for all chunks at
+    once. LAPACK is not called: from a program that was kept it waits for Python, and Python for it.
+    """
+    chunks, F = len(E), E.shape[-1]
+    rows = jnp.moveaxis(E.reshape(chunks, TICKS, signals, F), (1, 3), (0, 1)).reshape(TICKS, F, chunks * signals)
+
+    def column(V: Array, j: Array) -> tuple[Array, Array]:
+        v = lax.dynamic_index_in_dim(V, j, 1, keepdims=False)
+        size = jnp.sqrt(jnp.sum(v * v, 0, keepdims=True))
+        q = v / jnp.where(size > 0, size, 1.0)
+        row = jnp.where(jnp.arange(F)[:, None] < j, 0.0, jnp.sum(q[:, None] * V, 0))
+        return V - q[:, None] * row[None], row
+
+    _, R = lax.scan(column, rows, jnp.arange(F))  # [F, F, C n]
+    return jnp.moveaxis(R, 2, 0).reshape(chunks, signals, F, F)
 
 
 def _carried(column: Any, signals: int, z: Z, each: Chunks, columns: int) -> tuple[Array, Z]:

@@ -1,7 +1,7 @@
 """Leaves of a state as rows of numbers, and back."""
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -9,15 +9,10 @@ from jax import Array
 
 from pcbench.simulation import lanes
 from pcbench.simulation.lifted.form import PLANT, Form, leaves_of, with_leaves
-from pcbench.simulation.lifted.sums import Sums
+from pcbench.simulation.lifted.maps import Moving
 from pcbench.simulation.problem import State
 
-
-class Moving(NamedTuple):
-    """What is moved of a plant, or of an observer's memory: r own numbers of each lane, S shared ones."""
-
-    own: Array  # [r, L]; of no lane [0]
-    shared: Array  # [S]
+Sums = tuple[Any, Any]  # (Stream, Watch), arrays [n, L]; where all lanes have them in common, L = 1
 
 
 def taken(form: Form, state: State) -> Moving:
@@ -26,13 +21,13 @@ def taken(form: Form, state: State) -> Moving:
     own = [lanes.join(each[i]) for i in _mine(form, form.own)]
     shared = [jnp.ravel(each[i]) for i in _mine(form, form.shared)]
     rows = [a.reshape(-1, a.shape[-1]) for a in own]
-    return Moving(jnp.concatenate(rows) if rows else jnp.zeros(0), jnp.concatenate([jnp.zeros(0), *shared]))
+    return Moving(jnp.concatenate(rows) if rows else jnp.zeros((0, 1)), jnp.concatenate([jnp.zeros(0), *shared]))
 
 
 def together(plant: Moving, memory: Moving) -> Moving:
     """Return x and an observer's numbers as one."""
     rows = [part for part in (plant.own, memory.own) if part.size]
-    own = jnp.concatenate(rows) if rows else jnp.zeros(0)
+    own = jnp.concatenate(rows) if rows else memory.own
     return Moving(own, jnp.concatenate([plant.shared, memory.shared]))
 
 
@@ -49,9 +44,11 @@ def put(form: Form, state: State, z: Moving) -> State:
 
 
 def sums_of(label: str, state: State) -> Sums:
-    """Return streams and watch of one observer, as arrays."""
+    """Return streams and watch of one observer, as arrays with lanes."""
     kept = state.streams[label], state.watches.get(label, ())
-    arrays: Sums = jax.tree.map(lambda a: lanes.join(a) if lanes.is_lanes(a) else a, kept, is_leaf=lanes.is_lanes)
+    arrays: Sums = jax.tree.map(
+        lambda a: lanes.join(a) if lanes.is_lanes(a) else a[..., None], kept, is_leaf=lanes.is_lanes
+    )
     return arrays
 
 
@@ -71,5 +68,5 @@ def _mine(form: Form, which: tuple[int, ...]) -> list[int]:
 def _like(new: Array, old: Any) -> Any:
     """An array with lanes last in the form of what it replaces."""
     if not lanes.is_lanes(old):
-        return new
+        return new.reshape(jnp.shape(old))
     return lanes.table(lanes.split(new)) if old.rows is not None else lanes.split(new)

@@ -1,63 +1,82 @@
-"""What the errors of a block of ticks leave in streams and watches: `metrics.update` and `metrics.look` of BLOCK ticks at once.
+"""What the errors of a chunk leave in streams and watches: `metrics.update` and `metrics.look` of many ticks at once.
 
-Errors e [BLOCK, n, L], or [BLOCK, n] where lanes have them in common; those beyond a chunk's end are 0.
+Errors e are a list of those of some ticks, [n, L]; beyond a chunk's end they are 0. What all lanes have in common is one lane.
 """
 
 from collections.abc import Callable
 from typing import Any
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
-from pcbench.simulation.lifted.chunks import BLOCK
+from pcbench.simulation.lifted import products
+from pcbench.simulation.lifted.maps import Maps, Moving
 from pcbench.simulation.metrics import Stream, Watch
 from pcbench.simulation.problem import Problem
 
-Sums = tuple[Stream, Any]  # arrays [n] or [n, L]; with a Watch, or ()
+
+def none(e: Any) -> Array:
+    """Return the sizes of no tick; e [n, L] says their shape."""
+    return lax.complex(jnp.zeros(e.shape), jnp.zeros(e.shape))
 
 
-def score(p: Problem, k: Array, left: Array, e: Array, sums: Sums) -> Sums:
-    """Take the errors of the ticks from k on into the sums; `first_bad` stays for `first_bad` below."""
-    stream, watch = sums
-    size = jnp.abs(e)
-    stream = Stream(
-        stream.absolute + _folded(jnp.add, list(size)),
-        stream.square + _folded(jnp.add, list(e * e)),
-        jnp.maximum(stream.peak, _folded(jnp.maximum, list(size))),
-    )
-    return stream, watch and _looked(p, k, size, watch)
+def sized(e: list[Array], sizes: Array) -> Array:
+    """Take errors into the sizes [n, L]: the sum of |e| as real part, the peak as imaginary one.
+
+    One array, for an array is computed in one loop: of two, each would go through all errors again.
+    """
+    each = [jnp.abs(tick) for tick in e]
+    return lax.complex(sizes.real + _folded(jnp.add, each), _larger(sizes.imag, _folded(_larger, each)))
 
 
-def stays(p: Problem, sums: Sums) -> Array:
+def squares(m: Maps, c: Array, z: Moving) -> Array:
+    """Return the sum of e^2 over chunk c, [n, L]: |R (1, z)|^2 with R of the QR of what maps z to the errors.
+
+    As accurate as the sum over ticks: R (1, z) is rounded as the errors are.
+    """
+    return products.square(m.own_root[c], products.same(m.common_root[c], z.shared), z.own)
+
+
+def scored(stream: Stream, sizes: Array, square: Array) -> Stream:
+    """Take a chunk into the sums."""
+    return Stream(stream.absolute + sizes.real, stream.square + square, _larger(stream.peak, sizes.imag))
+
+
+def stays(p: Problem, stream: Stream, watch: Watch) -> Array:
     """Say whether no lane can have left its bound for the first time: their peaks are of all ticks of a window up to now."""
-    stream, watch = sums
-    return jnp.all(jnp.all(stream.peak <= _limits(p.bound, stream.peak), 0) | (watch.first_bad >= 0))
+    return jnp.all(jnp.all(stream.peak <= limits(p.bound, stream.peak), 0) | (watch.first_bad >= 0))
 
 
-def first_bad(p: Problem, k: Array, left: Array, e: Array, bad: Array) -> Array:
+def first_bad(p: Problem, k: Array, left: Array, e: list[Array], bad: Array) -> Array:
     """Return the first tick at which an error is not finite or beyond the bound, or -1, with the `left` ticks from k on."""
-    bound = _limits(p.bound, e[0])
-    for t in range(BLOCK):
-        out = (t < left) & (bad < 0) & ~jnp.all(jnp.abs(e[t]) <= bound, 0)
+    bound = limits(p.bound, e[0])
+    for t, tick in enumerate(e):
+        out = (t < left) & (bad < 0) & ~jnp.all(jnp.abs(tick) <= bound, 0)
         bad = jnp.where(out, (k + t).astype(float), bad)
     return bad
 
 
-def _looked(p: Problem, k: Array, size: Array, watch: Watch) -> Watch:
-    band, unsettled, recovery = _limits(p.band, size[0]), watch.unsettled, watch.recovery
-    for t in range(BLOCK):
-        outside = size[t] > band
+def looked(p: Problem, k: Array, e: list[Array], watch: Watch) -> Watch:
+    """Note the ticks after exits from the band, and how long after a jump of the unknown input."""
+    band, unsettled, recovery = limits(p.band, e[0]), watch.unsettled, watch.recovery
+    for t, tick in enumerate(e):
+        outside = jnp.abs(tick) > band
         unsettled = jnp.where(outside, (k + t + 1).astype(float), unsettled)
-        if p.jumps.shape[0]:
-            since = jnp.min(jnp.where(p.jumps <= k + t, k + t - p.jumps, k + t))
-            after = outside & jnp.any(p.jumps <= k + t)
-            recovery = jnp.where(after, jnp.maximum(recovery, since + 1.0), recovery)
+        since = jnp.min(jnp.where(p.jumps <= k + t, k + t - p.jumps, k + t))
+        after = outside & jnp.any(p.jumps <= k + t)
+        recovery = jnp.where(after, jnp.maximum(recovery, since + 1.0), recovery)
     return watch._replace(unsettled=unsettled, recovery=recovery)
 
 
-def _limits(limits: Any, like: Array) -> Array:
-    """A limit of each signal, [n] or [n, 1] for [n, L]."""
-    return jnp.asarray(limits)[: like.shape[0]].reshape(-1, *(1 for _ in like.shape[1:]))
+def limits(of_signals: Any, like: Array) -> Array:
+    """A limit of each signal, [n, 1]."""
+    return jnp.asarray(of_signals)[: like.shape[0], None]
+
+
+def _larger(a: Array, b: Array) -> Array:
+    """The larger of sizes, one instruction: their bits are ordered as they are, and NaN is above all of them."""
+    bits = [lax.bitcast_convert_type(size, jnp.int64) for size in (a, b)]
+    return lax.bitcast_convert_type(jnp.maximum(*bits), a.dtype)
 
 
 def _folded(way: Callable[[Array, Array], Array], parts: list[Array]) -> Array:

@@ -1,0 +1,62 @@
+"""The generator of jax.random that draws are made by: Threefry-2x32 with twenty rounds, in counter form.
+
+It is put together here, so that draws are the same whatever jax's defaults are or become. A counter and a key of two words each
+become two words, modulo 2^32. jax.random has the same function; on a processor it goes through its rounds as a loop of small
+steps, which takes 20 times as long for a thousand lanes as all rounds at once.
+
+Source: Salmon, Moraes, Dror, Shaw, Parallel random numbers: as easy as 1, 2, 3, SC 2011, with its constants.
+"""
+
+import math
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from pcbench.simulation.lanes.primitives import generators
+
+ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
+PARITY = 0x1BD11BDA
+WORD = 32  # bits
+
+
+def key(seed: Array | int) -> Array:
+    """Return the generator's key for a whole number: no setting of jax, nor of its environment, is asked."""
+    return jax.random.wrap_key_data(generators.threefry_prng_impl.seed(jnp.asarray(seed)), impl=_GENERATOR)
+
+
+def hashed(words: Array, high: Array, low: Array) -> tuple[Array, Array]:
+    """Return the two words of counters (high, low) of any one shape, uint32, under the words [2] of a key."""
+    keys = (words[0], words[1], words[0] ^ words[1] ^ jnp.uint32(PARITY))
+    a, b = high + keys[0], low + keys[1]
+    for block in range(5):
+        for turn in ROTATIONS[block % 2]:
+            a = a + b
+            b = ((b << jnp.uint32(turn)) | (b >> jnp.uint32(WORD - turn))) ^ a
+        a = a + keys[(block + 1) % 3]
+        b = b + keys[(block + 2) % 3] + jnp.uint32(block + 1)
+    return a, b
+
+
+def _bits(words: Array, width: int, shape: tuple[int, ...]) -> Array:
+    """Random bits for each of a shape, from the two words at the counters (0, 0), (0, 1), ..."""
+    low = jnp.arange(math.prod(shape), dtype=jnp.uint32).reshape(shape)
+    high, low = hashed(words, jnp.zeros_like(low), low)
+    return (high.astype(jnp.uint64) << 32) | low.astype(jnp.uint64) if width == 2 * WORD else high ^ low
+
+
+def _fold_in(words: Array, number: Array | int) -> Array:
+    """The key of a whole number under a key: the two words at the counter (0, number)."""
+    low = jnp.asarray(number).astype(jnp.uint32)
+    return jnp.stack(hashed(words, jnp.zeros_like(low), low))
+
+
+_GENERATOR = generators.define_prng_impl(
+    key_shape=(2,),
+    seed=generators.threefry_prng_impl.seed,
+    split=generators.threefry_prng_impl.split,
+    random_bits=_bits,
+    fold_in=_fold_in,
+    name="pcbench",
+    tag="pcb",
+)
