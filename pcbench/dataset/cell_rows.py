@@ -1,6 +1,7 @@
 """The rows of stats and pairs of one cell, from its blocks, which are read chunk by chunk."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,22 +17,29 @@ from pcbench.plants import signals_of
 from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import is_certified
 
+Tables = Mapping[str, pa.Table]  # blocks by name
+Chunk = dict[str, statistics.Results]  # by observer
+NONE: Tables = MappingProxyType({})
+
 
 class ObserverRuns(NamedTuple):
     """The runs of one observer in one cell."""
 
     blocks: list[Block]
     about: dict[str, Any]  # what its first block says of itself
+    held: Tables = NONE  # of these blocks, what is at hand
 
 
 def observed(
-    target: store.Target, cell: Cell, blocks: dict[tuple[str, int, str], list[Block]]
+    target: store.Target, cell: Cell, blocks: dict[tuple[str, int, str], list[Block]], held: Tables = NONE
 ) -> dict[str, ObserverRuns]:
-    """Return what there is of a cell, by observer."""
+    """Return what there is of a cell, by observer; blocks that are `held` are not read again."""
     out = {}
     for name in cell.options:
         if mine := blocks.get((*cell.key, name)):
-            out[name] = ObserverRuns(mine, block_files.about_block(target, mine[0]))
+            first = held.get(mine[0].name)
+            about = block_files.about_block(target, mine[0]) if first is None else block_files.about(first)
+            out[name] = ObserverRuns(mine, about, held)
     return out
 
 
@@ -71,11 +79,9 @@ def seen_bound(bound: list[float] | None, prior: tuple[float, ...]) -> statistic
     return np.array([b if b >= statistics.SEEN * p else np.nan for b, p in zip(bound, prior, strict=False)])
 
 
-def chunks(
-    target: store.Target, found: dict[str, ObserverRuns], within: Seeds | None = None
-) -> Iterator[dict[str, statistics.Results]]:
+def chunks(target: store.Target, found: dict[str, ObserverRuns], within: Seeds | None = None) -> Iterator[Chunk]:
     """Yield the runs of a cell by observer, the seeds of one chunk after the other."""
-    readers = {name: _by_chunk(target, each.blocks, within) for name, each in found.items()}
+    readers = {name: _by_chunk(target, each, within) for name, each in found.items()}
     while True:
         each = {name: next(reader, None) for name, reader in readers.items()}
         if all(results is None for results in each.values()):
@@ -88,15 +94,16 @@ def chunks(
         yield {name: results for name, results in each.items() if results is not None}
 
 
-def _by_chunk(target: store.Target, blocks: list[Block], within: Seeds | None) -> Iterator[statistics.Results]:
+def _by_chunk(target: store.Target, mine: ObserverRuns, within: Seeds | None) -> Iterator[statistics.Results]:
     """Yield one observer's runs, cut at multiples of a chunk."""
     held: list[statistics.Results] = []
     at = None
-    for block in blocks:
+    for block in mine.blocks:
         start, stop = block.seeds if within is None else common(block.seeds, within)
         if start >= stop:
             continue
-        results = results_of(block_files.read(target, block))
+        table = mine.held.get(block.name)
+        results = results_of(block_files.read(target, block) if table is None else table)
         while start < stop:
             chunk = start // statistics.CHUNK
             if held and chunk != at:

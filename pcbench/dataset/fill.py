@@ -7,11 +7,12 @@ hardly grows with a study's axes.
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from pcbench import planning
-from pcbench.dataset import block_files, exact_part, ownership, store, task
+from pcbench.dataset import block_files, cell_rows, exact_part, ownership, store, task
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.columns import SCHEMA
 from pcbench.dataset.cost import Cost, added
@@ -30,7 +31,9 @@ CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest pla
 TASKS = 64  # to share among cores and workers
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
 SeedsOf = Callable[[Cell], Seeds]
-Heard = Callable[[tuple[str, int], int], None]  # (key of a cell, how many of its runs are there now)
+Heard = Callable[
+    [tuple[str, int], int, cell_rows.Tables], None
+]  # (key of a cell, how many of its runs are there now, blocks)
 Close = Callable[[list[Block], dict[tuple[str, int], int]], Heard]
 Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
 
@@ -156,9 +159,10 @@ def fill(
         progress.step(report.runs)
         if heard:
             with took("closing"):
-                heard(report.cell, report.runs)
+                heard(report.cell, report.runs, report.tables)
         progress.note("simulating")
     seconds = took.seconds
+    store.last(target, {str(Path(b.name).parent) for b in _expected([], todo)[0]})
     return cost._replace(compiled=compiled, planning_seconds=seconds["planning"], closing_seconds=seconds["closing"])
 
 

@@ -13,7 +13,7 @@ import os
 import re
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -82,8 +82,11 @@ def _reached(out: str) -> Target:
         ) from None
 
 
-def put(target: Target, name: str, content: bytes | pa.Buffer) -> None:
-    """Put bytes under a name below the target, whole or not at all; the target itself must be there."""
+def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = True) -> None:
+    """Put bytes under a name below the target, whole or not at all; the target itself must be there.
+
+    Of a file that is not `lasting` a power cut may take the name, until `last` was called: then there is none, and none half.
+    """
     path = f"{target.root}/{name}"
     with said(f"{target.name}/{name}"):
         if not target.local:
@@ -98,15 +101,23 @@ def put(target: Target, name: str, content: bytes | pa.Buffer) -> None:
                 os.fsync(f.fileno())
             _folders(target.root, name)
             os.replace(beside, path)
-            _sync_folder(Path(path).parent)
+            if lasting:
+                _sync_folder(Path(path).parent)
         finally:
             with suppress(OSError):
                 beside.unlink(missing_ok=True)
 
 
-def put_table(target: Target, name: str, table: pa.Table) -> None:
+def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:
     """Put one Parquet file, checked before it is seen: its rows and schema are read back."""
-    put(target, name, parquet.encoded(table))
+    put(target, name, parquet.encoded(table), lasting)
+
+
+def last(target: Target, folders: Iterable[str]) -> None:
+    """Let the names of all files in some folders below the target outlast a power cut."""
+    for folder in folders:
+        if target.local:
+            _sync_folder(Path(target.root) / folder)
 
 
 def put_json(target: Target, name: str, content: dict[str, Any]) -> None:

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from pcbench import statistics
 from pcbench.dataset import block_files, cell_rows, columns, earlier, exact_part, parquet, store
 from pcbench.dataset.block_files import Block
+from pcbench.dataset.growing import GrowingTable
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, joined
 from pcbench.machine import provenance
@@ -23,8 +23,6 @@ from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import is_certified
 
 PROVENANCE = "provenance.json"
-ROWS = 20_000  # that are gathered before they are written
-GATHERED = 2_000  # that are gathered before they are a table
 Key = tuple[str, int]  # a cell's
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
 
@@ -91,12 +89,15 @@ class Closing:
         self.ways: dict[str, dict[str, str]] = {}
         self.left = iter(owned.cells)
         self.next = next(self.left, None)
+        self.held: dict[Key, cell_rows.Tables] = {}  # of cells whose turn is still to come
         self.blocks: dict[tuple[str, int, str], list[Block]] = {}
         for b in sorted(block_files.settled(there)):
             self.blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
 
-    def done(self, key: Key, runs: int) -> None:
-        """Take in every cell whose turn it is, once these runs of one are there."""
+    def done(self, key: Key, runs: int, tables: cell_rows.Tables) -> None:
+        """Take in every cell whose turn it is, once these runs of one are there; `tables` are blocks that they stand in."""
+        if runs == self.lacking[key]:  # of a cell that comes in parts nothing is held
+            self.held[key] = tables
         self.lacking[key] -= runs
         while self.next is not None and not self.lacking.get(self.next.key):
             self._add(self.next)
@@ -109,7 +110,8 @@ class Closing:
 
     def _add(self, cell: Cell) -> None:
         self.next = next(self.left, None)
-        found, known = cell_rows.observed(self.target, cell, self.blocks), self.exact.get(cell.key, [])
+        held, known = self.held.pop(cell.key, {}), self.exact.get(cell.key, [])
+        found = cell_rows.observed(self.target, cell, self.blocks, held)
         if not found and not known:
             return
         rows, compared = cell_rows.rows_of(self.target, self.owned.study.name, cell, found) if found else ([], [])
@@ -182,52 +184,6 @@ def table(target: store.Target, name: str) -> pa.Table | None:
         return parquet.parsed(content)
     except (pa.ArrowException, OSError, ValueError):
         return None
-
-
-class GrowingTable:
-    """A table whose rows come in parts, one part at least."""
-
-    def __init__(self, about: dict[bytes, bytes]) -> None:
-        self.about, self.sink = about, pa.BufferOutputStream()
-        self.waiting: list[pa.Table] = []
-        self.rows: list[dict[str, Any]] = []  # that are to be a table of so ordered columns
-        self.order: list[str] = []
-        self.writer: Any = None  # a pq.ParquetWriter, once there is a schema
-
-    def add(self, table: pa.Table) -> None:
-        """Add some rows."""
-        self.waiting.append(table.replace_schema_metadata((table.schema.metadata or {}) | self.about))
-        if sum(map(len, self.waiting)) >= ROWS:
-            self._write()
-
-    def add_rows(self, rows: list[dict[str, Any]], order: list[str]) -> None:
-        """Add some rows that are no table yet: of many together one is made in the time of one of few."""
-        if order != self.order:
-            self._gather()
-        self.order = order
-        self.rows.extend(rows)
-        if len(self.rows) >= GATHERED:
-            self._gather()
-
-    def content(self) -> pa.Buffer:
-        """Return the file's bytes."""
-        self._gather()
-        self._write()
-        self.writer.close()
-        return self.sink.getvalue()
-
-    def _gather(self) -> None:
-        if self.rows or (self.order and not (self.writer or self.waiting)):
-            self.add(columns.rows_table(self.rows, self.order))
-        self.rows = []
-
-    def _write(self) -> None:
-        if self.waiting:
-            table = pa.concat_tables(self.waiting)
-            how = {"compression": "zstd", "write_page_checksum": True}
-            self.writer = self.writer or pq.ParquetWriter(self.sink, table.schema, **how)
-            self.writer.write_table(table)
-            self.waiting = []
 
 
 def adjusted(content: pa.Buffer, about: dict[bytes, bytes]) -> pa.Buffer:

@@ -25,6 +25,7 @@ from pcbench.statistics import RUN_METRICS
 from pcbench.study.cells import Cell
 
 ROW_BYTES = 1000  # a row takes as results, as columns, as Python's text and as the bytes of its file: 600 were measured
+FEW_ROWS = 10_000  # of a task: 3 MB
 Hold = Callable[[], AbstractContextManager[Any]]  # a device, held while it computes
 
 
@@ -64,6 +65,7 @@ class Report(NamedTuple):
     writing_seconds: float
     computing_seconds: float  # while it held its device, the making of the program included
     versions: dict[str, str]  # of what computed it
+    tables: dict[str, pa.Table]  # the blocks by name, where they have few rows: whoever wants them need not read them
 
 
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
@@ -73,8 +75,9 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         p, results, made = simulated(work, task, device)
         computing = perf_counter() - began
     start, target = perf_counter(), store.target(work.out)
-    for name, table in files(work, task, p, results, made.ways):
-        store.put_table(target, name, table)
+    tables = dict(files(work, task, p, results, made.ways))
+    for name, table in tables.items():
+        store.put_table(target, name, table, lasting=False)  # `fill` sees to that, once for all
     return Report(
         cell=p.cell.key,
         runs=task.runs,
@@ -83,6 +86,7 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         writing_seconds=perf_counter() - start,
         computing_seconds=computing,
         versions=provenance.versions(),
+        tables=tables if sum(map(len, tables.values())) <= FEW_ROWS else {},
     )
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from small_study import rows
 
+import pcbench
 from pcbench import statistics
-from pcbench.dataset import block_files, cell_rows, ownership, store
+from pcbench.dataset import block_files, cell_rows, ownership, store, summary
 from pcbench.dataset.seeds import Seeds
 
 
@@ -38,8 +39,22 @@ def test_chunks_end_where_the_seed_is_a_multiple_of_their_size(whole, size, last
 
 
 def test_chunks_of_seeds_that_begin_elsewhere_end_at_the_same_seeds(tmp_path, monkeypatch):
-    import pcbench
-
     pcbench.run("cart/slow", observers=["kfbo"], seeds=20, first_seed=5, block=9, out=tmp_path / "out")
     monkeypatch.setattr(statistics, "CHUNK", 8)
     assert [len(chunk["kfbo"]["diverged"]) for chunk in parts(tmp_path / "out")] == [3, 8, 8, 1]
+
+
+@pytest.mark.parametrize("before", [0, 20])
+def test_what_a_task_has_just_done_is_closed_without_reading_it(tmp_path, monkeypatch, before):
+    """And with the tables that blocks give; those that stood before are read."""
+    study = {"name": "few", "scenarios": ["cart/slow"], "observers": ["kfbo"]}
+    if before:
+        pcbench.run(study, seeds=before, out=tmp_path / "out")
+    opened, read = [], block_files.read
+    monkeypatch.setattr(block_files, "read", lambda _, block: opened.append(block.seeds) or read(_, block))
+    pcbench.run(study, seeds=40, out=tmp_path / "out")
+    assert opened == [Seeds(0, before)] * bool(before)
+    place = store.target(tmp_path / "out")
+    stats, pairs = summary.closing_tables(place, ownership.opened(place), block_files.present(place))
+    assert store.get(place, "stats.parquet") == stats
+    assert store.get(place, "pairs.parquet") == pairs

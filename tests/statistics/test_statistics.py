@@ -16,7 +16,7 @@ from reference import statistics as reference
 from scipy import stats
 
 from pcbench import statistics
-from pcbench.dataset import columns, summary
+from pcbench.dataset import columns, growing, summary
 from pcbench.statistics import order_statistics, selection, winning
 
 RNG = np.random.default_rng(5)
@@ -178,14 +178,14 @@ def test_holm_leaves_missing_tests_out():
 @pytest.mark.parametrize("at_once", [1, 5, 100])
 def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells(at_once, monkeypatch):
     """However many rows of the table are written at a time."""
-    monkeypatch.setattr(summary, "ROWS", at_once)
+    monkeypatch.setattr(growing, "ROWS", at_once)
     names = [(s, g, m) for s in "ab" for g in "xy" for m in ("mae", "rmse")]
     rows = [
         {"scenario": s, "signal": g, "metric": m, "cell": cell, "p_value": 0.001 * (1 + i + 8 * cell)}
         for cell in range(2)
         for i, (s, g, m) in enumerate(names)
     ]
-    table = summary.GrowingTable({})
+    table = growing.GrowingTable({})
     for row in rows:
         table.add(columns.rows_table([row | {"p_holm": np.nan}], [*row, "p_holm"]))
     done = pq.read_table(pa.BufferReader(summary.adjusted(table.content(), {})))
