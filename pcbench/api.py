@@ -8,7 +8,6 @@ import jax
 import numpy as np
 
 from pcbench.dataset import run_study
-from pcbench.dataset.exact import Exact
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
@@ -24,6 +23,8 @@ from pcbench.synthesis.certificate import Design, is_certified
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from pcbench.dataset.exact import Exact
 
 
 def run(
@@ -98,7 +99,7 @@ def exact(
     overrides: list[str] | None = None,
     schedules: int = 64,
     progress: Progress = SILENT,
-) -> Exact:
+) -> "Exact":
     """Return what a study's numbers are over infinitely many seeds, where they have an exact answer: no seed is simulated.
 
     Arguments are those of `run`. The answer is exact where plant, observer and controller are affine in the noise, given the
@@ -106,6 +107,8 @@ def exact(
     its runs' schedules a random cell is averaged. `.stats` is like a result's, `.moments()` are mean and standard deviation of
     the errors over time, `.covariance()` is of all errors of a cell together.
     """
+    from pcbench.dataset.exact import Exact  # with pandas
+
     if schedules < 2:
         raise UserError(f"schedules: got {schedules}, expected 2 or more.")
     observers = [observers] if isinstance(observers, str) else observers

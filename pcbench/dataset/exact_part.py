@@ -8,20 +8,23 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
 
 from pcbench.dataset import columns, ownership, parquet, store
-from pcbench.dataset.exact import Exact
 from pcbench.dataset.ownership import Owned
 from pcbench.machine import pools, provenance
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.study.as_toml import digest
 from pcbench.study.cells import Grid
 
+if TYPE_CHECKING:
+    from pcbench.dataset.exact import Exact
+
 NAME, FOLDER = "exact.parquet", "moments"
+
 OF = b"pcbench.of"  # the key in its metadata: of which study it is
 POINTS = 1000
 WRITERS = 4  # files under way at a time: a cell's takes 1 ms to make and 5 to reach the disk
@@ -38,6 +41,8 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
     ownership.begin(target, owned)
     for name in [n for n in store.names(target) if n == NAME or n.startswith(FOLDER)]:
         store.remove(target, name)
+    from pcbench.dataset.exact import Exact  # takes half a second, with pandas, which a study of runs does not wait for
+
     exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules)
     rows: list[Row] = []
     progress.begin("exact cells", len(owned.cells))
@@ -54,7 +59,7 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
     return True
 
 
-def _cells(owned: Owned, exact: Exact, rows: list[Row], progress: Progress) -> Iterator[tuple[str, pa.Table]]:
+def _cells(owned: Owned, exact: "Exact", rows: list[Row], progress: Progress) -> Iterator[tuple[str, pa.Table]]:
     """Yield the files of moments, name and table each; `rows` gets what is known of every cell."""
     for key, parts in itertools.groupby(exact.solved(owned.cells, "std"), key=lambda m: m.planned.cell.key):
         frames: list[dict[str, Any]] = []

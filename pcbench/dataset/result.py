@@ -9,7 +9,6 @@ import pyarrow as pa
 
 from pcbench.dataset import block_files, columns, earlier, exact_part, ownership, parquet, store, summary
 from pcbench.dataset.cost import Cost
-from pcbench.dataset.exact import OVER_TIME
 from pcbench.dataset.verify import FAIR
 from pcbench.errors import UserError, said
 from pcbench.statistics.wording import UNPROVEN
@@ -91,6 +90,8 @@ class Result:
     def moments(self) -> "pd.DataFrame":
         """Mean and standard deviation of the errors over time, where they are exact: scenario, cell, observer, signal, t."""
         import pandas as pd
+
+        from pcbench.dataset.exact import OVER_TIME
 
         found = []
         for name in store.names(self._target, exact_part.FOLDER):

@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
+from pcbench.statistics.distributions import chi_square_exceeded
 from pcbench.statistics.estimates import Estimate
 from pcbench.statistics.moments import Values
 
@@ -30,7 +30,7 @@ class Band(NamedTuple):
 
 def band(degrees: float) -> Band:
     """Return the 95 % interval of chi2(degrees) / degrees."""
-    low, high = (float(chdtri(degrees, share)) / degrees for share in (1 - LEVEL / 2, LEVEL / 2))
+    low, high = (chi_square_exceeded(degrees, share) / degrees for share in (1 - LEVEL / 2, LEVEL / 2))
     return Band(low, high)
 
 

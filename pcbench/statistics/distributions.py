@@ -1,4 +1,4 @@
-"""Distribution functions: Student's and the binomial. SciPy is imported by the first who asks; quantiles are found once."""
+"""Distribution functions: Student's, binomial, chi-square. SciPy is imported by who asks first; quantiles are found once."""
 
 from functools import cache
 from typing import Any
@@ -26,3 +26,11 @@ def binomial_above(k: Any, n: int, q: Any) -> NDArray[Any]:
     from scipy.special import bdtrc
 
     return bdtrc(k, n, q)
+
+
+@cache
+def chi_square_exceeded(degrees: float, share: float) -> float:
+    """Return what a chi-square number of so many degrees of freedom exceeds with this probability."""
+    from scipy.special import chdtri
+
+    return float(chdtri(degrees, share))
