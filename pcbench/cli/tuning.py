@@ -17,9 +17,14 @@ def tune(
     scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
     observer: Annotated[str, typer.Argument(help="an observer's name")],
     budget: Annotated[int | None, typer.Option(help="times that all training runs are simulated [default: 60]")] = None,
-    objective: Annotated[str, typer.Option(help="metric of the tables to make small")] = "rmse",
+    objective: Annotated[
+        str | None, typer.Option(help="metric of the tables to make small [default: rmse; exact: pooled_rmse]")
+    ] = None,
     signal: Annotated[str | None, typer.Option(help="of which signal [default: the first of a closing table]")] = None,
     method: Annotated[str | None, typer.Option(help="descent (with gradients) or search [default: as can be]")] = None,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="its expected value over all noise: no training seeds, no judging seeds")
+    ] = False,
     only: Annotated[str | None, typer.Option(help="comma-separated options to tune [default: all that can be]")] = None,
     train: SeedRange = None,
     judge: SeedRange = None,
@@ -45,6 +50,7 @@ def tune(
             objective=objective,
             signal=signal,
             method=method,
+            exact=exact,
             only=None if only is None else names(only),
             training=_seeds(train, "--train", tune.TRAINING),
             judges=_seeds(judge, "--judge", tune.JUDGES),
@@ -61,7 +67,7 @@ def tune(
             "kept_start": found.kept_start,
             "goal": goal,
         }
-        summary |= {"certified": found.certified}
+        summary |= {"certified": found.certified, "exact": found.exact}
         print(json.dumps(summary | {"judged": judged, "points": len(found.points), "method": found.method}, indent=2))
     elif not quiet:
         gains.tuned(found, observer, folder, console())

@@ -11,9 +11,8 @@ from pcbench.dataset import parquet, run_study, store
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import How
 from pcbench.dataset.verify import FAIR
-from pcbench.gains import tune
 from pcbench.gains.objective import Objective
-from pcbench.gains.versions import ExplicitStudy, Version
+from pcbench.gains.versions import ExplicitStudy, Version, trained_on
 from pcbench.study import read
 
 
@@ -21,17 +20,16 @@ def report(made: ExplicitStudy, result: Result, out: str | Path | None, how: How
     """Return the result with its table `fair`: every version on training seeds and on the study's own, and against the bound.
 
     One row per cell and version: `training` and `held_out` are means of the objective (of a pooled one the root of the mean
-    square) with their standard errors, `gap` is held_out less training, `efficiency` the bound over tail_pooled_rmse on the
-    study's seeds with its interval, NaN where there is no bound; `certified` is that of stats; `note` says where a start was
-    kept, and why. With `out` the table stands there as fair.parquet, and the training runs in out/training. `how` is that of
-    the study's own runs.
+    square) with their standard errors, `training` of an exact tuning the expected value; `gap` is held_out less training,
+    `efficiency` the bound over tail_pooled_rmse on the study's seeds with its interval, NaN where there is no bound;
+    `certified` is that of stats; `note` says where a start was kept, and why. With `out` the table stands there as
+    fair.parquet, and the training runs in out/training. `how` is that of the study's own runs.
     """
     if made.aim is None:
         return result
-    seeds = {"first_seed": tune.TRAINING.first, "seeds": made.study.tune.training}
     beside = None if out is None else f"{out}/training"
     training = run_study.execute(
-        read.grid_of(made.study, seeds, []), beside, how._replace(until_se=None, max_seeds=None)
+        read.grid_of(trained_on(made.study), {}, []), beside, how._replace(until_se=None, max_seeds=None)
     )
     result.fair = table(made.versions, made.aim, training.stats, result.stats)
     if out is not None:

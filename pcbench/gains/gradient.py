@@ -73,18 +73,20 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
 
 def chain(slopes: list[Any], design: Callable[[Vector], Any], at: Vector) -> Vector:
     """Return the derivative by the free parameters, by the chain rule through `design`, from that by the gains."""
-    out = np.zeros(len(at))
-    for i, step in enumerate(STEP * np.eye(len(at))):
+    each = directions(design, at)
+    return np.array([sum(float(np.sum(s * d)) for s, d in zip(slopes, way, strict=True)) for way in each])
+
+
+def directions(design: Callable[[Vector], Any], at: Vector) -> list[list[Any]]:
+    """Return for each free parameter the derivatives of the gains' numbers by it, NaN where all around is refused."""
+    out = []
+    for step in STEP * np.eye(len(at)):
         sides = [(sign, found) for sign in (1, -1) if (found := _allowed(design, at + sign * step)) is not None]
         if len(sides) < 2:  # one side is refused: from the middle
             sides.append((0, numbers(design(at))))
         (m, ahead), (n, behind) = sides[0], sides[-1]
-        gap = (m - n) * STEP
-        out[i] = (
-            sum(float(np.sum(s * (a - b))) for s, a, b in zip(slopes, ahead, behind, strict=True)) / gap
-            if gap
-            else np.nan
-        )
+        gap = (m - n) * STEP or np.nan
+        out.append([(np.asarray(a) - np.asarray(b)) / gap for a, b in zip(ahead, behind, strict=True)])
     return out
 
 

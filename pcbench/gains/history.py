@@ -23,7 +23,7 @@ PAUSE = 2.0  # [s] between two writings
 class Judgement(NamedTuple):
     """An objective's metric (of a pooled one the mean square behind it) over some seeds, diverged runs left out."""
 
-    what: str  # training or judging
+    what: str  # training or judging; or exact: expected values, of no seeds
     seeds: Seeds
     start: float
     start_se: float
@@ -131,6 +131,7 @@ def finish(target: store.Target, about: str, tuned: Any) -> None:
     """Write what was found: a study that can be run, and under [resolved.tuning] how it came about."""
     said = {"about": about, "start": tuned.start, "found": tuned.found, "kept_start": tuned.kept_start}
     said |= {"method": tuned.method, "judged": [plain(j) for j in tuned.judged]}
+    said |= {"exact": True} if tuned.exact else {}
     said |= {} if tuned.certified is None else {"certified": tuned.certified}
     store.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
 

@@ -38,6 +38,10 @@ class Objective(NamedTuple):
         """Return the objective from the mean of its base over runs."""
         return float(np.sqrt(mean)) if self.metric in POOLED else mean
 
+    def mean(self, value: float) -> float:
+        """Return that mean from the objective."""
+        return value**2 if self.metric in POOLED else value
+
     def slope(self, mean: float) -> float:
         """Return the derivative of the objective by that mean."""
         return 0.5 / float(np.sqrt(mean)) if self.metric in POOLED and mean > 0 else 1.0

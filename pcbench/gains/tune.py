@@ -1,4 +1,7 @@
-"""One tuning: an observer's free parameters in a scenario, within a budget, judged on draws that it was not tuned on."""
+"""One tuning: an observer's free parameters in a scenario, within a budget, judged on draws that it was not tuned on.
+
+Or `exact`, of what infinitely many runs would give: then there are no draws, and nothing to be judged.
+"""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +14,7 @@ from pcbench import planning
 from pcbench.dataset import store
 from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.gains import evaluation, gradient, history, minimise, parameters
+from pcbench.gains import evaluation, expected, gradient, history, minimise, parameters
 from pcbench.gains.held_out import against, judge
 from pcbench.gains.history import Evaluation, History, Judgement
 from pcbench.gains.objective import Objective, objective_of
@@ -51,6 +54,7 @@ class Tuning(NamedTuple):
     certified: bool | None = (
         None  # whether something proves the gains chosen; None: there are none, or an earlier release
     )
+    exact: bool = False  # the objective is its expected value, and `judged` has that alone
 
 
 def tune(
@@ -58,9 +62,10 @@ def tune(
     observer: str,
     *,
     budget: int = BUDGET,
-    objective: str = "rmse",
+    objective: str | None = None,
     signal: str | None = None,
     method: str | None = None,
+    exact: bool = False,
     only: list[str] | None = None,
     training: Seeds = TRAINING,
     judges: Seeds = JUDGES,
@@ -71,22 +76,24 @@ def tune(
     """Tune an observer's free parameters (`only` some of them) for a metric of a signal, and judge them on other seeds.
 
     `scenario` is a scenario's name, or a study with one scenario and one cell. `budget` is how often all training runs are
-    simulated; `training` and `judges` are ranges of seeds, (first, one past the last). With `out`, a folder, the history stands
-    there, and what was stopped goes on when run again. `progress` hears of each point. Raises UserError for whatever the user
-    can mend.
+    simulated; `training` and `judges` are ranges of seeds, (first, one past the last). `exact` takes the expected value over
+    all noise instead, without seeds. The objective is by default rmse, exact pooled_rmse. With `out`, a folder, the history
+    stands there, and what was stopped goes on when run again. `progress` hears of each point. Raises UserError for whatever
+    the user can mend.
     """
     where = f"tune {observer}"
     training, judges = Seeds(*training), Seeds(*judges)
-    _check(budget, training, judges, where)
+    _check(budget, training, judges, exact, where)
     with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
         study, cell = read.one_cell(scenario, [observer], overrides or [])
         observer = label_of(observer)
         where = f"{where} in {cell.scenario.name}"
-        aim = objective_of(objective, cell.scenario, signal, where)
-        how_far = f"{method or 'the method that fits'}, seeds {training}, {', '.join(only or ['all'])} free"
+        aim = objective_of(objective or default(exact), cell.scenario, signal, where)
+        draws = "exact" if exact else f"seeds {training}"
+        how_far = f"{method or 'the method that fits'}, {draws}, {', '.join(only or ['all'])} free"
         mine = given(study, cell.scenario, observer)
         about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(study, [cell])[:12]}"
-        whole = f"{about}, {budget} points, judged on {judges}"
+        whole = f"{about}, {budget} points" + ("" if exact else f", judged on {judges}")
         target = store.target(str(out) if out is not None else spare)
         if done := history.finished(target, whole, about):
             return Tuning(objective=aim, **done)
@@ -100,16 +107,23 @@ def tune(
 
         (p,) = padding.fit(list(planning.drafts([cell])))
         evaluation.check_estimates(p, aim, where)
-        how = evaluation.method_for(method, aim, p, where)
-        evaluate = evaluation.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
+        if exact:
+            how, one = expected.method_for(method, where), expected.check(aim, p, where)
+            evaluate = expected.evaluator(p, one, aim, len(start), design, where)
+        else:
+            how = evaluation.method_for(method, aim, p, where)
+            evaluate = evaluation.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
         trials = History(target, about, parameters.entries(every))
         progress.begin("points", budget)
         progress.note("compiling")
         _descend(how, trials, start, evaluate, budget, where, progress)
         found = parameters.written(every, np.array(trials.best.at))
-        progress.note("judging on other seeds")
-        judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
-        kept = against(judged)
+        if exact:
+            judged, kept = [expected.judgement(aim, trials.points[0].value, trials.best.value)], ""
+        else:
+            progress.note("judging on other seeds")
+            judged = judge(study, observer, found, aim, {"training": training, "judging": judges})
+            kept = against(judged)
         chosen = parameters.put(options, every, start if kept else np.array(trials.best.at))
         tuned = Tuning(
             study=_study(study, observer, {} if kept else found),
@@ -121,9 +135,15 @@ def tune(
             method=how,
             objective=aim,
             certified=is_certified(planning.designed(observer, entry, known, chosen).certificate._asdict()),
+            exact=exact,
         )
         history.finish(target, whole, tuned)
         return tuned
+
+
+def default(exact: bool) -> str:
+    """Return the objective that is taken where none is named: the mean of a root has no exact value."""
+    return "pooled_rmse" if exact else "rmse"
 
 
 def _startable(study: Study, cell: Cell, observer: str, known: Setting) -> tuple[Study, Cell, Design]:
@@ -196,9 +216,14 @@ def _descend(
     trials.write()
 
 
-def _check(budget: int, training: Seeds, judges: Seeds, where: str) -> None:
+def _check(budget: int, training: Seeds, judges: Seeds, exact: bool, where: str) -> None:
     if budget < 1:
         raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {BUDGET}.")
+    if exact and (training, judges) != (TRAINING, JUDGES):
+        raise UserError(
+            f"{where}: --exact: got seeds to train or judge on, expected none: an expected value needs no runs; leave --train "
+            "and --judge out, or --exact."
+        )
     for name, seeds in (("--train", training), ("--judge", judges)):
         if seeds.many < 2 or seeds.first < 0 or seeds.stop > 2**32:
             raise UserError(f"{where}: {name}: got {seeds}, expected two seeds or more of 0:4294967296.")

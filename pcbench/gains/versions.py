@@ -5,9 +5,9 @@
     tuned     by `tune`: the same budget for every observer, from the better of the two above on the training runs
 
 Three ranges of seeds have nothing in common: training runs, those that decide whether a tuned gain or its start is kept, and
-the study's own, on which all are compared. Of a study with several cells gains are tuned in the first and run in all.
-Observers without a design of their own, or without free parameters, have fewer versions. The study returned has explicit
-options only, so any machine can run, verify and merge it.
+the study's own, on which all are compared. Where [tune] is `exact` there are the study's own alone. Of a study with several
+cells gains are tuned in the first and run in all. Observers without a design of their own, or without free parameters, have
+fewer versions. The study returned has explicit options only, so any machine can run, verify and merge it.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from pcbench.dataset import run_study, store
 from pcbench.dataset.ownership import BESIDE, TEXT
 from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
-from pcbench.gains import parameters, tune
+from pcbench.gains import expected, parameters, tune
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.study import Study, given, observers_of, scenarios_of
@@ -74,6 +74,8 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress 
     aim = objective_of(
         study.tune.objective, scenarios_of(study)[study.scenarios[0]], study.tune.signal, f"{study.name}: tune"
     )
+    if study.tune.exact:
+        expected.offered(aim, f"{study.name}: tune")
     _apart(study)
     _ours(study, out, fresh)
     scenario = scenarios_of(study)[study.scenarios[0]]
@@ -105,8 +107,18 @@ def _at_first(study: Study) -> Study:
     return study.model_copy(update={"axes": {name: values[:1] for name, values in study.axes.items()}})
 
 
+def trained_on(study: Study) -> Study:
+    """Return the study on what gains are tuned on: the training runs, or expected values."""
+    if study.tune.exact:
+        return study.model_copy(update={"method": "exact"})
+    its = _training(study)
+    return study.model_copy(update={"first_seed": its.first, "seeds": its.many})
+
+
 def _apart(study: Study) -> None:
     """Raise UserError where the study's own seeds are among those it tunes on."""
+    if study.tune.exact:  # it is tuned on none
+        return
     mine = counted(study.first_seed, study.seeds)
     for its in (_training(study), JUDGES):
         if common(mine, its).many:
@@ -161,7 +173,7 @@ def _better(
     if not free_ones:
         return {}
     progress.note("comparing starts")
-    here = _at_first(study).model_copy(update={"first_seed": tune.TRAINING.first, "seeds": study.tune.training})
+    here = trained_on(_at_first(study))
     labels = [v.label for v in free_ones]
     stats = run_study.execute(_with(here, {label: options[label] for label in labels}, labels)).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
@@ -215,8 +227,9 @@ def _tuned(
             budget=study.tune.budget,
             objective=study.tune.objective,
             signal=study.tune.signal,
-            training=_training(study),
-            judges=JUDGES,
+            exact=study.tune.exact,
+            training=tune.TRAINING if study.tune.exact else _training(study),
+            judges=tune.JUDGES if study.tune.exact else JUDGES,
             out=None if out is None else f"{out}/tuning/{observer}",
             progress=renamed,
         )

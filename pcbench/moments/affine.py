@@ -15,13 +15,13 @@ from pcbench.plants import signals_of
 INSTEAD = 'take runs for it: pcbench.run, or method = "runs"'
 
 
-def refusal(cell: CellMoments, label: str) -> str:
-    """Return a sentence that says why an observer's moments are not exact in a cell; empty where they are."""
+def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
+    """Return a sentence that says why an observer's moments are not exact in a cell, and what to do; empty where they are."""
     p, s = cell.planned, cell.sums
     mine, where = cell.signals[label], f"{p.cell.scenario.name}, cell {p.cell.number}: {label}"
     names = [name for name, _ in signals_of(p.cell.scenario)]
     if chance := p.cell.scenario.sampling.outlier_probability:
-        return f"{where} has samples of which {100 * chance:g} % are outliers, whose noise is not normal; {INSTEAD}."
+        return f"{where} has samples of which {100 * chance:g} % are outliers, whose noise is not normal; {instead}."
     apart, size = s.apart[mine].max(-1), s.size[mine].max(-1)
     with np.errstate(invalid="ignore"):
         part = np.where(apart > 0, apart / np.where(size > 0, size, 1.0), 0.0)
@@ -31,7 +31,7 @@ def refusal(cell: CellMoments, label: str) -> str:
     if part[worst] > ROUNDING and (np.isfinite(part[worst]) or np.isfinite(reach).all()):
         return (
             f"{where} is not affine in the noise: {names[worst]} is off by {part[worst]:.1g} of its size where an affine "
-            f"observer is off by less than {ROUNDING:.0e}; {INSTEAD}."
+            f"observer is off by less than {ROUNDING:.0e}; {instead}."
         )
     bound = np.asarray(p.problem.bound)[: len(reach)]
     far = ~(reach <= bound)
@@ -39,6 +39,6 @@ def refusal(cell: CellMoments, label: str) -> str:
         i = int(np.argmax(far))
         return (
             f"{where} may leave its bound: {names[i]} reaches {reach[i]:.3g} within six standard deviations, expected at most "
-            f"{bound[i]:.3g}, beyond which a run counts as diverged; {INSTEAD}."
+            f"{bound[i]:.3g}, beyond which a run counts as diverged; {instead}."
         )
     return ""

@@ -157,10 +157,14 @@ def _computed(
 
 
 def _refused(item: Item) -> Found:
+    return Found(refused(sum(item.sizes.values()), item.bend), ())
+
+
+def refused(signals: int, bend: float) -> Sums:
     """Return what is left of a cell that was not computed: how far it is from affine."""
-    sums = nothing(sum(item.sizes.values()), None, 1)
-    nan = jax.tree.map(lambda a: np.full(a.shape, np.nan), sums)
-    return Found(nan._replace(apart=np.full(nan.mean.shape, item.bend), size=np.ones(nan.mean.shape)), ())
+    nan: Sums = jax.tree.map(lambda a: np.full(a.shape, np.nan), nothing(signals, None, 1))
+    one: Any = np.ones((signals, 1))
+    return nan._replace(apart=bend * one, size=one)
 
 
 def _gathered(parts: list[Part]) -> CellMoments:

@@ -3,11 +3,12 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 from jax.scipy.special import erf
 
 from pcbench.simulation.metrics import Weights
 
+STILL = 1e-12  # of the largest number: a standard deviation below it is rounding
 FAR = 6.0  # standard deviations: a run is taken to stay within so many of the mean
 
 
@@ -89,7 +90,7 @@ def _errors(s: Sums, read: Read, weight: Array) -> Sums:
     runs = read.runs.errors
     mean, z = runs[0], runs.shape[1]
     variance, moved = variances(read)[:z], read.moved[:, :z]
-    std = jnp.sqrt(jnp.maximum(variance, 0.0))
+    std = _root(variance, s.size)
     apart = jnp.abs(runs[1:] - (mean[None] + moved))
     large = jnp.max(jnp.abs(runs), 0) + jnp.max(jnp.abs(moved), 0)
     scored, weight = weight[0] > 0, weight[:, None, None]
@@ -102,6 +103,13 @@ def _errors(s: Sums, read: Read, weight: Array) -> Sums:
         apart=jnp.maximum(s.apart, jnp.max(apart, 0)),
         size=jnp.maximum(s.size, large),
     )
+
+
+def _root(variance: Array, size: Array) -> Array:
+    """Standard deviations; where they are rounding beside the numbers so far, ones without a slope."""
+    std = jnp.sqrt(jnp.maximum(variance, 0.0))
+    known = variance > (STILL * size) ** 2
+    return jnp.where(known, jnp.sqrt(jnp.where(known, variance, 1.0)), lax.stop_gradient(std))
 
 
 def expected_size(mean: Array, std: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from pcbench.scenarios.signals import PATHS
 from pcbench.study.lti import Lti
@@ -51,10 +51,18 @@ class Tune(BaseModel):
     """`[tune]`: what gains are tuned for, and the effort, the same for every observer of a study."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
-    objective: str = Field("rmse", description="metric of the tables to make small")
+    objective: str = Field("rmse", description="metric of the tables to make small; exact: by default pooled_rmse")
     signal: str | None = Field(None, description="of which signal; default: the first that a closing table shows")
+    exact: bool = Field(False, description="take its expected value over all noise, without training runs")
     budget: int = Field(60, ge=1, le=100_000, description="times that all training runs are simulated")
     training: int = Field(256, ge=2, le=100_000, description="training runs; their seeds are far from a study's")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _has_an_exact_value(cls, given: Any) -> Any:
+        if isinstance(given, dict) and given.get("exact") is True:
+            return {"objective": "pooled_rmse"} | given
+        return given
 
 
 class Study(BaseModel):

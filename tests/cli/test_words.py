@@ -141,6 +141,7 @@ def test_what_is_found_of_gains_that_nothing_proves_says_so():
             method="search",
             found={},
             kept_start="",
+            exact=False,
             objective=SimpleNamespace(metric="mae", base="mae", name="x"),
             **known,
         )

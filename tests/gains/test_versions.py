@@ -83,6 +83,7 @@ MISTAKES = [
     ({"tune": {"objective": "beauty"}}, "'beauty' is no metric to tune for"),
     ({"tune": {"signal": "speed"}}, "'speed' is no signal"),
     ({"tune": {"budget": 0}}, "tune.budget: got 0"),
+    ({"tune": {"exact": True, "objective": "rmse"}}, "rmse, which has no exact value"),
     ({"tune": {"effort": 3}}, "tune: 'effort' is no key here"),
 ]
 
@@ -121,6 +122,18 @@ def test_versions_are_compared_on_two_ranges_of_seeds_and_against_the_bound(tmp_
     assert fair.efficiency["pccebo-paper"] > 3 * fair.efficiency["open-loop-paper"] > 0
     stored = pd.read_parquet(tmp_path / "out" / "fair.parquet")
     pd.testing.assert_frame_equal(stored, result.fair)
+
+
+@pytest.mark.slow
+def test_what_is_tuned_exactly_is_held_against_its_expected_value(tmp_path):
+    study = FAIR | {"tuning": ["paper", "tuned"], "tune": {"budget": 4, "exact": True}}
+    result = pcbench.run(study, out=tmp_path / "out")
+    assert (result.fair.metric == "pooled_rmse").all()
+    assert not result.fair.training_se.any()
+    assert not (tmp_path / "out" / "training" / "runs").exists()
+    fair = result.fair.set_index("label")
+    assert fair.training["pccebo-tuned"] < fair.training["pccebo-paper"]
+    assert (fair.gap.abs() < 4 * fair.gap_se).all()
 
 
 @pytest.mark.slow

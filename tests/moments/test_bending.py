@@ -2,6 +2,7 @@
 
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -30,3 +31,15 @@ def test_a_bent_one_is_found(f):
 
 def test_what_no_noise_reaches_may_be_bent():
     assert bent(plan(lambda p, now, x: jnp.sin(x), random=False)) == 0
+
+
+def test_numbers_of_a_plant_may_be_looked_up_by_time():
+    """As NumPy arrays they could not: a tick is traced."""
+    table = np.array([0.5, 0.5, 0.5])
+
+    def step(p, now, x):
+        return 0.5 * x + jax.jit(lambda tick: p[tick])(now.tick)
+
+    looked = plan(step)
+    looked.problem.params = table
+    assert bent(looked) < ROUNDING

@@ -62,16 +62,17 @@ def tuned(found: Any, observer: str, folder: str | None, console: Console) -> No
     """Print what a tuning found: start against tuned on training and judging seeds, and the options."""
     aim = found.objective
     what = "mean square" if aim.metric != aim.base else aim.metric
-    judged = found.judged
-    columns = [
-        Column("seeds", [str(j.seeds) for j in judged], left=True),
+    judged, of_runs = found.judged, not found.exact
+    columns = [Column("seeds", [str(j.seeds) for j in judged], left=True)] if of_runs else []
+    columns += [
         Column("", [j.what for j in judged], left=True),
         Column("start", [_mean(j.start, j.start_se) for j in judged]),
         Column("tuned", [_mean(j.tuned, j.tuned_se) for j in judged]),
         Column("tuned - start", [_mean(j.difference, j.difference_se, "+") for j in judged]),
-        Column("diverged", [f"{j.diverged[0]} -> {j.diverged[1]}" for j in judged], spare=1),
     ]
-    name = marked(observer, [found.certified])
+    if of_runs:
+        columns.append(Column("diverged", [f"{j.diverged[0]} -> {j.diverged[1]}" for j in judged], spare=1))
+    name, what = marked(observer, [found.certified]), what if of_runs else f"expected {what}"
     printed(f"{name}: {what} of {aim.name}, {len(found.points)} points by {found.method}", columns, console)
     _say_what_is_unproven([found.certified], console)
     for name, value in found.found.items():
@@ -85,7 +86,9 @@ def tuned(found: Any, observer: str, folder: str | None, console: Console) -> No
 def fair(table: pd.DataFrame, console: Console) -> None:
     """Print what gains as printed, by design and tuned are worth, on training runs and on others, and against the bound."""
     rows: list[dict[str, Any]] = table.to_dict("records")  # type: ignore[assignment]
-    title = "{scenario}: {metric} of {signal} [{unit}], on training runs and on others".format(**rows[0])
+    of_runs = bool(table.training_se.any())  # or expected values, which have no error
+    title = "{scenario}: {metric} of {signal} [{unit}], ".format(**rows[0])
+    title += "on training runs and on others" if of_runs else "as expected, and on runs"
     columns = [Column("cell", [str(r["cell"]) for r in rows])] if table.cell.nunique() > 1 else []
     columns += [
         Column("observer", [marked(r["observer"], [r["certified"]]) for r in rows], left=True),
@@ -94,7 +97,7 @@ def fair(table: pd.DataFrame, console: Console) -> None:
     columns += [
         Column("held out", [_mean(r["held_out"], r["held_out_se"]) for r in rows]),
         Column("of the bound\n(tail)", [_share(r["efficiency"]) for r in rows]),
-        Column("training", [_mean(r["training"], r["training_se"]) for r in rows], spare=2),
+        Column("training" if of_runs else "expected", [_mean(r["training"], r["training_se"]) for r in rows], spare=2),
         Column("gap", [_mean(r["gap"], r["gap_se"], "+") for r in rows], spare=1),
     ]
     if table.diverged.any():
