@@ -1,10 +1,11 @@
-"""The columns that only some studies have: of commands and what input costs in loops, of covariances, of outliers."""
+"""The columns that only some studies have: of commands and what input costs in loops, of covariances, outliers, chains."""
 
 from collections.abc import Container
 
 from pcbench.statistics import ASKED, RUN_METRICS
 
 AXIS_UNITS = {"command_jitter": "s", "command_loss": "1", "command_std": "unit of the input"}
+AXIS_UNITS |= {"delay_steps": "s", "delay_stay": "1"}
 AXIS_UNITS |= {"outlier_probability": "1", "outlier_scale": "1"}
 UNITS = dict.fromkeys(
     (
@@ -23,6 +24,9 @@ CONSISTENCY = (
     "the 95 % band of such means of a true covariance (chi-square)"
 )
 MEANING = {
+    "delay_steps": "a sample arrives later by one of these [s], which a Markov chain from sample to sample chooses",
+    "delay_stay": "probability that the next sample has the same one of delay_steps, or else any other alike; a list where it "
+    "depends on the one that is",
     "outlier_probability": "that a sample's noise is outlier_scale times what it would be, which nobody is told",
     "outlier_scale": "how many times larger the noise of an outlier is",
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",

@@ -58,7 +58,7 @@ def _of(p: Plan, name: str, o: Any) -> Cost:
     problem: Any = jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
     gains, q = problem.gains[name], len(p.cell.scenario.sampling.delay)
     clocks = p.cell.times.clocks
-    age = max((clock.period if clock.delay is None else clock.delay) + clock.spread // 2 for clock in clocks)
+    age = max((clock.period if clock.delay is None else clock.delay) + clock.later for clock in clocks)
     k = age + max(clock.period for clock in clocks)
     memory = o.init(gains, problem.xhat0)
     note = o.note(gains, memory, present(problem, jnp.asarray(k - age), False))

@@ -47,7 +47,7 @@ def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
             else:
                 period[j] = clock.period
             late = period[j] if clock.delay is None else clock.delay
-            delay[j] = late + clock.spread // 2 + cell.times.error
+            delay[j] = late + clock.later + cell.times.error
     return Setting(
         scenario=s.name,
         model=plant.nominal(numbers_of(s)),

@@ -53,6 +53,10 @@ class Sampling(NamedTuple):
     outlier_probability: float = 0.0  # that a sample's noise is outlier_scale times what it would be
     outlier_scale: float = 10.0
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
+    delay_steps: tuple[
+        float, ...
+    ] = ()  # [m] s, a sample arrives later by one of them: a Markov chain from sample to sample
+    delay_stay: tuple[float, ...] = ()  # [m] or [1] probability that the next one's is the same; empty: 1 / m
 
 
 class Belief(NamedTuple):
@@ -89,6 +93,7 @@ RECORDS = {
     "scoring": Scoring._fields,
 }
 FAULTS = ("outlier_probability", "outlier_scale")  # of samples, which nobody is told of
+CHAIN = ("delay_steps", "delay_stay")
 OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
@@ -138,6 +143,7 @@ class Scenario(NamedTuple):
         """
         hidden = {name for name in OF_COMMANDS if not self.value(name)}
         hidden |= set() if self.sampling.outlier_probability else set(FAULTS)
+        hidden |= set() if self.sampling.delay_steps else set(CHAIN)
         # earlier folders know their cells without these
         names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE, *hidden)]
         code = {"code": {kind: mine.code.digest for kind, mine in self.own.items()}} if self.own else {}

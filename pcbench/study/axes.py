@@ -9,7 +9,7 @@ from typing import Any
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import FAULTS
+from pcbench.scenarios.scenario import CHAIN, FAULTS
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
@@ -20,7 +20,8 @@ TIMES = (  # whole ticks
     *("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error"),
     "command_jitter",
 )
-ASKED = (*STATES, *FAULTS)  # a column of the tables only where it is an axis
+ASKED = (*STATES, *CHAIN, *FAULTS)  # a column of the tables only where it is an axis
+LISTS = ("profile", "delay_steps")  # a value may be a list
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
 AXES = (
     *CHANNELS,
@@ -32,6 +33,7 @@ AXES = (
     "assumed_delay_error",
     "actuator_delay",
     *STATES,
+    *CHAIN,
     *FAULTS,
 )
 COMMANDS = ("command_jitter", "command_loss", "command_std")  # axes of loops that a study closes
@@ -65,6 +67,8 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
     if name == "profile":
         return _profile(value, base, where)
+    if name in CHAIN:
+        return _of_the_chain(name, value, base, where)
     if name not in (*CHANNELS, *STATES):
         least = None if name in ("drift", "assumed_delay_error") or name.startswith("plant.") else 0.0
         n = number(value, where, least)
@@ -128,6 +132,19 @@ def _profile(value: Any, base: Scenario, where: str) -> str | tuple[float, ...]:
     return out
 
 
+def _of_the_chain(name: str, value: Any, base: Scenario, where: str) -> tuple[float, ...]:
+    each = value if isinstance(value, list | tuple) else [value]
+    out = tuple(number(v, where, least=0.0) for v in each)
+    for v in out:
+        if name == "delay_steps":
+            _whole_ticks("delay", v, base, where)
+        elif v >= 1:
+            raise UserError(
+                f"{where}: got {v:g}, expected a probability below 1: a delay that never changes is no chain."
+            )
+    return out
+
+
 def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
     ticks = value / base.dt
     if abs(ticks - round(ticks)) > 1e-6:
@@ -147,7 +164,7 @@ def plain(name: str, value: Value, apart: bool = False) -> Any:
     """Return a value as the tables hold it: equal channels as one unless they are to stay apart, an interval as null."""
     if not isinstance(value, tuple):
         return value
-    if name == "profile":
+    if name in LISTS:
         return ", ".join(f"{v:g}" for v in value)
     each = [None if v == INTERVAL else v for v in value]
-    return each if apart or len(set(each)) > 1 else each[0]
+    return each if not each or apart or len(set(each)) > 1 else each[0]

@@ -40,6 +40,7 @@ def fits(s: Scenario, where: str) -> None:
                 f"{-youngest * s.dt:g}."
             )
     _faults(s, where)
+    _chain(s, where)
     if not measured.continuous:
         limits.require_few_samples(clocks(s), ticks, s.dt, where)
 
@@ -59,6 +60,25 @@ def _faults(s: Scenario, where: str) -> None:
         )
 
 
+def _chain(s: Scenario, where: str) -> None:
+    """Raise UserError where delays cannot be a Markov chain as asked."""
+    steps, stay = s.sampling.delay_steps, s.sampling.delay_stay
+    if stay and not steps:
+        raise UserError(
+            f"{where}: got delay_stay in {s.name} without delay_steps, where it has no effect, expected both or neither; write "
+            "delay_steps = [0.0, ...], or leave it out."
+        )
+    if len(steps) == 1 or len(set(steps)) < len(steps):
+        raise UserError(
+            f"{where}: got delay_steps of {', '.join(f'{v:g}' for v in steps)} s, expected two different values or more; a "
+            "delay that is always so much longer is written as delay."
+        )
+    if len(stay) not in (0, 1, len(steps)):
+        raise UserError(
+            f"{where}: got {len(stay)} values of delay_stay for {len(steps)} delay_steps, expected one, or one for each."
+        )
+
+
 def _at_every_stage(s: Scenario, where: str) -> None:
     """Raise UserError where a scenario that measures continuously is given a sampler's axis."""
     nothing = {
@@ -68,6 +88,7 @@ def _at_every_stage(s: Scenario, where: str) -> None:
         "profile": "periodic",
         "jitter": 0.0,
         "delay_jitter": 0.0,
+        "delay_steps": (),
         "loss": 0.0,
         "assumed_delay_error": 0.0,
         "outlier_probability": 0.0,
@@ -92,10 +113,10 @@ def _loop(s: Scenario, where: str) -> None:
         return
     if not measured.early:  # of a loop for any plant: its sampler is any, its commands have a delay of their own
         return
-    if measured.jitter or measured.delay_jitter or measured.loss or measured.profile == "uniform":
+    if any(clock.random for clock in clocks(s)):
         raise UserError(
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
-            "offered with times of each run's own; leave jitter, delay_jitter, loss and the profile 'uniform' out."
+            "offered with times of each run's own; leave jitter, delay_jitter, delay_steps, loss and the profile 'uniform' out."
         )
     if INTERVAL in measured.delay:
         raise UserError(
@@ -157,16 +178,19 @@ def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
         )
     takes, found, measured = entry.takes, clocks(s), s.sampling
     follows = INTERVAL in measured.delay and (measured.profile != "periodic" or measured.jitter > 0)
-    if takes == "one constant delay" and (measured.delay_jitter or follows):
+    if takes == "one constant delay" and (measured.delay_jitter or measured.delay_steps or follows):
         spread = measured.delay_jitter
         varies = f"a delay jitter of {spread:g} s" if spread else "a delay of one varying interval"
+        varies = "delay_steps" if measured.delay_steps and not spread else varies
         raise UserError(
             f"{where}: {label} in {s.name} got {varies}, expected one constant delay: it does not use the age of a "
             f"sample; leave {label} out, or take pccebo, pco or dkf."
         )
-    if takes == "constant delays" and (measured.delay_jitter or measured.jitter or measured.profile != "periodic"):
+    random = measured.delay_jitter or measured.delay_steps or measured.jitter
+    if takes == "constant delays" and (random or measured.profile != "periodic"):
         times = {"a delay_jitter of": measured.delay_jitter, "a jitter of": measured.jitter}
         unsteady = [f"{what} {v:g} s" for what, v in times.items() if v]
+        unsteady += ["delay_steps"] if measured.delay_steps else []
         unsteady += [f"the profile {plain('profile', measured.profile)}"] if measured.profile != "periodic" else []
         raise UserError(
             f"{where}: {label} in {s.name} got {', '.join(unsteady)}, expected regular samples of constant ages: it works "

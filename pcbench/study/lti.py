@@ -80,6 +80,8 @@ class Lti(BaseModel):
     profile: str | list[Number] = "periodic"
     jitter: Number = 0.0
     delay_jitter: Number = 0.0
+    delay_steps: list[Number] = []
+    delay_stay: PerChannel = []
     loss: Number = 0.0
     outlier_probability: Number = 0.0
     outlier_scale: Number = 10.0

@@ -149,7 +149,7 @@ def _measured(s: Scenario, given: dict[str, Any], q: int, where: str) -> Scenari
     changed = "dt" in given or "horizon" in given  # then times of a base may fit no more
     for key in (name for name in axes.AXES if name not in axes.STATES):
         if key in given or (changed and s.value(key) is not None):
-            value = given.get(key, axes.plain(key, s.value(key), apart=True) if key != "profile" else s.value(key))
+            value = given.get(key, axes.plain(key, s.value(key), apart=True) if key not in axes.LISTS else s.value(key))
             value = INTERVAL if value == [None] * q else value
             s = s.having(**{key: axes.point(key, value, s, f"{where}.{key}")})
     return s

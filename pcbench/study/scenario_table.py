@@ -55,6 +55,12 @@ class ScenarioTable(BaseModel):
     profile: str | list[Number] | None = Field(None, description="of the intervals: a name, or s in turn")
     jitter: Number | None = Field(None, description="s, a sample is taken up to this much early or late")
     delay_jitter: Number | None = Field(None, description="s, a sample arrives up to this much later")
+    delay_steps: list[Number] | None = Field(
+        None, description="s, a sample arrives later by one of them, a Markov chain from sample to sample"
+    )
+    delay_stay: PerChannel | None = Field(
+        None, description="probability that the next sample has the same step, one or one for each"
+    )
     loss: Number | None = Field(None, description="probability that a sample never arrives")
     outlier_probability: Number | None = Field(
         None, description="that a sample's noise is outlier_scale times what it would be"

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from pcbench.protocols import Delay
-from pcbench.scenarios import Scenario
+from pcbench.scenarios import Sampling, Scenario
 from pcbench.simulation.schedule.sampling import Clock, any_random
 
 
@@ -53,12 +53,20 @@ def clocks(s: Scenario) -> list[Clock]:
             else tuple(whole(v, s) for v in measured.profile),
             jitter=whole(measured.jitter, s),
             spread=whole(measured.delay_jitter, s),
+            steps=tuple(whole(v, s) for v in measured.delay_steps),
+            stay=chain(measured),
             loss=measured.loss,
             early=measured.early,
             swing=(measured.delay_swing[0] / s.dt, measured.delay_swing[1] * s.dt),
         )
         for (period, delay), channels in groups.items()
     ]
+
+
+def chain(measured: Sampling) -> tuple[float, ...]:
+    """Return for each of the delay's steps the probability that the next sample has the same."""
+    many, stay = len(measured.delay_steps), measured.delay_stay
+    return (stay * many if len(stay) == 1 else stay) or (1 / many if many else 0.0,) * many
 
 
 def actuator_delay(s: Scenario) -> Delay:

@@ -7,6 +7,7 @@ from pcbench.errors import UserError, short, unknown
 from pcbench.plants import numbers_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
 from pcbench.study import axes
+from pcbench.study.times import chain
 from pcbench.sufficing.scale import Scale
 
 ONE = re.compile(r"(.+)\[(\d+)\]")
@@ -48,9 +49,9 @@ def axis_of(over: str, s: Scenario, given: list[Any] | None, where: str) -> Axis
     known = [*axes.axes_of(s), *(f"plant.{p}" for p in parameters_in(s))]
     if name not in known:
         raise unknown("--over", f"axis of {s.name}", name, known)
-    if name == "profile":
+    if name in axes.LISTS:
         raise UserError(
-            "--over: got profile, whose values are words, expected an axis of numbers such as sampling_period."
+            f"--over: got {name}, whose values are words or lists, expected an axis of numbers such as sampling_period."
         )
     held: list[Any] = [axes.point(name, value, s, f"{where}: axes.{name}") for value in given or []] or [_own(name, s)]
     if not isinstance(held[0], tuple):
@@ -78,6 +79,8 @@ def _own(name: str, s: Scenario) -> Any:
         numbers, name = numbers_of(s), name.removeprefix("plant.")
         return (getattr(numbers, "own", {}) | numbers._asdict() | dict(s.truth.parameters))[name]
     value = s.value(name)
+    if name == "delay_stay":
+        return value or chain(s.sampling)[:1] or (0.0,)
     if name in axes.STATES:
         return tuple(float(v) for v in value) if len(value) else (0.0,) * len(s.truth.x0)
     return value
@@ -120,6 +123,7 @@ def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
         "jitter": (0.0, max((round(period / s.dt) - 1) // 2, 0) * s.dt),
         "assumed_delay_error": (0.0, max(period, s.dt)),
         "loss": (0.0, 0.9),
+        "delay_stay": (0.0, 0.95),
         "command_loss": (0.0, 0.9),
         "outlier_probability": (0.0, 0.5),
         "drift": (0.0, 2.0),

@@ -54,14 +54,15 @@ def width(clocks):
 
 @partial(jax.jit, compiler_options=QUICK)
 def uniform_numbers(root, seed, channel):
-    """Interval, instant, delay, loss of each sample [ROOM + 1, 4]: the address of a draw written out."""
+    """Interval, instant, delay, loss, step of the delay of each sample [ROOM + 1, 4]: the address of a draw written out."""
     run = jax.random.fold_in(jax.random.key(root), seed)
 
     def numbers(stream, many, i):
         key = jax.random.fold_in(jax.random.fold_in(run, draws.STREAMS[stream]), channel)
         return jax.random.uniform(jax.random.fold_in(key, i), (many,), dtype=jnp.float64)
 
-    return jax.vmap(lambda i: jnp.append(numbers("jitter", 3, i), numbers("loss", 1, i)))(jnp.arange(ROOM + 1))
+    many = {"jitter": 3, "loss": 1, "delay_chain": 1}
+    return jax.vmap(lambda i: jnp.concatenate([numbers(s, n, i) for s, n in many.items()]))(jnp.arange(ROOM + 1))
 
 
 def shortest(clock):
@@ -71,6 +72,24 @@ def shortest(clock):
     if clock.profile == "sine":
         return min(sampling.interval(clock, i) for i in range(1, ROOM + 1))
     return max(1, (clock.period + 1) // 2) if clock.profile == "uniform" else clock.period
+
+
+def chain(clock, uniform):
+    """The step of each sample's delay: by how often it is there in the long run, then from one to the next."""
+    many = len(clock.steps)
+    if not many:
+        return [0] * len(uniform)
+    moves = np.array([[p if i == j else (1 - p) / (many - 1) for j in range(many)] for i, p in enumerate(clock.stay)])
+    share = np.linalg.matrix_power(moves + 1e-3 * (np.eye(many) - moves), 2**40)[0]  # lazier, so that it forgets
+    now = int(np.searchsorted(np.cumsum(share)[:-1], uniform[0], side="right"))
+    out = [clock.steps[now]]
+    for u in uniform[1:]:
+        stay = clock.stay[now]
+        if u >= stay:
+            others = [(now + 1 + k) % many for k in range(many - 1)]
+            now = others[int((u - stay) / (1 - stay) * (many - 1))]
+        out.append(clock.steps[now])
+    return out
 
 
 def one_clock(clock, ticks, root, seed):
@@ -86,8 +105,9 @@ def one_clock(clock, ticks, root, seed):
         else:
             due += clock.period if clock.profile == "periodic" else clock.profile[(i - 1) % len(clock.profile)]
         taken.append(due + int(u[i][1] * (2 * clock.jitter + 1)) - clock.jitter)
+    steps = chain(clock, [each[4] for each in u])
     for i in range(ROOM):
-        late = int(u[i][2] * (clock.spread + 1))
+        late = int(u[i][2] * (clock.spread + 1)) + steps[i]
         arrives = (taken[i + 1] if clock.delay is None else taken[i] + clock.delay) + late
         if taken[i] <= ticks:
             out.append((taken[i], NEVER if u[i][3] < clock.loss else arrives))
@@ -121,8 +141,9 @@ def any_clock(draw, channels):
 
 @st.composite
 def any_clocks(draw):
+    chained = draw(st.sampled_from([{}, {}, {"steps": (4, 25, 1), "stay": (0.0, 0.5, 0.9)}]))
     return [
-        draw(any_clock(channels))
+        draw(any_clock(channels))._replace(**chained)
         for channels in draw(st.sampled_from([[(0,)], [(0, 1)], [(0,), (1,)], [(0, 2), (1,)]]))
     ]
 

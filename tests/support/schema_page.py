@@ -15,12 +15,10 @@ AXIS = [*(a for a in AXES if a not in STATES), *STATES, *COMMANDS]
 ALWAYS = {"diverged": "bool in runs, int64 in stats", "seed": "int64"}
 HEAD = f"""# The columns of the tables
 
-Every Parquet file says its schema in its metadata (`pcbench.schema`), and with each column its meaning and unit. This page is
-schema {columns.SCHEMA}. A column that is added, goes or means something else makes a new number: `pcbench/dataset/earlier.py`
-has those that are read. Made from the code by `tests/support/schema_page.py`; a test holds it to what a study leaves.
-
-`<axes>` are the columns of the last table: those that a scenario has, in that order. `scenario` and `observer` of `runs` stand
-in the folders' names.
+Every Parquet file says its schema in its metadata (`pcbench.schema`: here {columns.SCHEMA}), and with each column its meaning
+and unit. What is added, goes or means something else makes a new number: `pcbench/dataset/earlier.py` has those that are read.
+Made from the code by `tests/support/schema_page.py`. `<axes>` are the columns of the last table: those that a scenario has, in
+that order. `scenario` and `observer` of `runs` stand in the folders' names.
 """
 
 
@@ -28,7 +26,9 @@ def row(name: str) -> str:
     """A line of a table."""
     (field,) = columns.table({name: [None]}).schema
     said = {key.decode(): text.decode() for key, text in field.metadata.items()}
-    kind = ALWAYS.get(name, "double or list of double" if name in (*CHANNELS, *STATES) else str(field.type))
+    kind = ALWAYS.get(
+        name, "double or list of double" if name in (*CHANNELS, *STATES, "delay_stay") else str(field.type)
+    )
     return f"| `{name}` | {kind} | {said.get('unit', '')} | {in_table(said['meaning'])} |"
 
 

@@ -1,7 +1,9 @@
 """Sampling that is random: for every run its own instants, arrivals and losses, from its own draws.
 
-A sample of clock c with index i has three uniform numbers of the stream `jitter` (its interval, its instant, its delay) and
-one of `loss`, addressed as all draws are, under the clock's first channel: changing one choice leaves the other draws alone.
+A sample of clock c with index i has three uniform numbers of the stream `jitter` (its interval, its instant, its delay), one
+of `loss` and one of `delay_chain`, addressed as all draws are, under the clock's first channel: changing one choice leaves the
+other draws alone. Where its delay is a Markov chain over m values, the first sample's is drawn as often as it is there in the
+long run, and each next one is the same with a probability of its own, or any of the others alike.
 Everything is whole ticks. `Times` is traced, so one compiled program serves every profile, jitter, delay and loss.
 """
 
@@ -29,6 +31,8 @@ class Times(NamedTuple):
     delay: Leaf  # [C] -1: one interval
     jitter: Leaf  # [C]
     spread: Leaf  # [C] jitter of the delay
+    steps: Leaf  # [C, m] a sample arrives later by one of them; m = 0: by none
+    stay: Leaf  # [C, m] probability that the next sample has the same one
     loss: Leaf  # [C] probability
     channel: Leaf  # [C] the first channel: the address of the clock's draws
     clock_of: Leaf  # [q] the clock of each channel
@@ -61,6 +65,8 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
         delay=np.array([-1 if c.delay is None else c.delay for c in clocks]),
         jitter=np.array([c.jitter for c in clocks]),
         spread=np.array([c.spread for c in clocks]),
+        steps=np.array([c.steps for c in clocks], int),
+        stay=np.array([c.stay for c in clocks], float),
         loss=np.array([c.loss for c in clocks], float),
         channel=np.array([c.channels[0] for c in clocks]),
         clock_of=np.array(clock_of),
@@ -93,8 +99,27 @@ def clock_times(t: Times, c: int, root_seed: Array, seeds: Array) -> tuple[Array
     moved = _whole(timing[:, 1], 2 * t.jitter[c] + 1) - t.jitter[c]
     taken = due + jnp.where(jnp.arange(count)[:, None] > 0, moved, 0)
     late = _whole(timing[:, 2], t.spread[c] + 1)
+    if t.steps.shape[1]:
+        late = late + t.steps[c][_chain(t, c, root_seed, seeds)]
     arrives = jnp.where(t.delay[c] < 0, taken[1:], taken[:-1] + t.delay[c]) + late[:-1]
     return taken[:-1], jnp.where(losing[:-1, 0] < t.loss[c], NEVER, jnp.minimum(arrives, NEVER))
+
+
+def _chain(t: Times, c: int, root_seed: Array, seeds: Array) -> Array:
+    """Return which of its steps every sample of clock c has, [M+1, L]."""
+    many, stay = t.steps.shape[1], t.stay[c]
+    uniform = draws.uniforms(root_seed, seeds, "delay_chain", t.channel[c], t.due.shape[1], 1)[:, 0]
+    weights = 1 / (1 - stay)
+    ends = jnp.cumsum(weights / jnp.sum(weights))
+    first = jnp.minimum(jnp.sum(uniform[0][None] >= ends[:, None], 0), many - 1)
+
+    def following(now: Array, u: Array) -> tuple[Array, Array]:
+        left = (u - stay[now]) / (1 - stay[now])  # uniform again where it is left
+        other = (now + 1 + jnp.clip(_whole(left, many - 1), 0, max(many - 2, 0))) % many
+        after = jnp.where(u < stay[now], now, other)
+        return after, after
+
+    return jnp.concatenate([first[None], lax.scan(following, first, uniform[1:])[1]])
 
 
 def _whole(uniform: Array, many: Array) -> Array:
@@ -153,8 +178,9 @@ def overtaking(clocks: list[Clock], ticks: int) -> int:
     least = [sampling.intervals(c, ticks)[0] for c in clocks]
 
     def ahead(own: int, other: int) -> int:
-        if own == other:  # ages that differ by the spread at most
-            return max(clocks[own].spread - 1, 0) // least[own]
+        if own == other:  # ages that differ by so much at most
+            apart = clocks[own].latest - min(clocks[own].steps, default=0)
+            return max(apart - 1, 0) // least[own]
         span = sampling.ages(clocks[own], ticks)[1] - sampling.ages(clocks[other], ticks)[0] - 1
         return span // least[other] + 1 if span >= 1 else 0
 

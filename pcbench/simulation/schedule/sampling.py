@@ -17,11 +17,33 @@ class Clock(NamedTuple):
     loss: float = 0.0  # probability that a sample never arrives
     early: bool = False  # measuring began before tick 0: `period` is between arrivals, the first of them at tick 0
     swing: tuple[float, float] = (0.0, 0.0)  # (a [ticks], w [rad a tick]) of an age delay + a sin(w k), at arrival k
+    steps: tuple[int, ...] = ()  # a sample arrives later by one of them, which a Markov chain chooses; empty: by none
+    stay: tuple[float, ...] = ()  # of each: probability that the next sample has the same one, below 1
 
     @property
     def random(self) -> bool:
         """Whether every run has times of its own."""
-        return self.profile == "uniform" or self.jitter > 0 or self.spread > 0 or self.loss > 0
+        return self.profile == "uniform" or self.jitter > 0 or self.latest > 0 or self.loss > 0
+
+    @property
+    def latest(self) -> int:
+        """How much later than its delay a sample may arrive."""
+        return self.spread + max(self.steps, default=0)
+
+    @property
+    def later(self) -> int:
+        """How much later than its delay a sample arrives in the mean."""
+        mean = sum(p * step for p, step in zip(stationary(self.stay), self.steps, strict=True))
+        return self.spread // 2 + round(mean)
+
+
+def stationary(stay: tuple[float, ...]) -> list[float]:
+    """Return how often a chain is at each value that it keeps with these probabilities, or else changes for any other alike.
+
+    It goes from any value to any other as often as back, so it is there in proportion to 1 / (1 - stay).
+    """
+    weights = [1 / (1 - p) for p in stay]
+    return [w / sum(weights) for w in weights]
 
 
 PROFILES = {
@@ -84,4 +106,4 @@ def ages(clock: Clock, ticks: int) -> tuple[int, int]:
         found = sorted(age(clock, arrives) for arrives in instants(clock, ticks)[:-1])
     else:
         found = intervals(clock, ticks) if clock.delay is None else [clock.delay]
-    return found[0], found[-1] + clock.spread
+    return found[0] + min(clock.steps, default=0), found[-1] + clock.latest

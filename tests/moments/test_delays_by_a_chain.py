@@ -1,0 +1,98 @@
+"""Delays that are a Markov chain: exact on each drawn schedule, averaged over them, against impulses sent in NumPy."""
+
+import numpy as np
+import pytest
+from harness import ODD
+from reference import irregular, linear, moments
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.simulation.schedule import per_lane
+from pcbench.simulation.schedule.sampling import Clock
+from pcbench.study import read
+
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
+N, TICK, TE, LATE, STEPS, STAY, SCHEDULES = 60, 0.02, 7, 3, [0, 16, 5], [0.6, 0.3, 0.5], 3
+NOISE, X0, XHAT0, PRIOR = [0.3, 0.2], [0.5, -0.2, 0.3], [0.1, 0.1, -0.2], [0.4, 0.3, 0.5]
+R = [0.1, 0.05]
+STUDY = {
+    "name": "chained",
+    "observers": ["dkf"],
+    "lti": {
+        "A": ODD.A.tolist(), "B": ODD.B.tolist(), "C": ODD.C.tolist(), "x0": X0, "xhat0": XHAT0, "prior_std": PRIOR,
+        "tick": TICK, "horizon": N * TICK, "tail": 0.5, "noise_std": NOISE, "sampling_period": TE * TICK,
+        "delay": LATE * TICK, "delay_steps": [s * TICK for s in STEPS], "delay_stay": STAY,
+        "states": ["a", "b", "c"], "input": "sine,sawtooth",
+    },
+    "options": {"dkf": {"R": R}},
+}  # fmt: skip
+
+
+def by_impulses(seed, driven):
+    """Mean square [3] over ticks 0 .. N-1 of dkf's errors, on the schedule of one run."""
+    clock = Clock((0, 1), TE, LATE, steps=tuple(STEPS), stay=tuple(STAY))
+    drawn = per_lane.realised([clock], N, 2, 0, seed)
+    times = [[(s.taken, s.arrives if s.arrives <= N else None) for s in drawn if s.channel == j] for j in range(2)]
+    model, P0 = linear.Model(ODD.A, ODD.B, ODD.C, TICK), np.diag(np.square(PRIOR))
+
+    def error_of(u, start, xhat0, noise):
+        x, samples = irregular.simulate(model, u, start, times, noise)
+        return x - irregular.dkf(model, u, samples, xhat0, P0, np.array(R))
+
+    counts = [len(each) for each in times]
+    found = moments.error_map(error_of, driven, np.array(X0), np.array(XHAT0), counts)
+    variance = np.diagonal(moments.covariance(found, np.repeat(NOISE, counts)), axis1=1, axis2=2)
+    ages = {arrives - taken for each in times for taken, arrives in each if arrives is not None}
+    return np.mean((found.base**2 + variance)[:N], 0), ages
+
+
+def test_they_are_the_mean_over_schedules_with_the_error_that_remains():
+    stats = pcbench.exact(STUDY, schedules=SCHEDULES).stats.query("metric == 'mse'").set_index("signal")
+    driven = pcbench.trace(STUDY, "open-loop")[["u1", "u2"]].to_numpy()
+    each, ages = zip(*(by_impulses(seed, driven) for seed in range(SCHEDULES)), strict=True)
+    assert {LATE + s for s in STEPS} == set().union(*ages), "every delay was there"
+    assert (stats.n == SCHEDULES).all()
+    np.testing.assert_allclose(stats["mean"], np.mean(each, 0), rtol=1e-10)
+    np.testing.assert_allclose(stats.se, np.std(each, 0, ddof=1) / np.sqrt(SCHEDULES), rtol=1e-7)
+
+
+MISTAKES = [
+    ({"delay_stay": [0.5, 0.5]}, "got 2 values of delay_stay for 3 delay_steps, expected one, or one for each"),
+    ({"delay_steps": []}, "got delay_stay in lti without delay_steps"),
+    ({"delay_steps": [0.1]}, "expected two different values or more"),
+    ({"delay_stay": 1.0}, "got 1, expected a probability below 1"),
+    ({"delay_steps": [0.0, 0.013]}, "expected a whole number of ticks"),
+]
+
+
+@pytest.mark.parametrize(("changes", "sentence"), MISTAKES, ids=[s for _, s in MISTAKES])
+def test_mistakes_are_one_sentence(changes, sentence):
+    with pytest.raises(UserError) as caught:
+        read.grid_of(STUDY | {"lti": STUDY["lti"] | changes}, {}, [])
+    assert sentence in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("observer", ["kfbo", "chain"])
+def test_who_works_with_constant_delays_alone_says_so(observer):
+    with pytest.raises(UserError, match="got delay_steps, expected"):
+        read.grid_of(STUDY | {"observers": [observer]}, {}, [])
+
+
+def test_as_an_axis_it_is_a_column_and_else_there_is_none():
+    plain = read.grid_of(STUDY, {}, []).cells[0]
+    assert "delay_stay" not in plain.values
+    axes = {"delay_stay": [0.2, 0.8], "delay_steps": [[0.0, 0.1]]}
+    few = STUDY | {"axes": axes, "lti": {k: v for k, v in STUDY["lti"].items() if not k.startswith("delay_")}}
+    cells = read.grid_of(few, {}, []).cells
+    assert [(c.values["delay_stay"], c.values["delay_steps"]) for c in cells] == [(0.2, "0, 0.1"), (0.8, "0, 0.1")]
+    assert cells[1].times.clocks[0].stay == (0.8, 0.8)
+
+
+def test_one_or_one_for_each_stand_in_one_column():
+    axes = {"delay_stay": [0.2, [0.5, 0.6, 0.7]]}
+    assert [c.values["delay_stay"] for c in read.grid_of(STUDY | {"axes": axes}, {}, []).cells] == [
+        [0.2],
+        [0.5, 0.6, 0.7],
+    ]
