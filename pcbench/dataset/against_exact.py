@@ -2,7 +2,8 @@
 
 z = (mean - exact) / its standard error is Student's with n - 1 degrees of freedom. The means of one cell stand on the same
 draws, so they are not independent; the verdict takes that into account by Bonferroni: nothing may be farther off than so many
-comparisons allow at `LEVEL`. Runs that do not vary must equal the exact value to `ROUNDING`. Compared are plain means, of
+comparisons allow at `LEVEL`. Runs that do not vary must equal the exact value to `ROUNDING`, or to what steps of `LOST` of the
+signal's largest error leave: an error that decays from 30,000 to 0 ends in the rounding of 30,000. Compared are plain means, of
 errors that are normal or of their squares; with fewer than `FEW` runs a mean square is too skew for Student.
 """
 
@@ -25,6 +26,7 @@ LEVEL = 1e-3
 FEW = 64
 ROUNDING = 1e-9
 ZERO = 1e-11
+LOST = 1e-14  # of the peak
 
 
 class Checked(NamedTuple):
@@ -73,18 +75,21 @@ def check(out: str | Path) -> Checked:
     exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules).stats
     refused = exact[exact.metric == "mse"].reason.dropna().drop_duplicates().tolist()
     known = exact[exact.method == "exact"][[*KEY, "mean", "se"]].rename(columns={"mean": "exact", "se": "exact_se"})
-    both = runs[runs.n >= FEW][[*KEY, "n", "mean", "se"]].merge(known, on=KEY)
+    peaks = stats[stats.metric == "peak"][[*KEY[:-1], "mean"]].rename(columns={"mean": "peak"})
+    both = runs[runs.n >= FEW][[*KEY, "n", "mean", "se"]].merge(known, on=KEY).merge(peaks, on=KEY[:-1], how="left")
     return Checked(judged(both), refused, float(-ndtri(LEVEL / 2 / max(len(both), 1))))
 
 
 def judged(both: pd.DataFrame) -> pd.DataFrame:
-    """Return matched means with their z, and how far apart they are where runs do not vary."""
+    """Return matched means with their z, and how far apart they are where runs do not vary; `peak` is of the same signal."""
     apart, size = both["mean"] - both.exact, np.maximum(both["mean"].abs(), both.exact.abs())
     error = np.hypot(both.se, both.exact_se)
-    zero = np.where(both.metric.str.endswith("mse"), ZERO**2, ZERO)  # below it all is rounding
+    squares, lost = both.metric.str.endswith("mse"), LOST * both.peak.fillna(0.0)
+    zero = np.where(squares, np.maximum(ZERO, lost) ** 2, np.maximum(ZERO, lost))  # below it all is rounding
+    left = np.where(squares, 2 * np.sqrt(size) * lost + lost**2, lost)
     varies = (error > 1e-12 * size) & (size > zero)
     t: Any = apart / np.where(varies, error, 1.0)
     p = stdtr(both.n - 1, -t.abs())  # as the normal number that is as rare
     z = np.where(varies, np.where(p > 0, -ndtri(np.maximum(p, 1e-300)), np.inf) * np.sign(t), np.nan)
-    still = np.where(varies | (size <= zero), 0.0, apart.abs() / np.where(size > 0, size, 1.0))
+    still = np.where(varies | (size <= zero), 0.0, np.maximum(apart.abs() - left, 0.0) / np.where(size > 0, size, 1.0))
     return both.assign(z=z, apart=still)

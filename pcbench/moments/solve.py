@@ -24,6 +24,8 @@ from pcbench.simulation.problem import Problem
 from pcbench.simulation.schedule import per_lane
 from pcbench.study.cells import Cell
 
+ALONE = "observer"  # what an observer is called that goes by itself
+LARGE = 100  # numbers that the observers of a cell remember
 WAITING = 8 * MANY  # realisations that wait for others to share a call with, at most
 
 
@@ -50,23 +52,29 @@ class Asked(NamedTuple):
 def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     """Yield the cells ready to run, with one room for packets: few shapes, few programs.
 
-    Of many cells each observer goes by itself, which is sooner computed and later compiled, unless they are to be `together`.
+    Of many cells each observer goes by itself, and of one whose observers remember much, as the work grows with the square of
+    what noise reaches, and more; unless they are to be `together`.
     """
-    split = len(cells) > MANY and not together
+    split = len(cells) > MANY
     ring = max(per_lane.room(c.times.clocks, c.times.ticks, c.times.error) for c in cells)
     for p in padding.checked(drafts(cells)):
         room = padding.room_of(p)
         whole = padding.fitted(p, room._replace(ring=max(room.ring, padding.rounded(ring))))
-        yield from _split(whole) if split or (losses_alone(whole) and not together) else [whole]
+        apart = not together and (split or losses_alone(whole) or _remembered(whole) > LARGE)
+        yield from _split(whole) if apart else [whole]
+
+
+def _remembered(p: Plan) -> int:
+    """How many numbers all observers of a planned cell remember."""
+    memories = (jax.eval_shape(o.init, p.problem.gains[label], p.problem.xhat0) for label, o in p.layout.observers)
+    return sum(a.size for memory in memories for a in jax.tree.leaves(memory))
 
 
 def _split(p: Plan) -> Iterator[Plan]:
-    """Yield a planned cell for each of its observers."""
-    for label, one in zip(p.labels, p.layout.observers, strict=True):
-        gains = {one[0]: p.problem.gains[one[0]]}
-        yield p._replace(
-            layout=p.layout._replace(observers=(one,)), problem=p.problem._replace(gains=gains), labels=(label,)
-        )
+    """Yield a planned cell for each of its observers, of one name: what differs in gains alone shares a program, and calls."""
+    for label, (name, one) in zip(p.labels, p.layout.observers, strict=True):
+        layout, gains = p.layout._replace(observers=((ALONE, one),)), {ALONE: p.problem.gains[name]}
+        yield p._replace(layout=layout, problem=p.problem._replace(gains=gains), labels=(label,))
 
 
 def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:

@@ -13,7 +13,16 @@ from pcbench.errors import UserError
 
 
 def rows(**columns):
-    one = {"scenario": "s", "cell": 0, "observer": "o", "signal": "x", "metric": "mae", "n": 100, "exact_se": 0.0}
+    one = {
+        "scenario": "s",
+        "cell": 0,
+        "observer": "o",
+        "signal": "x",
+        "metric": "mae",
+        "n": 100,
+        "exact_se": 0.0,
+        "peak": 0.0,
+    }
     many = len(columns["mean"])
     return against_exact.judged(pd.DataFrame([one | {k: v[i] for k, v in columns.items()} for i in range(many)]))
 
@@ -35,6 +44,17 @@ def test_runs_that_do_not_vary_must_be_equal_and_zero_is_zero():
     )  # fmt: skip
     assert found.z.isna().all()
     assert (found.apart > against_exact.ROUNDING).tolist() == [False, True, False, False]
+
+
+def test_what_decays_from_a_large_error_ends_in_the_rounding_of_that():
+    """A tank's enthalpy, from 3e4: 5e-11 is zero there; 1e-8 that came from 1 is known to the rounding of 1."""
+    columns = {"metric": ["tail_mae", "tail_mse", "final", "final", "mse"], "se": [0.0] * 5}
+    columns |= {
+        "mean": [5.4e-11, 3.2e-21, 1e-8, 1e-8, 4.0],
+        "exact": [4.9e-11, 2.9e-21, 1e-8 + 3e-17, 1.00001e-8, 4.0001],
+    }
+    found = rows(**columns, peak=[3.2e4, 3.2e4, 1.0, 1.0, 3.2e4])
+    assert (found.apart > against_exact.ROUNDING).tolist() == [False, False, False, True, True]
 
 
 def checked(z):

@@ -1,0 +1,32 @@
+"""A cell's observers go by themselves where they remember much: the same numbers, and one program for what differs in gains."""
+
+import numpy as np
+import pytest
+
+import pcbench
+from pcbench.moments import compiled, solve
+
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
+STUDY = {
+    "name": "apart",
+    "observers": ["dkf", "dkf-wary", "open-loop"],
+    "lti": {
+        "A": [[-0.5]], "B": [[1.0]], "C": [[1.0]], "x0": [1.0], "xhat0": [0.5], "tick": 0.1, "horizon": 3.0, "tail": 1.0,
+        "noise_std": 0.3, "sampling_period": 0.4, "delay": 0.2, "states": ["a"], "input": "sine",
+    },
+    "options": {"dkf": {"R": 0.1}, "dkf-wary": {"R": 3.0}},
+}  # fmt: skip
+
+
+def stats():
+    return pcbench.exact(STUDY).stats.set_index(["observer", "signal", "metric"])["mean"]
+
+
+def test_apart_or_together_the_numbers_are_the_same_and_two_of_a_kind_share_a_program(monkeypatch):
+    together = stats()
+    assert together["dkf", "a", "mse"] != together["dkf-wary", "a", "mse"]
+    monkeypatch.setattr(solve, "LARGE", 0)
+    before = len(compiled._MADE)
+    np.testing.assert_allclose(stats(), together, rtol=1e-12, atol=1e-15)
+    assert len(compiled._MADE) == before + 2, "dkf and dkf-wary are one"
