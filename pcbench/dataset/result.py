@@ -89,20 +89,28 @@ class Result:
     @cached_property
     def moments(self) -> "pd.DataFrame":
         """Mean and standard deviation of the errors over time, where they are exact: scenario, cell, observer, signal, t."""
+        return self._moments(store.names(self._target, exact_part.FOLDER))
+
+    def moments_of(self, scenario: str, cell: int) -> "pd.DataFrame":
+        """Return the same of one cell, of whose file alone it is read; none where nothing is exact there."""
+        name = exact_part.place(scenario, cell)
+        return self._moments([name] if store.get(self._target, name) is not None else [])
+
+    def _moments(self, names: list[str]) -> "pd.DataFrame":
         import pandas as pd
 
         from pcbench.dataset.exact import OVER_TIME
 
         found = []
-        for name in store.names(self._target, exact_part.FOLDER):
+        for name in names:
             content = store.get(self._target, name)
             table = None if content is None else parquet.whole(content)
             if table is None:
                 raise UserError(f"{self._target.name}/{name}: is damaged; run the study again to have it made anew.")
             scenario, cell = (part.partition("=")[2] for part in name.removesuffix(".parquet").split("/")[-2:])
             found.append(table.to_pandas().assign(scenario=scenario.replace("%2F", "/"), cell=int(cell)))
-        whole = pd.concat(found, ignore_index=True) if found else pd.DataFrame({name: [] for name in OVER_TIME})
-        return whole if not found else whole[["scenario", "cell", *OVER_TIME]]
+        first = ["scenario", "cell", *OVER_TIME]
+        return pd.concat(found, ignore_index=True)[first] if found else pd.DataFrame({name: [] for name in first})
 
     def ranks(self, metric: str) -> str:
         """Return the metric that ranks observers where that is asked for: in exact results, of a root its pooled form."""

@@ -87,8 +87,8 @@ def _with_exact(part: pd.DataFrame, result: Result, scenario: str, cell: int) ->
     """Return a run with the bands and sizes of its errors as they are exactly, of observers whose moments are known."""
     if not result.exact:
         return part
-    known = result.moments
-    known = known[(known.scenario == scenario) & (known.cell == cell) & (known.signal == part.signal.iloc[0])]
+    known = result.moments_of(scenario, cell)
+    known = known[known.signal == part.signal.iloc[0]]
     known = known[known.observer.isin(set(part.series))]
     mine = part.series.isin(set(known.observer))
     kept, there = part[~(mine & part.kind.isin(["low", "high", "rms"]))], set(part.kind)

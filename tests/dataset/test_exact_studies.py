@@ -1,6 +1,9 @@
 """A study without a seed: the same tables, files that are checked, and runs only of what has no exact answer."""
 
+import shutil
+
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pytest
 
@@ -66,6 +69,18 @@ def test_moments_over_time_stand_beside(out):
     square = mine["mean"] ** 2 + mine["std"] ** 2
     np.testing.assert_allclose(mine.t, 0.01 * np.arange(301), rtol=1e-12)
     assert square[:-1].mean() == pytest.approx(wide[1, "dkf", "x2", "mse"], rel=1e-12)
+
+
+def test_of_one_cell_its_own_file_is_read_alone(out, tmp_path):
+    copy = shutil.copytree(out, tmp_path / "copy")
+    whole = opened(out).moments
+    (other,) = copy.glob("moments/*/cell=0.parquet")
+    other.write_bytes(b"PAR1")
+    found = opened(copy).moments_of("lti", 1)
+    pd.testing.assert_frame_equal(found, whole[whole.cell == 1].reset_index(drop=True))
+    assert opened(copy).moments_of("lti", 7).empty
+    with pytest.raises(UserError, match="is damaged"):
+        _ = opened(copy).moments
 
 
 def test_verify_status_and_compare_take_them(out, tmp_path):

@@ -1,5 +1,7 @@
 """Loops whose moments others computed, to all the digits that they print: JitterTime's examples and Jitterbug's."""
 
+import itertools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -128,3 +130,28 @@ def test_the_best_constant_gain_where_samples_are_lost():
     cases = [Case([1], np.asarray(unit), l, np.array([p / (p + R)])) for l, p in VARIANCE.items()]
     for P, known in zip(moments(scalar, cases), VARIANCE.values(), strict=True):
         assert P[-1, 0, 0] == pytest.approx(known, rel=2e-7)
+
+
+def test_losses_add_the_variance_of_what_they_do_to_the_mean():
+    """From x(0) = 2, where a sample moves the mean, against every pattern of losses one by one."""
+    a, gain, back, every, N, chance = 0.3, 0.8, 0.5, 3, 12, 0.6
+    lossy = Loop(
+        np.array([[a]]), np.array([[1.0]]), np.array([[1.0]]), [0.4], 1.0, N,
+        jump=lambda gains, memory, now, arrival: jnp.where(arrival.fresh, gain * arrival.value, memory), memory=1,
+        law=lambda p, tick, memory, kept: -back * memory, kept=1, x0=2.0,
+    )  # fmt: skip
+    (P,) = moments(lossy, [Case([every], (), chance)])
+    step = np.array([[np.exp(a), -back * (np.exp(a) - 1) / a], [0.0, 1.0]])
+    added, take = np.diag([(np.exp(2 * a) - 1) / (2 * a), 0.0]), np.array([[1.0, 0.0], [gain, 0.0]])
+    first, second = np.zeros((N + 1, 2)), np.zeros((N + 1, 2, 2))
+    for arrive in itertools.product([True, False], repeat=N // every + 1):
+        m, S, weight = np.array([2.0, 0.0]), np.zeros((2, 2)), np.prod(np.where(arrive, chance, 1 - chance))
+        for k in range(N + 1):
+            if k % every == 0 and arrive[k // every]:
+                m, S = take @ m, take @ S @ take.T + np.diag([0.0, (gain * 0.4) ** 2])
+            first[k], second[k] = first[k] + weight * m, second[k] + weight * (S + np.outer(m, m))
+            m, S = step @ m, step @ S @ step.T + added
+    known = second - np.einsum("ti,tj->tij", first, first)
+    np.testing.assert_allclose(P[:, 0, 0], known[:, 0, 0], rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(P[:, 0, 1], -known[:, 0, 1], rtol=1e-10, atol=1e-12)  # an error of a memory is -m
+    np.testing.assert_allclose(P[:, 1, 1], known[:, 1, 1], rtol=1e-10, atol=1e-12)

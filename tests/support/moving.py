@@ -30,6 +30,7 @@ class Loop(NamedTuple):
     law: Any  # (params, tick, memory, kept) -> kept
     kept: int
     flow: Any = lambda gains, memory, now: memory
+    x0: Any = 0.0  # of every state
 
 
 class Case(NamedTuple):
@@ -49,7 +50,7 @@ def noise_of_a_tick(A, R1, h):
 
 
 def moments(loop, cases):
-    """Return for each case the covariance of (x, memory) at ticks 0 .. N, [N+1, n + memory, n + memory], from x(0) = 0."""
+    """Return for each case the covariance of (x, memory) at ticks 0 .. N, [N+1, n + memory, n + memory], from x(0) = x0."""
     (n, m), q = loop.B.shape, len(loop.C)
     whole = expm(loop.tick * np.block([[loop.A, loop.B], [np.zeros((m, n + m))]]))
     params = whole[:n, :n], whole[:n, n:], loop.C
@@ -81,7 +82,7 @@ def moments(loop, cases):
     for case in cases:
         p = Problem(
             params, {"o": case.gains}, shared.periodic(case.period, [0] * q, N), np.full((1, m), np.nan), np.asarray(loop.tick),
-            nothing, nothing, np.zeros((n, n)), np.array(loop.noise), np.ones(many), np.full(many, 1e9),
+            nothing + loop.x0, nothing, np.zeros((n, n)), np.array(loop.noise), np.ones(many), np.full(many, 1e9),
             np.array([[0, N // 2], [N // 2, N - 1], [N - 1, N]]), control=case.params,
             process_std=np.linalg.cholesky(noise_of_a_tick(loop.A, loop.B @ loop.B.T, loop.tick)),
             line=actuator.held_line(0, 4, N + 4),
