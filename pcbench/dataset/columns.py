@@ -178,7 +178,7 @@ def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:
         if isinstance(values, pa.Array):
             kind = values.type
         else:
-            if isinstance(values, list) and any(isinstance(v, list) for v in values):
+            if isinstance(values, list) and list in set(map(type, values)):
                 values = [v if isinstance(v, list) else [v] for v in values]  # channels that differ in one cell
             kind = _type(name, values, bools)
             values = _array(values, kind)
