@@ -75,7 +75,7 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direc
         tangents = [np.stack(each, -1) if each[0].size else each[0] for each in zip(*ways, empty, strict=True)]
         call = given, others, reals, tangents
         if not made:
-            options = batch.ONE_THREAD if jax.devices()[0].platform == "cpu" else None
+            options = batch.OPTIONS if jax.devices()[0].platform == "cpu" else None
             made.append(jax.jit(both).lower(*call).compile(options))
         value, slopes = jax.tree.map(np.asarray, made[0](*call))
         mine = jax.tree.map(lambda a: a[..., :1], value)
