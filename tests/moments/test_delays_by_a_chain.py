@@ -47,6 +47,7 @@ def by_impulses(seed, driven):
     return np.mean((found.base**2 + variance)[:N], 0), ages
 
 
+@pytest.mark.slow
 def test_they_are_the_mean_over_schedules_with_the_error_that_remains():
     stats = pcbench.exact(STUDY, schedules=SCHEDULES).stats.query("metric == 'mse'").set_index("signal")
     driven = pcbench.trace(STUDY, "open-loop")[["u1", "u2"]].to_numpy()
