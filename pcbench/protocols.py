@@ -10,6 +10,7 @@ after the jump of tick k, and in a closed loop the command of tick k is computed
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+import jax
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
@@ -19,6 +20,21 @@ Params = Any  # a pytree of arrays: a plant's or a controller's numbers
 Gains = Any  # a pytree of arrays: an observer's numbers, traced, never captured in a closure
 Memory = Any  # a pytree of arrays: an observer's state between ticks
 Delay = Callable[[Any], Any]  # of a closed loop: t [s], an array -> tau [s]
+
+
+TOGETHER = "together"  # the name by which simulations know a function that `together` has made
+
+
+def together(f: Callable[..., Any]) -> Callable[..., Any]:
+    """Return f, to be carried over runs in one piece, by vmap: one that is large, or has arrays of hundreds of entries.
+
+    Other functions are carried over entry by entry, which is faster where arrays are small, and compiles slowly where not.
+    """
+
+    def together(*args: Any) -> Any:
+        return f(*args)
+
+    return jax.jit(together)
 
 
 class Now(NamedTuple):

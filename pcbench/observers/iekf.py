@@ -17,10 +17,12 @@ import numpy as np
 from jax import Array
 from pydantic import Field
 
-from pcbench.observers.parts import joint, nonlinear_model, tick_by_tick
+from pcbench.observers.parts import corrections, nonlinear_model, tick_by_tick
+from pcbench.observers.parts.corrections import Linear
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.nonlinear_model import Gains, seen, started, within
 from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.tick_by_tick import State
 from pcbench.protocols import Now, Surprise
 from pcbench.synthesis.certificate import Design, Setting
 
@@ -38,22 +40,18 @@ def first(gains: Gains, xhat0: Array) -> Posterior:
     return Posterior(started(gains, xhat0), gains.P0, jnp.asarray(0))
 
 
-def tick(gains: Gains, now: Now, state: Posterior) -> Posterior:
+def tick(gains: Gains, now: Now, state: State) -> State:
     """Move mean and covariance by the slope there."""
     F = gains.slope(now, state.mean)
     return state._replace(mean=within(gains, gains.motion(now, state.mean)), P=F @ state.P @ F.T + gains.Q)
 
 
-def looked(
-    gains: Gains, now: Now, state: Posterior, sample: Measurement, about: Array
-) -> tuple[Array, Array, Surprise]:
+def looked(gains: Gains, now: Now, state: State, sample: Measurement, about: Array) -> tuple[Array, Array, Surprise]:
     """Return what z is once a sample is known, by the sensor's slope at `about`."""
-    y, H = seen(gains, now, about)
-    expected = jnp.concatenate([state.mean, y + H @ (state.mean - about)])
-    return joint.used(gains, expected, joint.by_slope(state.P, H), sample)
+    return corrections.by_slope(gains, state.mean, state.P, Linear(*seen(gains, now, about), about), sample)
 
 
-def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Posterior:
+def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
     """Correct by a sample of the state's tick, as often as `own` is long."""
     z, P = state.mean, state.P
     for _ in range(gains.own.shape[0]):
@@ -61,17 +59,17 @@ def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Pos
     return state._replace(mean=within(gains, z), P=P)
 
 
-def expected(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Surprise:
+def expected(gains: Gains, now: Now, state: State, sample: Measurement) -> Surprise:
     """Return how far a sample is from what is expected of it, by the slope at the prediction."""
     return looked(gains, now, state, sample, state.mean)[2]
 
 
-def mean(gains: Gains, state: Posterior) -> Array:
+def mean(gains: Gains, state: State) -> Array:
     """Return z."""
     return state.mean
 
 
-def spread(gains: Gains, state: Posterior) -> Array:
+def spread(gains: Gains, state: State) -> Array:
     """Return P."""
     return state.P
 

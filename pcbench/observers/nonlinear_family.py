@@ -1,6 +1,6 @@
 """Estimators for nonlinear plants beside `ekf`: they take samples of any age by the same rule as it."""
 
-from pcbench.observers import iekf, ukf
+from pcbench.observers import iekf, mhe, ukf
 from pcbench.observers.entry import Entry
 
 NONLINEAR = {
@@ -25,5 +25,17 @@ NONLINEAR = {
         heavy=True,
         nonlinear=True,
         smooth=False,
+    ),
+    "mhe": Entry(
+        observer=mhe.OBSERVER,
+        options=mhe.Options,
+        design=mhe.design,
+        knows_schedule=True,
+        summary="moving horizon estimation: looks back over a window of samples, within bounds",
+        takes="any schedule",
+        heavy=True,
+        nonlinear=True,
+        smooth=False,
+        loops=False,
     ),
 }

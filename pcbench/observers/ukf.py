@@ -18,15 +18,16 @@ from typing import Any, Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import Array
+from jax import Array, lax
 from jaxtyping import Float
 from pydantic import Field
 
 from pcbench.errors import UserError
 from pcbench.observers.iekf import first, mean, spread
-from pcbench.observers.parts import joint, nonlinear_model, tick_by_tick
+from pcbench.observers.parts import corrections, nonlinear_model, tick_by_tick
+from pcbench.observers.parts.corrections import Linear
 from pcbench.observers.parts.kalman import Posterior
-from pcbench.observers.parts.nonlinear_model import Gains, value_of, within
+from pcbench.observers.parts.nonlinear_model import Gains, seen, value_of, within
 from pcbench.observers.parts.options import tunable
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Leaf, Now, Surprise
@@ -54,13 +55,16 @@ class Options(nonlinear_model.Options):
 
 def root(P: Float[Array, "N N"]) -> Float[Array, "N N"]:
     """Return L with L L' = P, by columns; a column is 0 where no variance is left."""
-    columns: list[Array] = []
     size = jnp.diagonal(P)
-    for i in range(P.shape[0]):
-        there = P[i, i] > NOTHING * size[i]
-        column = jnp.where(there, P[:, i] / jnp.sqrt(jnp.where(there, P[i, i], 1.0)), 0.0)
-        columns, P = [*columns, column], P - jnp.outer(column, column)
-    return jnp.stack(columns, 1)
+
+    def column(left: Array, e: Array) -> tuple[Array, Array]:
+        each = left @ e
+        there = e @ each > NOTHING * (e @ size)
+        out = jnp.where(there, each / jnp.sqrt(jnp.where(there, e @ each, 1.0)), 0.0)
+        return left - jnp.outer(out, out), out
+
+    # A loop, where the compiler would compute each column anew for every use of it by those that follow.
+    return lax.scan(column, P, jnp.eye(P.shape[0]))[1].T
 
 
 def spread_out(gains: Gains, state: Posterior) -> Float[Array, "points N"]:
@@ -74,7 +78,7 @@ def moments(gains: Gains, points: Float[Array, "points joint"]) -> tuple[Array, 
     own, away = gains.own, points[1:] - points[:1]
     m = points[0] + own.weight * jnp.sum(away, axis=0)
     d, d0 = points[1:] - m[None], points[0] - m
-    return m, own.weight * (d.T @ d) + own.centre * jnp.outer(d0, d0)
+    return m, own.weight * jnp.sum(d[:, :, None] * d[:, None, :], axis=0) + own.centre * jnp.outer(d0, d0)
 
 
 def tick(gains: Gains, now: Now, state: Posterior) -> Posterior:
@@ -87,13 +91,13 @@ def looked(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> tup
     """Return what z is once a sample is known, and how far it was from what was expected."""
     n = gains.C.shape[1]
     if gains.sensor is None:  # linear: no points are needed
-        H = jnp.concatenate([gains.C, jnp.zeros((gains.C.shape[0], gains.start.shape[0]))], axis=1)
-        return joint.used(gains, jnp.concatenate([state.mean, H @ state.mean]), joint.by_slope(state.P, H), sample)
+        sensor = Linear(*seen(gains, now, state.mean), state.mean)
+        return corrections.by_slope(gains, state.mean, state.P, sensor, sample)
 
     def output(z: Array) -> Array:
         return jnp.concatenate([z, value_of(gains, gains.sensor(now, z[:n], z[n:]))])
 
-    return joint.used(gains, *moments(gains, jax.vmap(output)(spread_out(gains, state))), sample)
+    return corrections.by_points(gains, *moments(gains, jax.vmap(output)(spread_out(gains, state))), sample)
 
 
 def update(gains: Gains, now: Now, state: Posterior, sample: Measurement) -> Posterior:

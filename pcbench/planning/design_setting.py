@@ -72,6 +72,7 @@ def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
         sensor=sensor,
         parts=parts,
         variant=partial(_variant, s),
+        xhat0=belief.xhat0,
         intervals=ask("intervals", (clocks[0], n), lambda: tuple(sampling.intervals(clocks[0], n)))
         if len(clocks) == 1
         else (),

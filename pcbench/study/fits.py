@@ -149,6 +149,11 @@ def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
             f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} "
             f"out, or take one of {able}."
         )
+    if s.loop.controller and not entry.loops:
+        raise UserError(
+            f"{where}: {label} in {s.name} got a closed loop, expected an input that is known beforehand: it looks back "
+            f"further than a loop keeps its inputs; leave {label} out, or take ekf."
+        )
     if s.sampling.continuous and entry.observer.field is None:
         able = ", ".join(name for name, each in OBSERVERS.items() if each.observer.field)
         raise UserError(

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 import swinging
 from harness import inputs, starts
+from reference import horizon
 from reference import nonlinear as reference
 from test_late_samples import CASE, KNOWN, TICKS, TIMES, optimum, plant, same
 from test_late_samples import found as of_linear
 
+import pcbench
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 
@@ -70,7 +72,7 @@ def test_cubature_points_equal_the_reference():
 
 def test_a_start_that_is_known_has_no_points():
     """P0 = 0 and no process noise: the points are one, and nothing is divided by 0."""
-    known = swinging.known(P0=np.zeros((2, 2)), process_std=(), unknown_std=(0.0,))
+    known = swinging.told(P0=np.zeros((2, 2)), process_std=(), unknown_std=(0.0,))
     xhat, P, _ = driven.whole("ukf", known, {}, swinging.traffic(), swinging.inputs(), swinging.START)
     z = np.append(swinging.START, swinging.P_START)
     for k, u in enumerate(swinging.inputs()):
@@ -89,15 +91,75 @@ def test_a_start_that_is_known_has_no_points():
 )
 def test_what_cannot_be_is_refused_in_a_sentence(name, options, sentence):
     with pytest.raises(UserError, match=sentence) as caught:
-        OBSERVERS[name].design(swinging.known(), OBSERVERS[name].options(**options))
+        OBSERVERS[name].design(swinging.told(), OBSERVERS[name].options(**options))
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
     ("name", "option"),
-    [("iekf", "iterations"), ("iekf", "walk"), ("ukf", "alpha"), ("ukf", "beta"), ("ukf", "R")],
+    [
+        ("mhe", "window"),
+        ("mhe", "iterations"),
+        ("iekf", "iterations"),
+        ("iekf", "walk"),
+        ("ukf", "alpha"),
+        ("ukf", "beta"),
+        ("ukf", "R"),
+    ],
 )
 @pytest.mark.parametrize("value", [-1, float("nan"), float("inf")])
 def test_options_that_are_no_sizes_or_counts_are_refused(name, option, value):
     with pytest.raises(ValueError, match=option):
         OBSERVERS[name].options(**{option: value})
+
+
+@pytest.mark.parametrize(("schedule", "window"), [("now", 1), ("wild", 1), ("wild", 4), ("late", 15)])
+def test_looking_back_without_bounds_is_the_optimum_of_a_linear_plant_whatever_the_window(schedule, window):
+    there = driven.traffic(TIMES[schedule], plant(schedule)[1], TICKS, 2)
+    xhat, P, _ = driven.whole("mhe", KNOWN, {"window": window}, there, inputs(CASE), starts(CASE)[1])
+    same(xhat, optimum(schedule))
+    same(P, of_linear("dkf", schedule)[1])
+
+
+ANYWHERE = {"unknown_range": ((-np.inf, np.inf),)}
+
+
+@pytest.mark.parametrize(("window", "iterations"), [(1, 1), (3, 3)])
+def test_looking_back_equals_the_reference(window, iterations):
+    model = swinging.model()._replace(low=np.full(3, -np.inf), high=np.full(3, np.inf))
+    given = model, *swinging.prior(), swinging.samples(), swinging.inputs(), window, iterations
+    agrees(swinging.found("mhe", known=ANYWHERE, window=window, iterations=iterations), horizon.estimated(*given))
+
+
+def test_looking_back_within_bounds_equals_the_reference():
+    """An interior point against active sets: to 1e-7, as near as the multipliers of the last step let it come."""
+    low, high = np.array([-0.2, -0.9]), np.array([0.75, 1.2])
+    ends = np.append(low, 1.0), np.append(high, 5.0)
+    given = swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), 3, 2
+    want, _ = horizon.estimated(*given, *ends)
+    got = swinging.found("mhe", window=3, iterations=2, lower=low.tolist(), upper=high.tolist())[0]
+    np.testing.assert_allclose(got, [z for z, _ in want], rtol=0, atol=1e-7)
+    free = swinging.found("mhe", window=3, iterations=2)[0]
+    assert np.abs(got - free).max() > 1e-2, "the bounds hold somewhere"
+
+
+@pytest.mark.parametrize(
+    ("options", "changes", "sentence"),
+    [
+        (
+            {"window": 19},
+            {},
+            "got a window of 19 samples, longer than the horizon, in which 18 are taken; expected at most 18",
+        ),
+        ({"lower": 0.0}, {"xhat0": (0.7, -0.4)}, "got bounds that leave out xhat0"),
+        ({"lower": [0.0]}, {}, "lower: got .*, expected a number, or 2, one for each state"),
+        ({"lower": 1.0, "upper": 1.0}, {}, "expected the first below"),
+    ],
+    ids=str,
+)
+def test_windows_and_bounds_that_cannot_be_are_refused_in_a_sentence(options, changes, sentence):
+    with pytest.raises(UserError, match=sentence) as caught:
+        OBSERVERS["mhe"].design(swinging.told(**changes), OBSERVERS["mhe"].options(**options))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(UserError, match="mhe in helicopter/constant got a closed loop"):
+        pcbench.run("helicopter/constant", observers=["mhe"])

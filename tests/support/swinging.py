@@ -39,14 +39,14 @@ def seen(z):
     return np.array([np.sin(z[0]) + 0.3 * z[1], z[1] + 0.2 * z[0] ** 2])
 
 
-def known(**changes):
+def told(**changes):
     """What a designer is told."""
-    told = Setting(
+    known = Setting(
         "swinging", LINEAR, H, TICKS, (7, 7), (5, 5), tuple(np.sqrt(R)), P0, 0.0, overtaking=3, flight=4, latest=20,
         process_std=PROCESS, unknown_std=(SIZE,), unknown0=(P_START,), unknown_range=(RANGE,),
         field=jax.tree_util.Partial(field), sensor=jax.tree_util.Partial(sensor),
     )  # fmt: skip
-    return told._replace(**changes)
+    return known._replace(**changes)
 
 
 def model():
@@ -85,9 +85,9 @@ def traffic():
     return found
 
 
-def found(name, **options):
+def found(name, *, known=None, **options):
     """xhat [N+1, 3], P [N+1, 3, 3], squares [N+1, 2] of an observer."""
-    return driven.whole(name, known(), options, traffic(), inputs(), START)
+    return driven.whole(name, told(**(known or {})), options, traffic(), inputs(), START)
 
 
 def prior():

@@ -63,7 +63,8 @@ def within(gains: Gains, z: Float[Array, " N"]) -> Float[Array, " N"]:
 
 def at(now: Now, tick: Int[Array, ""]) -> Now:
     """Return the present as it was at an earlier tick, with the input held from there."""
-    return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(now.tick - tick))
+    since = now.tick - tick
+    return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(since), past_u=lambda age: now.past_u(age + since))
 
 
 def carried(gains: Gains, now: Now, before: Any, until: Int[Array, ""]) -> tuple[Array, Array]:

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from pcbench.observers.parts import reordering
 from pcbench.observers.parts.nonlinear_model import Gains, at
 from pcbench.observers.parts.reordering import Buffer, Measurement
-from pcbench.protocols import Arrival, Now, Observer, Surprise
+from pcbench.protocols import Arrival, Now, Observer, Surprise, together
 
 State = Any
 
@@ -66,15 +66,25 @@ def observer(way: Way) -> Observer:
 
     def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         """Put what arrived in its place, and go on to now."""
-        sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
-        buffer, newest = reordering.replay(use(gains, now), memory.buffer, sample)
-        here = carried(gains, now, newest, now.tick)
-        return Memory(buffer, here, way.mean(gains, here))
+
+        def moved(memory: Memory, arrival: Arrival) -> Memory:
+            sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
+            buffer, newest = reordering.replay(use(gains, now), memory.buffer, sample)
+            here = carried(gains, now, newest, now.tick)
+            return Memory(buffer, here, way.mean(gains, here))
+
+        found: Memory = together(moved)(memory, arrival)
+        return found
 
     def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
         """Move by one tick."""
-        here = way.tick(gains, now, memory.now)._replace(taken=now.tick + 1)
-        return memory._replace(now=here, z=way.mean(gains, here))
+
+        def moved(state: State) -> tuple[State, Array]:
+            here = way.tick(gains, now, state)
+            return here, way.mean(gains, here)
+
+        here, z = together(moved)(memory.now)
+        return memory._replace(now=here._replace(taken=now.tick + 1), z=z)
 
     def estimate(gains: Gains, memory: Memory) -> Float[Array, " N"]:
         """Return xhat of now, and the unknowns."""
@@ -82,13 +92,19 @@ def observer(way: Way) -> Observer:
 
     def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
         """Return what the filter believes of its error now."""
-        return way.spread(gains, memory.now)
+        P: Array = together(lambda state: way.spread(gains, state))(memory.now)
+        return P
 
     def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
         """Return how far what arrives is from what was expected of it; what is older than the newest is not judged."""
-        before = reordering.newest(use(gains, now), memory.buffer)
-        sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
-        judged = sample._replace(fresh=sample.fresh & (sample.taken >= before.taken))
-        return way.expected(gains, at(now, sample.taken), carried(gains, now, before, sample.taken), judged)
+
+        def judged(memory: Memory, arrival: Arrival) -> Surprise:
+            before = reordering.newest(use(gains, now), memory.buffer)
+            sample = reordering.kept_of(reordering.sample_of(now, arrival, gains.D))
+            looked = sample._replace(fresh=sample.fresh & (sample.taken >= before.taken))
+            return way.expected(gains, at(now, sample.taken), carried(gains, now, before, sample.taken), looked)
+
+        found: Surprise = together(judged)(memory, arrival)
+        return found
 
     return Observer(init, note, jump, flow, estimate, covariance=covariance, innovation=innovation)
