@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 from jax import Array
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt32
 
 Leaf = Any  # an array among an observer's or a plant's numbers: NumPy's when designed, jax's when traced
 Room = Leaf  # zeros, whose number alone is the message: under jit a length is known where a value is not
@@ -216,6 +216,14 @@ class ObserverField(Protocol):
     def __call__(self, gains: Gains, memory: Memory, now: Now, y: Float[Array, " q"], /) -> Memory: ...
 
 
+class Seeded(Protocol):
+    """Return the memory at the start of a run that has `words` of its own, from which the observer draws, and xhat(0)."""
+
+    def __call__(
+        self, gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: Float[Array, " n"], /
+    ) -> Memory: ...
+
+
 class Observer(NamedTuple):
     """An observer as pure functions of its `gains` and its `memory`."""
 
@@ -228,3 +236,4 @@ class Observer(NamedTuple):
     covariance: Covariance | None = None  # where it says how wrong it is; `now` is that of a jump
     sampled: Sampled | None = None  # where it must be told at sampling time that a sample will come
     innovation: Innovation | None = None  # where it says what it expects of a sample
+    seeded: Seeded | None = None  # where it draws numbers itself

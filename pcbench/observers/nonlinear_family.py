@@ -1,6 +1,6 @@
 """Estimators for nonlinear plants beside `ekf`: they take samples of any age by the same rule as it."""
 
-from pcbench.observers import iekf, mhe, ukf
+from pcbench.observers import iekf, mhe, particle, ukf
 from pcbench.observers.entry import Entry
 
 NONLINEAR = {
@@ -37,5 +37,16 @@ NONLINEAR = {
         nonlinear=True,
         smooth=False,
         loops=False,
+    ),
+    "particle": Entry(
+        observer=particle.OBSERVER,
+        options=particle.Options,
+        design=particle.design,
+        knows_schedule=False,
+        summary="bootstrap particle filter with systematic resampling",
+        takes="any schedule",
+        heavy=True,
+        nonlinear=True,
+        smooth=False,
     ),
 }

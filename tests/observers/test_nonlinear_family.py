@@ -6,11 +6,12 @@ are late, lost and overtaking, neither sensor is linear, and a parameter is esti
 """
 
 import driven
+import honest
 import numpy as np
 import pytest
 import swinging
 from harness import inputs, starts
-from reference import horizon
+from reference import horizon, particles
 from reference import nonlinear as reference
 from test_late_samples import CASE, KNOWN, TICKS, TIMES, optimum, plant, same
 from test_late_samples import found as of_linear
@@ -23,8 +24,15 @@ CUBATURE = {"form": "cubature"}
 LINEAR = [("iekf", {}), ("ukf", {}), ("ukf", CUBATURE)]
 
 
-@pytest.mark.parametrize("schedule", TIMES)
-@pytest.mark.parametrize(("name", "options"), LINEAR, ids=str)
+@pytest.mark.parametrize(
+    ("name", "options", "schedule"),
+    [
+        pytest.param(*each, schedule, marks=() if each == LINEAR[1] and schedule == "wild" else pytest.mark.slow)
+        for each in LINEAR
+        for schedule in TIMES
+    ],
+    ids=str,
+)
 def test_on_a_linear_plant_it_is_the_optimum_whatever_is_late_lost_or_overtaking(name, options, schedule):
     there = driven.traffic(TIMES[schedule], plant(schedule)[1], TICKS, 2)
     xhat, P, squares = driven.whole(name, KNOWN, options, there, inputs(CASE), starts(CASE)[1])
@@ -42,19 +50,20 @@ def agrees(got, want):
     assert squares[:, 1].sum() > 6
 
 
-@pytest.mark.parametrize("iterations", [1, 4])
+@pytest.mark.parametrize("iterations", [pytest.param(1, marks=pytest.mark.slow), 4])
 def test_iterating_equals_the_reference(iterations):
     want = reference.by_slopes(swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), iterations)
     agrees(swinging.found("iekf", iterations=iterations), want)
 
 
+@pytest.mark.slow
 def test_iterating_once_is_the_extended_filter():
     for a, b in zip(swinging.found("iekf", iterations=1), swinging.found("ekf"), strict=True):
         same(a, b)
     assert np.abs(swinging.found("iekf", iterations=4)[0] - swinging.found("ekf")[0]).max() > 1e-3
 
 
-WEIGHTS = [{"alpha": 0.6, "beta": 1.3, "kappa": 0.4}, {"alpha": 1.0, "beta": 2.0}]
+WEIGHTS = [{"alpha": 0.6, "beta": 1.3, "kappa": 0.4}, pytest.param({"alpha": 1.0, "beta": 2.0}, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("options", WEIGHTS, ids=str)
@@ -63,6 +72,7 @@ def test_unscented_points_equal_the_reference(options):
     agrees(swinging.found("ukf", **options), want)
 
 
+@pytest.mark.slow
 def test_cubature_points_equal_the_reference():
     want = reference.by_points(
         swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), cubature=True
@@ -70,6 +80,7 @@ def test_cubature_points_equal_the_reference():
     agrees(swinging.found("ukf", **CUBATURE), want)
 
 
+@pytest.mark.slow
 def test_a_start_that_is_known_has_no_points():
     """P0 = 0 and no process noise: the points are one, and nothing is divided by 0."""
     known = swinging.told(P0=np.zeros((2, 2)), process_std=(), unknown_std=(0.0,))
@@ -113,7 +124,10 @@ def test_options_that_are_no_sizes_or_counts_are_refused(name, option, value):
         OBSERVERS[name].options(**{option: value})
 
 
-@pytest.mark.parametrize(("schedule", "window"), [("now", 1), ("wild", 1), ("wild", 4), ("late", 15)])
+@pytest.mark.parametrize(
+    ("schedule", "window"),
+    [("wild", 4), *(pytest.param(*each, marks=pytest.mark.slow) for each in (("now", 1), ("wild", 1), ("late", 15)))],
+)
 def test_looking_back_without_bounds_is_the_optimum_of_a_linear_plant_whatever_the_window(schedule, window):
     there = driven.traffic(TIMES[schedule], plant(schedule)[1], TICKS, 2)
     xhat, P, _ = driven.whole("mhe", KNOWN, {"window": window}, there, inputs(CASE), starts(CASE)[1])
@@ -124,6 +138,7 @@ def test_looking_back_without_bounds_is_the_optimum_of_a_linear_plant_whatever_t
 ANYWHERE = {"unknown_range": ((-np.inf, np.inf),)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("window", "iterations"), [(1, 1), (3, 3)])
 def test_looking_back_equals_the_reference(window, iterations):
     model = swinging.model()._replace(low=np.full(3, -np.inf), high=np.full(3, np.inf))
@@ -163,3 +178,35 @@ def test_windows_and_bounds_that_cannot_be_are_refused_in_a_sentence(options, ch
     assert "\n" not in str(caught.value)
     with pytest.raises(UserError, match="mhe in helicopter/constant got a closed loop"):
         pcbench.run("helicopter/constant", observers=["mhe"])
+
+
+@pytest.mark.parametrize(("many", "share"), [(40, 0.6), pytest.param(25, 0.0, marks=pytest.mark.slow)])
+def test_particles_equal_the_reference_on_the_same_draws(many, share):
+    """Late and overtaking samples move the same particles by the same draws again."""
+    xhat, P, _ = swinging.found("particle", particles=many, resample=share)
+    model, (z, P0) = swinging.model(), swinging.prior()
+    want = particles.filtered(model, z, P0, swinging.samples(), swinging.inputs(), many, share)
+    same(xhat, np.array([m for m, _ in want]))
+    same(P, np.array([each for _, each in want]))
+
+
+def test_of_one_particle_too_many_it_says_how_many_fit():
+    with pytest.raises(UserError, match=r"got 10000000000 particles, which take .* expected at most"):
+        OBSERVERS["particle"].design(swinging.told(), OBSERVERS["particle"].options(particles=10**10))
+
+
+@pytest.mark.slow
+def test_the_difference_from_kalmans_filter_falls_as_one_over_the_particles():
+    """In mean square over 64 runs, each with draws of its own: a slope of -1 +- 0.2 over three doublings twice."""
+    options = {f"particle-{S}": {"particles": S} for S in (50, 200, 800)}
+    study = honest.STUDY | {
+        "observers": ["dkf", *options],
+        "seeds": 64,
+        "options": options | {"scenario": {"random_start": True}},
+    }
+    runs = pcbench.run(study).runs
+    final = runs[runs.signal == "a"].pivot_table(index="seed", columns="observer", values="final")
+    square = [np.mean((final[name] - final["dkf"]) ** 2) for name in options]
+    slope = np.polyfit(np.log([50, 200, 800]), np.log(square), 1)[0]
+    assert slope == pytest.approx(-1.0, abs=0.2)
+    assert final[next(iter(options))].nunique() == 64

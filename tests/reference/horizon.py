@@ -6,6 +6,8 @@ active sets. m, P: what was found of that sample when it was the newest, and an 
 Rawlings, Mayne 2003. P and the gathered noise must not be singular.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from scipy.optimize import lsq_linear
 
@@ -36,9 +38,7 @@ def estimated(model, z0, P0, samples, u, window, iterations, low=None, high=None
 
     def solve(prior, some, path):
         (m, P, _), times = prior, [prior[2], *(s.taken for s in some)]
-        own = np.cumsum(
-            [0, *(b > a for a, b in zip(times, times[1:], strict=False))]
-        )  # of one instant there is one state
+        own = np.cumsum([0, *(b > a for a, b in pairwise(times))])  # of one instant there is one state
         wide = N * (own[-1] + 1)
 
         def block(height, **at):

@@ -66,6 +66,9 @@ FUNCTIONS = {
     "in one piece, many rows": lambda x, A: together(lambda y: y[:40] * A[0, 0])(
         together(lambda x: jnp.outer(jnp.arange(50.0), x) + 2 * A[:1])(x)
     )[7:9],
+    "in one piece, many numbers": lambda x, A: together(lambda y: jnp.cumsum(y) * A[1, 2])(
+        together(lambda x: jnp.arange(40.0) * x[1])(x)
+    )[7:9],
     "transposed": lambda x, A: A.T @ x - jnp.trace(A),
 }
 

@@ -110,7 +110,7 @@ def _long(x: Any) -> Any:
     if not is_lanes(x) or not x.shape or x.shape[0] < MANY:
         return x
     rows = x.shape[0]
-    return lanes_of(x.shape[1:], [np.zeros((rows, *jnp.shape(a)), a.dtype) for a in x.parts[0].flat], rows)
+    return lanes_of(x.shape[1:], [np.zeros((rows, *jnp.shape(a)), a.dtype) for a in x.parts.reshape(rows, -1)[0]], rows)
 
 
 def _parted(x: jax.Array) -> Any:
