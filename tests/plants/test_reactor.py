@@ -59,3 +59,20 @@ def test_the_guides_table_is_what_comes_out():
         assert tail[name].mean() == pytest.approx(float(error), rel=0.01)
         assert 100 * (tail[name] > FAILED).mean() == pytest.approx(float(failed), abs=1)
         assert costs[name] == int(products)
+
+
+@pytest.mark.slow
+def test_tuning_finds_an_extended_filter_that_does_not_fail():
+    """Forty looks at 64 runs, judged on others."""
+    found = pcbench.tune(
+        "reactor/batch", "ekf", budget=40, objective="tail_rmse", only=["Q"], training=(0, 64), judges=(100, 164)
+    )
+    study = {
+        "name": "tuned",
+        "scenarios": ["reactor/batch"],
+        "observers": ["ekf"],
+        "options": {"ekf": found.found},
+        "seeds": 64,
+    }
+    runs = pcbench.run(study, first_seed=200).runs
+    assert (runs[runs.signal == "pressure_a"].tail_rmse < FAILED).all()
