@@ -110,7 +110,7 @@ def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     few = 1.0 / jnp.sum(share * share) < gains.own.share * S
     U = uniforms(state.words, RESAMPLING + jnp.argmax(sample.fresh), sample.taken, ())
     from_ = jnp.searchsorted(jnp.cumsum(share), (jnp.arange(S) + U) / S)
-    x = jnp.where(few, jnp.take(state.x, jnp.minimum(from_, S - 1), axis=0), state.x)
+    x = jnp.where(few, jnp.take(state.x, from_, axis=0, mode="clip"), state.x)
     return state._replace(x=x, weight=jnp.where(few, -jnp.log(float(S)), weight))
 
 
