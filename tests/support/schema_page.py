@@ -17,10 +17,8 @@ HEAD = f"""# The columns of the tables
 
 Every Parquet file says its schema in its metadata (`pcbench.schema`), and with each column its meaning and unit. This page is
 schema {columns.SCHEMA}. A column that is added, goes or means something else makes a new number: `pcbench/dataset/earlier.py`
-has those that are read. Made from the code by `tests/support/schema_page.py`; a test holds it to what a study leaves.
-
-`<axes>` are the columns of the last table: those that a scenario has, in that order. `scenario` and `observer` of `runs` stand
-in the folders' names.
+has those that are read. Made from the code by `tests/support/schema_page.py`; a test holds it to what a study leaves. `<axes>`
+are the columns of the last table that a scenario has, in that order. `scenario` and `observer` of `runs` are folders' names.
 """
 
 
