@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.protocols import Observer as Observer
     from pcbench.protocols import Plant as Plant
     from pcbench.protocols import Surprise as Surprise
+    from pcbench.protocols import together as together
     from pcbench.study.interop import lti as lti
     from pcbench.study.interop import to_control as to_control
     from pcbench.study.interop import to_scipy as to_scipy
@@ -73,6 +74,7 @@ _LAZY = {
     "Arrival": "protocols",
     "Surprise": "protocols",
     "Entry": "observers",
+    "together": "protocols",
     "tunable": "observers.parts.options",
     "plant": "plants",
     "PlantEntry": "plants",

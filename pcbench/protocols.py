@@ -10,8 +10,9 @@ after the jump of tick k, and in a closed loop the command of tick k is computed
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+import jax
 from jax import Array
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, UInt32
 
 Leaf = Any  # an array among an observer's or a plant's numbers: NumPy's when designed, jax's when traced
 Room = Leaf  # zeros, whose number alone is the message: under jit a length is known where a value is not
@@ -19,6 +20,21 @@ Params = Any  # a pytree of arrays: a plant's or a controller's numbers
 Gains = Any  # a pytree of arrays: an observer's numbers, traced, never captured in a closure
 Memory = Any  # a pytree of arrays: an observer's state between ticks
 Delay = Callable[[Any], Any]  # of a closed loop: t [s], an array -> tau [s]
+
+
+TOGETHER = "together"  # the name by which simulations know a function that `together` has made
+
+
+def together(f: Callable[..., Any]) -> Callable[..., Any]:
+    """Return f, to be carried over runs in one piece, by vmap: one that is large, or has arrays of hundreds of entries.
+
+    Other functions are carried over entry by entry, which is faster where arrays are small, and compiles slowly where not.
+    """
+
+    def together(*args: Any) -> Any:
+        return f(*args)
+
+    return jax.jit(together)
 
 
 class Now(NamedTuple):
@@ -200,6 +216,14 @@ class ObserverField(Protocol):
     def __call__(self, gains: Gains, memory: Memory, now: Now, y: Float[Array, " q"], /) -> Memory: ...
 
 
+class Seeded(Protocol):
+    """Return the memory at the start of a run that has `words` of its own, from which the observer draws, and xhat(0)."""
+
+    def __call__(
+        self, gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: Float[Array, " n"], /
+    ) -> Memory: ...
+
+
 class Observer(NamedTuple):
     """An observer as pure functions of its `gains` and its `memory`."""
 
@@ -212,3 +236,4 @@ class Observer(NamedTuple):
     covariance: Covariance | None = None  # where it says how wrong it is; `now` is that of a jump
     sampled: Sampled | None = None  # where it must be told at sampling time that a sample will come
     innovation: Innovation | None = None  # where it says what it expects of a sample
+    seeded: Seeded | None = None  # where it draws numbers itself

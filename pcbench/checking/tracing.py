@@ -35,7 +35,11 @@ def program(a: Asked, g: Any) -> Program:
 def alike(a: Program, b: Program) -> bool:
     """Say whether two programs are the same, numbers included."""
     pairs = zip(a.numbers, b.numbers, strict=False)
-    return a.text == b.text and len(a.numbers) == len(b.numbers) and all(np.array_equal(x, y) for x, y in pairs)
+    return (
+        a.text == b.text
+        and len(a.numbers) == len(b.numbers)
+        and all(np.array_equal(x, y, equal_nan=True) for x, y in pairs)
+    )
 
 
 def inside(jaxpr: Any) -> Iterator[Any]:

@@ -18,6 +18,7 @@ ORDER = (  # of a reader's questions; what is not here follows by the alphabet
         "axes-and-schedules",
         "what-suffices",
         "outliers",
+        "nonlinear",
     ),
     *("your-own-plant", "your-own-observer", "loops", "a-loop-of-your-own", "unknown-inputs", "gains-and-tuning"),
     *("large-studies", "five-papers", "not-claimed", "how-it-works", "how-it-differs", "versions", "tables"),

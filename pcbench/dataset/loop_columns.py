@@ -6,7 +6,7 @@ from pcbench.statistics import ASKED, RUN_METRICS
 
 AXIS_UNITS = {"command_jitter": "s", "command_loss": "1", "command_std": "unit of the input"}
 AXIS_UNITS |= {"delay_steps": "s", "delay_stay": "1"}
-AXIS_UNITS |= {"outlier_probability": "1", "outlier_scale": "1"}
+AXIS_UNITS |= {"outlier_probability": "1", "outlier_scale": "1", "noise_tail": "1", "assumed_noise_scale": "1"}
 UNITS = dict.fromkeys(
     (
         *("efficiency", "divergence", "unsettled", "cost", "tail_cost", "nees", "nees_states", "signal_nees"),
@@ -29,6 +29,9 @@ MEANING = {
     "depends on the one that is",
     "outlier_probability": "that a sample's noise is outlier_scale times what it would be, which nobody is told",
     "outlier_scale": "how many times larger the noise of an outlier is",
+    "noise_tail": "degrees of freedom of Student's t that the noise of samples has, of the same variance, which nobody is "
+    "told; 0: it is normal",
+    "assumed_noise_scale": "how many times larger than it is the noise of a sample is believed to be",
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",
     "command_loss": "probability that a command never comes to the plant, which holds the last one that came",
     "command_std": "standard deviation of one command's noise, which no observer is told",

@@ -22,6 +22,10 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     names = [name for name, _ in signals_of(p.cell.scenario)]
     if chance := p.cell.scenario.sampling.outlier_probability:
         return f"{where} has samples of which {100 * chance:g} % are outliers, whose noise is not normal; {instead}."
+    if degrees := p.cell.scenario.sampling.noise_tail:
+        return (
+            f"{where} has samples whose noise is Student's t with {degrees:g} degrees, which is not normal; {instead}."
+        )
     apart, size = s.apart[mine].max(-1), s.size[mine].max(-1)
     with np.errstate(invalid="ignore"):
         part = np.where(apart > 0, apart / np.where(size > 0, size, 1.0), 0.0)

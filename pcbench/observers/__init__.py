@@ -3,8 +3,9 @@
 from pcbench.observers import chain, dkf, ekf, equal_delay, high_gain, kfbo, no_delay, open_loop, pccebo, pco, pio, smo
 from pcbench.observers.entry import Entry
 from pcbench.observers.late_family import LATE
+from pcbench.observers.nonlinear_family import NONLINEAR
 
-__all__ = ["LATE", "LONGEST", "OBSERVERS", "Entry", "base_of", "entry_of"]
+__all__ = ["LATE", "LONGEST", "NONLINEAR", "OBSERVERS", "Entry", "base_of", "entry_of"]
 
 LONGEST = 80  # characters of a label, which names a folder
 OBSERVERS = {
@@ -120,6 +121,7 @@ OBSERVERS = {
         summary="delay-compensated Kalman filter, the fair baseline",
         takes="any schedule",
     ),
+    **NONLINEAR,
     **LATE,
     "open-loop": Entry(
         observer=open_loop.OBSERVER,

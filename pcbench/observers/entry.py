@@ -27,5 +27,6 @@ class Entry(NamedTuple):
     heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
     nonlinear: bool = False  # it is designed for plants without a linear model
     smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand
+    loops: bool = True  # its estimate can drive a loop; else it looks back further than a loop keeps its inputs
     # options of gains for the noise and delays as they are; None: it has none such
     designed: Mapping[str, Any] | None = None

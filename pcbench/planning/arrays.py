@@ -103,6 +103,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         network=controller.network(cell),
         weights=controller.weights(cell),
         outliers=_outliers(s),
+        tail=np.asarray(s.sampling.noise_tail) if s.sampling.noise_tail else (),
     )
     layout = Layout(
         plant=plant.plant,

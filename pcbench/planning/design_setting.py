@@ -55,7 +55,10 @@ def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
         ticks=n,
         period=tuple(period),
         delay=tuple(delay),
-        noise_std=tuple(std or spare for std, spare in zip(noise, belief.assumed_noise_std or noise, strict=True)),
+        noise_std=tuple(
+            belief.assumed_noise_scale * (std or spare)
+            for std, spare in zip(noise, belief.assumed_noise_std or noise, strict=True)
+        ),
         P0=np.diag(np.square(belief.prior_std)),
         input_intensity=belief.drift_intensity if s.truth.drift else 0.0,
         overtaking=ask("overtaking", (tuple(clocks), n), lambda: _overtaking(clocks, n)),
@@ -72,6 +75,7 @@ def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
         sensor=sensor,
         parts=parts,
         variant=partial(_variant, s),
+        xhat0=belief.xhat0,
         intervals=ask("intervals", (clocks[0], n), lambda: tuple(sampling.intervals(clocks[0], n)))
         if len(clocks) == 1
         else (),

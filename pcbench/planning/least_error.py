@@ -17,10 +17,12 @@ def bound(cell: Cell, known: Setting, ask: once.Once = once.anew) -> NDArray[np.
     s = cell.scenario
     other = differs(numbers_of(s), cell.parameters)
     wrong = nonlinear(s) or s.truth.drift or other or s.truth.unknown_input or s.loop.command_std
-    exact = not wrong and all(s.sampling.noise_std) and not s.sampling.outlier_probability  # of normal noise alone
+    normal = all(s.sampling.noise_std) and not s.sampling.outlier_probability and not s.sampling.noise_tail
+    exact = not wrong and normal
     clocks = cell.times.clocks
     if not exact or cell.times.random:
         return None
+    known = known._replace(noise_std=s.sampling.noise_std)  # what is, whatever is believed
     sees = known.model, known.dt, known.ticks, known.noise_std, known.P0, s.truth.process_std
     key = once.key_of((*sees, cell.times.tail)), tuple(clocks)
     alike = once.key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))

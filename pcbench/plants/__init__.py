@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.plants import arm, cart, csth, helicopter, lti
+from pcbench.plants import arm, cart, csth, helicopter, lti, reactor
 from pcbench.plants.entry import Entry
 from pcbench.plants.factory import plant
 from pcbench.scenarios import Scenario
@@ -58,6 +58,18 @@ PLANTS: dict[str, Entry] = {
         inverse=helicopter.inverse,
         positive=("Jth", "Jps", "m", "l", "g", "Bth", "Bps"),
         ranges=helicopter.RANGE,
+    ),
+    "reactor": Entry(
+        plant=reactor.PLANT,
+        signals=reactor.SIGNALS,
+        numbers=reactor.Numbers(),
+        nominal=reactor.nominal,
+        prepare=reactor.prepare,
+        summary="gas-phase batch reactor, its total pressure measured, 2 states",
+        heavy=True,
+        model=reactor.model,
+        positive=("k1", "k2"),
+        drifts=False,
     ),
     "lti": Entry(
         plant=lti.PLANT,

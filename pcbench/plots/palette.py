@@ -28,6 +28,10 @@ DASHES: dict[str, tuple[float, ...]] = {
     "pio": (2.8, 1.4),
     "high-gain": (6.0, 1.6),
     "ekf": (2.8, 1.4),
+    "iekf": (6.0, 1.4, 1.0, 1.4),
+    "ukf": (4.0, 1.4, 4.0, 1.4, 1.0, 1.4),
+    "mhe": (9.0, 1.6),
+    "particle": (1.8, 1.8),
     "kf-now": (6.0, 1.6),
     "kf-discard": (2.8, 1.4),
     "kf-rewind": (6.0, 1.4, 1.0, 1.4),
@@ -54,6 +58,10 @@ COLOURS = {
     "pio": "#54AB53",
     "high-gain": "#B14DD0",
     "ekf": "#884400",
+    "iekf": "#542F6B",
+    "ukf": "#0C11BB",
+    "mhe": "#709FA6",
+    "particle": "#07B472",
     "kf-now": "#4D159C",
     "kf-discard": "#C92536",
     "kf-rewind": "#4589A8",
@@ -68,6 +76,7 @@ COLOURS = {
 }
 MARKERS = {"dkf": "o", "open-loop": "x", "pccebo": "s", "kfbo": "^", "pco": "D", "pi-pco": "v", "chain": "s",
            "equal-delay": "^", "no-delay": "v", "smo": "s", "pio": "^", "high-gain": "s", "ekf": "^",
+           "iekf": "v", "ukf": "D", "mhe": "s", "particle": "P",
            "kf-now": "^", "kf-discard": "v", "kf-rewind": "s", "kf-cloning": "D", "kf-larsen": "<", "kf-alexander": ">",
            "kf-horizon": "P", "kf-shift": "X", "oosm-a1": "p", "oosm-b1": "h", "oosm-lag": "*"}  # fmt: skip
 SIBLINGS = ("P", "X", "<", ">", "h", "p", "*")  # markers of a base's variants

@@ -4,8 +4,9 @@ from pcbench.scenarios.arm import ARM
 from pcbench.scenarios.cart import CART
 from pcbench.scenarios.csth import CSTH
 from pcbench.scenarios.helicopter import HELICOPTER
+from pcbench.scenarios.reactor import REACTOR
 from pcbench.scenarios.scenario import INTERVAL, NOTHING, Belief, Loop, Sampling, Scenario, Scoring, Truth
 
 __all__ = ["INTERVAL", "NOTHING", "SCENARIOS", "Belief", "Loop", "Sampling", "Scenario", "Scoring", "Truth"]
 
-SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH, *ARM, *HELICOPTER)}
+SCENARIOS: dict[str, Scenario] = {s.name: s for s in (*CART, *CSTH, *ARM, *HELICOPTER, *REACTOR)}

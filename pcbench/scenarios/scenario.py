@@ -52,6 +52,9 @@ class Sampling(NamedTuple):
     delay_swing: tuple[float, float] = (0.0, 0.0)  # (a [s], w [rad/s]): every delay is delay + a sin(w t), t of arrival
     outlier_probability: float = 0.0  # that a sample's noise is outlier_scale times what it would be
     outlier_scale: float = 10.0
+    noise_tail: float = (
+        0.0  # degrees of freedom of Student's t that the noise has, of the same variance; 0: it is normal
+    )
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
     delay_steps: tuple[
         float, ...
@@ -71,6 +74,7 @@ class Belief(NamedTuple):
     assumed_noise_std: tuple[float, ...] = ()  # [q] for channels without noise; empty: none
     assumed_process_std: tuple[float, ...] = ()  # [n] in place of the plant's process noise; empty: as it is
     assumed_delay_error: float = 0.0  # s, samples are believed to be so much older than they are
+    assumed_noise_scale: float = 1.0  # the noise of a sample is believed to be so many times larger than it is
     start_box: tuple[float, ...] = ()  # [n] a random start draws xhat(0) this close to x(0); empty: x(0), from P0
 
 
@@ -92,9 +96,11 @@ RECORDS = {
     "belief": Belief._fields,
     "scoring": Scoring._fields,
 }
-FAULTS = ("outlier_probability", "outlier_scale")  # of samples, which nobody is told of
+OUTLIERS = ("outlier_probability", "outlier_scale")
+FAULTS = (*OUTLIERS, "noise_tail", "assumed_noise_scale")  # of samples, which nobody is told of
 CHAIN = ("delay_steps", "delay_stay")
 OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
+UNSAID = (*OF_COMMANDS, "noise_tail")  # where they are 0
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
 
@@ -141,8 +147,9 @@ class Scenario(NamedTuple):
 
         Of a user's own code it is the digest.
         """
-        hidden = {name for name in OF_COMMANDS if not self.value(name)}
-        hidden |= set() if self.sampling.outlier_probability else set(FAULTS)
+        hidden = {name for name in UNSAID if not self.value(name)}
+        hidden |= set() if self.belief.assumed_noise_scale != 1 else {"assumed_noise_scale"}
+        hidden |= set() if self.sampling.outlier_probability else set(OUTLIERS)
         hidden |= set() if self.sampling.delay_steps else set(CHAIN)
         # earlier folders know their cells without these
         names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE, *hidden)]

@@ -72,6 +72,10 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
             ask("sampled", lambda p, m, f: told(p.gains[label], m, present(p, k, False), f), memory, fresh),
             memory,
         )
+    if (seeded := observer.seeded) is not None:
+        words = jax.ShapeDtypeStruct((2,), jnp.uint32)
+        own = ask("seeded", lambda p, m, w, x: seeded(p.gains[label], m, w, x), memory, words, state)
+        _same(label, "seeded", own, memory)
     if (covariance := observer.covariance) is not None:
         P = ask("covariance", lambda p, m: jnp.asarray(covariance(p.gains[label], m, present(p, k, False))), memory)
         if P.shape != (*xhat.shape, *xhat.shape):

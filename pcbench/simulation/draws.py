@@ -14,8 +14,8 @@ from jax import Array
 from pcbench.simulation import generator
 
 STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "process": 5}
-STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8, "outlier": 9}
-STREAMS |= {"delay_chain": 10}
+STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8, "outlier": 9, "observer": 10, "tail": 11}
+STREAMS |= {"delay_chain": 12}
 
 
 def run_keys(root_seed: Array, seeds: Array, stream: str, channels: int) -> list[Array]:
@@ -40,6 +40,11 @@ def uniforms_of(keys: list[Array], index: Any) -> Array:
     draw = jax.vmap(jax.vmap(lambda key, i: jax.random.uniform(jax.random.fold_in(key, i), dtype=jnp.float64)))
     each = jnp.stack([jnp.broadcast_to(index[j], key.shape) for j, key in enumerate(keys)])
     return draw(jnp.stack(keys), each)
+
+
+def words(root_seed: Array, seeds: Array) -> Array:
+    """Return two words of each run [2, L], for an observer that draws numbers itself; all of a run have the same."""
+    return jax.random.key_data(run_keys(root_seed, seeds, "observer", 1)[0]).T
 
 
 def measurement_noise(root_seed: int, seed: int, samples: int, channels: int = 1) -> Array:

@@ -52,6 +52,12 @@ def judged(o: Observer, innovation: Innovation) -> Observer:
         made = made._replace(
             sampled=lambda gains, memory, now, fresh: memory._replace(memory=sampled(gains, memory.memory, now, fresh))
         )
+    if (seeded := o.seeded) is not None:
+        made = made._replace(
+            seeded=lambda gains, memory, words, xhat0: memory._replace(
+                memory=seeded(gains, memory.memory, words, xhat0)
+            )
+        )
     return made
 
 

@@ -1,8 +1,13 @@
-"""The noise of samples before scaling, by channel and sample: normal, but for outliers.
+"""The noise of samples before scaling, by channel and sample: normal, or Student's t of the same variance; and outliers.
 
     v = w with probability 1 - p, scale w with probability p,   w ~ N(0, 1)
 
-(the contaminated normal: Tukey 1960). w has the address of the sample's noise whether there are outliers or not, and which
+(the contaminated normal: Tukey 1960). With n degrees of freedom w is replaced by
+
+    t sqrt((n - 2) / n),   t = w sqrt(n (e^(r/n) - 1) / r),   r = w^2 + z^2,   z ~ N(0, 1)
+
+which is Student's t exactly (Bailey, Math. Comp. 62 (1994), 779: in polar form its radius alone differs from the normal's), has
+the sign of w, and goes to w as n grows. w has the address of the sample's noise whether there are outliers or not, and which
 samples are outliers is drawn beside it: with and without them a study stands on the same draws.
 """
 
@@ -26,14 +31,23 @@ class Outliers(NamedTuple):
     scale: Leaf  # of their noise
 
 
+def students(w: Array, z: Array, n: Array) -> Array:
+    """Return what has Student's distribution with n degrees of freedom, scaled to variance 1, of two normal numbers."""
+    r = w * w + z * z
+    return w * jnp.sqrt((n - 2.0) * jnp.expm1(r / n) / jnp.where(r > 0, r, 1.0))
+
+
 def drawing(p: Problem, root_seed: Array, seeds: Array) -> Noise:
     """Return what draws the noise of samples of some channels."""
     many = p.noise_std.shape[0]
     keys = draws.run_keys(root_seed, seeds, "measurement", many)
     odd = draws.run_keys(root_seed, seeds, "outlier", many) if p.outliers else []
+    beside = [] if isinstance(p.tail, tuple) else draws.run_keys(root_seed, seeds, "tail", many)
 
     def noise(channels: list[int], index: Any) -> Array:
         v = draws.normals([keys[j] for j in channels], index)
+        if beside:
+            v = students(v, draws.normals([beside[j] for j in channels], index), p.tail)
         if not p.outliers:
             return v
         out = draws.uniforms_of([odd[j] for j in channels], index) < p.outliers.probability

@@ -82,7 +82,16 @@ def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any
         n = p.x0.shape[0]
         uniform = lanes.split(draws.uniforms(root_seed, seeds, "initial", jnp.asarray(0), 1, n)[0])
         xhat0 = over(lambda v: p.xhat0 + p.scatter * (2 * v - 1))(uniform)
-    return over(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
+    begun = over(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
+    drawing = [(label, o.seeded) for label, o in layout.observers if o.seeded]
+    if not drawing:
+        return begun
+    words = lanes.split(draws.words(root_seed, seeds))
+
+    def own(memories: Any, words: Array, xhat0: Array) -> Any:
+        return memories | {label: seeded(p.gains[label], memories[label], words, xhat0) for label, seeded in drawing}
+
+    return over(own)(begun, words, xhat0)
 
 
 def _everything(layout: Layout, p: Problem) -> steps.Happen:

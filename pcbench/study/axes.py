@@ -82,6 +82,16 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
             raise UserError(
                 f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."
             )
+        if name == "assumed_noise_scale" and n <= 0:
+            raise UserError(
+                f"{where}: got {shown(value)}, expected a number greater than 0: how many times larger noise is believed to be "
+                "than it is; write 1 where that is right."
+            )
+        if name == "noise_tail" and 0 < n <= 2:
+            raise UserError(
+                f"{where}: got {shown(value)}, expected more than 2 degrees of freedom, where Student's t has a variance, or 0 "
+                "for normal noise; write 2.5 or more."
+            )
         return n
     many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
     each = value if isinstance(value, list) else [value] * many

@@ -122,6 +122,11 @@ STUDIES = {
             "dkf-huber": {"huber": 1.5},
         },
     ),
+    "reactor": Study(  # a poor start: who fails, who is told to doubt, who knows what cannot be?
+        name="reactor",
+        scenarios=["reactor/batch"],
+        seeds=256,
+    ),
     "map": Study(  # which period and which delay can I afford? 20 x 20, without a seed
         name="map",
         scenarios=["cart/gaussian"],

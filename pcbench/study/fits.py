@@ -48,6 +48,17 @@ def fits(s: Scenario, where: str) -> None:
 def _faults(s: Scenario, where: str) -> None:
     """Raise UserError where a fault of samples can have no effect."""
     measured = s.sampling
+    scale = s.belief.assumed_noise_scale
+    if scale != 1 and not any((*measured.noise_std, *s.belief.assumed_noise_std)):
+        raise UserError(
+            f"{where}: got assumed_noise_scale = {scale:g} in {s.name}, where no noise is believed in, expected a noise_std "
+            "above 0; give one, or leave it out."
+        )
+    if measured.noise_tail and not any(measured.noise_std):
+        raise UserError(
+            f"{where}: got noise_tail = {measured.noise_tail:g} in {s.name}, whose samples have no noise, expected a noise_std "
+            "above 0; give one, or leave it out."
+        )
     if measured.outlier_probability and not any(measured.noise_std):
         raise UserError(
             f"{where}: got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise to "
@@ -92,6 +103,8 @@ def _at_every_stage(s: Scenario, where: str) -> None:
         "loss": 0.0,
         "assumed_delay_error": 0.0,
         "outlier_probability": 0.0,
+        "noise_tail": 0.0,
+        "assumed_noise_scale": 1.0,
     }
     for name, value in nothing.items():
         if s.value(name) != value:
@@ -169,6 +182,11 @@ def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
         raise UserError(
             f"{where}: {label} in {s.name} got a nonlinear plant, expected a linear model to be designed from; leave {label} "
             f"out, or take one of {able}."
+        )
+    if s.loop.controller and not entry.loops:
+        raise UserError(
+            f"{where}: {label} in {s.name} got a closed loop, expected an input that is known beforehand: it looks back "
+            f"further than a loop keeps its inputs; leave {label} out, or take ekf."
         )
     if s.sampling.continuous and entry.observer.field is None:
         able = ", ".join(name for name, each in OBSERVERS.items() if each.observer.field)

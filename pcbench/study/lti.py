@@ -85,6 +85,8 @@ class Lti(BaseModel):
     loss: Number = 0.0
     outlier_probability: Number = 0.0
     outlier_scale: Number = 10.0
+    noise_tail: Number = 0.0
+    assumed_noise_scale: Number = 1.0
 
     def numbers(self, where: str) -> Numbers:
         """Return the plant's numbers as observers know them; raise UserError naming the entry that has no value."""

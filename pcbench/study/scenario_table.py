@@ -66,6 +66,9 @@ class ScenarioTable(BaseModel):
         None, description="that a sample's noise is outlier_scale times what it would be"
     )
     outlier_scale: Number | None = Field(None, description="how many times larger the noise of an outlier is")
+    noise_tail: Number | None = Field(
+        None, description="degrees of freedom of Student's t that the noise has, of the same variance; 0: it is normal"
+    )
     early: Switch | None = Field(None, description="measuring began before t = 0: the first sample arrives at 0")
     delay_swing: list[Number] | None = Field(
         None, min_length=2, max_length=2, description="(a [s], w [rad/s]): every delay is delay + a sin(w t)"
@@ -80,6 +83,9 @@ class ScenarioTable(BaseModel):
     unknown_std: list[Positive] | None = Field(None, description="[s] typical size of the unknowns; default: ones")
     assumed_noise_std: list[Size] | None = Field(None, description="[q] for channels without noise")
     assumed_process_std: list[Size] | None = Field(None, description="[n] for plants without process noise")
+    assumed_noise_scale: Number | None = Field(
+        None, description="the noise of a sample is believed to be so many times larger than it is"
+    )
     assumed_delay_error: Number | None = Field(None, description="s, samples are believed to be so much older")
     start_box: list[Size] | None = Field(None, description="[n] a random start draws xhat(0) this close to x(0)")
     # what runs are judged by

@@ -126,6 +126,8 @@ def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
         "delay_stay": (0.0, 0.95),
         "command_loss": (0.0, 0.9),
         "outlier_probability": (0.0, 0.5),
+        "noise_tail": (2.1, 30.0),
+        "assumed_noise_scale": (0.1, 10.0),
         "drift": (0.0, 2.0),
     }.get(axis.name)
     if usual is None and own:

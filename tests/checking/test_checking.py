@@ -9,6 +9,7 @@ import numpy as np
 import own_observer as own
 import pytest
 
+from pcbench.checking import tracing
 from pcbench.checking.loading import Candidate
 from pcbench.checking.observer import CHECKS, findings
 from pcbench.checking.replay import none, replay
@@ -225,3 +226,9 @@ def test_a_shifted_packet_is_another_measurement():
         shift = nothing._replace(**{field: getattr(nothing, field).at[number].set(step)})
         moved = np.abs(replay(t, p, shift).estimates["pccebo"] - plain).max(1)
         assert np.flatnonzero(moved)[0] == arrives, field
+
+
+def test_a_nan_that_is_written_into_a_program_is_the_same_twice():
+    """As the place of a lookup that finds nothing is."""
+    asked = tracing.Asked("f", lambda x: jnp.where(x > 0, x, jnp.nan))
+    assert tracing.alike(tracing.program(asked, jnp.ones(2)), tracing.program(asked, jnp.ones(2)))

@@ -26,6 +26,7 @@ OPTIONAL = {
     "covariance": ["gains", "memory", "now"],
     "innovation": ["gains", "memory", "now", "arrival"],
     "sampled": ["gains", "memory", "now", "fresh"],
+    "seeded": ["gains", "memory", "words", "xhat0"],
 }
 
 

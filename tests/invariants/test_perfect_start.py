@@ -11,10 +11,14 @@ from harness import CART, ELSEWHERE, ODD, Case, problem, recorder, trace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcbench.observers import LATE, OBSERVERS
+from pcbench.observers import LATE, NONLINEAR, OBSERVERS
 from pcbench.protocols import Plant
 
-KNOWING = {name: {} for name, entry in OBSERVERS.items() if entry.knows_schedule and name not in (*ELSEWHERE, *LATE)}
+KNOWING = {
+    name: {}
+    for name, entry in OBSERVERS.items()
+    if entry.knows_schedule and name not in (*ELSEWHERE, *LATE, *NONLINEAR)
+}
 del KNOWING[
     "chain"
 ]  # needs whole samples, and from a perfect start sees only zeros: its slips are caught in test_chain

@@ -10,7 +10,7 @@ from scipy.special import erfinv
 MASK = 0xFFFFFFFF
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "process": 5}
-STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8, "outlier": 9}
+STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8, "outlier": 9, "observer": 10, "tail": 11}
 
 
 def threefry(key, counter):

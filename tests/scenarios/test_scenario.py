@@ -22,7 +22,7 @@ def test_no_two_records_have_a_field_of_the_same_name():
     assert max(Counter(names).values()) == 1
     hidden = set(RECORDS) | set(CODE) | set(OF_COMMANDS) | set(FAULTS)
     assert set(ARM.flat()) == set(names) - hidden, "those that are 0 are left out"
-    assert set(FAULTS) < set(ARM.having(outlier_probability=0.1).flat())
+    assert set(FAULTS) < set(ARM.having(outlier_probability=0.1, noise_tail=3.0, assumed_noise_scale=2.0).flat())
     assert ARM.having(command_loss=0.1).flat()["command_loss"] == 0.1
 
 

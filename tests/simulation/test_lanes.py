@@ -7,6 +7,7 @@ import pytest
 from jax import lax
 
 from pcbench.errors import UserError
+from pcbench.protocols import together
 from pcbench.simulation import lanes
 from pcbench.simulation.lanes import entrywise, packed, primitives
 from pcbench.simulation.lanes.entrywise import over
@@ -61,6 +62,13 @@ FUNCTIONS = {
             lax.scan(lambda c, r: (c * r[0] + 1, c[0]), x, A)[1],
         ]
     ),
+    "in one piece": lambda x, A: together(lambda y: jnp.linalg.solve(A + 9 * jnp.eye(3), y) + x[0])(x) + A[1],
+    "in one piece, many rows": lambda x, A: together(lambda y: y[:40] * A[0, 0])(
+        together(lambda x: jnp.outer(jnp.arange(50.0), x) + 2 * A[:1])(x)
+    )[7:9],
+    "in one piece, many numbers": lambda x, A: together(lambda y: jnp.cumsum(y) * A[1, 2])(
+        together(lambda x: jnp.arange(40.0) * x[1])(x)
+    )[7:9],
     "transposed": lambda x, A: A.T @ x - jnp.trace(A),
 }
 
@@ -220,3 +228,12 @@ def test_rows_from_beyond_a_table_are_what_their_gather_says(mode):
     got = over(lambda i: jnp.take(jnp.asarray(BIG), i, 0, mode=mode))(lanes.split(index))
     want = jax.vmap(lambda i: jnp.take(jnp.asarray(BIG), i, 0, mode=mode), -1, -1)(index)
     np.testing.assert_array_equal(lanes.join(got), want)
+
+
+def test_in_one_piece_what_is_the_same_in_all_lanes_stays_so_and_many_rows_lie_together():
+    f = together(lambda x, k: (jnp.outer(jnp.arange(50.0), x), k + 1, x + k))
+    found = over(f)(lanes.split(jnp.ones((3, L))), jnp.asarray(4))
+    assert [lanes.is_lanes(each) for each in found] == [True, False, True]
+    assert (found[0].rows, found[0].parts.shape) == (50, (3,))
+    assert (found[1], found[2].rows) == (5, None)
+    assert found[0].parts[1].shape == (50, L)

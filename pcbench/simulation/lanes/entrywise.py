@@ -14,12 +14,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pcbench.protocols import TOGETHER
 from pcbench.simulation.lanes import (
     FORMS_ONLY,
     Lanes,
     entries,
     is_lanes,
     join,
+    joined,
     lanes_of,
     like,
     primitives,
@@ -30,6 +32,8 @@ from pcbench.simulation.lanes import (
     table,
 )
 from pcbench.simulation.lanes.primitives import CALLS, ELEMENTWISE, STRUCTURAL, ClosedJaxpr, Literal, jaxpr_as_fun
+
+MANY = 32  # rows, from which on they are kept together
 
 
 def over(f: Any) -> Any:
@@ -58,6 +62,8 @@ def _evaluate(jaxpr: Any, consts: Any, args: Any) -> list[Any]:
 
 def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
     name, differs = eqn.primitive.name, any(map(is_lanes, args))
+    if differs and name in CALLS and primitives.named(eqn.params) == TOGETHER:
+        return _together(eqn, args)
     if differs and name in CALLS:
         closed = primitives.called(eqn.params)
         return _evaluate(closed.jaxpr, closed.consts, args)
@@ -75,6 +81,43 @@ def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
     if differs and name in _RULES and not (name == "dot_general" and rules.products(eqn) > rules.WRITTEN_OUT):
         return [_RULES[name](eqn, args)]
     return _fallback(jaxpr, eqn, args)
+
+
+def _together(eqn: Any, args: list[Any]) -> list[Any]:
+    """Apply a function in one piece, by vmap; what is the same in all lanes stays so, what is long becomes a table."""
+    closed = primitives.called(eqn.params)
+
+    def alone(*args: Any) -> list[Any]:
+        return _evaluate(closed.jaxpr, closed.consts, list(args))
+
+    before = FORMS_ONLY.set(True)
+    try:
+        differs = [is_lanes(x) for x in jax.eval_shape(alone, *args)]
+    finally:
+        FORMS_ONLY.reset(before)
+    if FORMS_ONLY.get():
+        forms = [_form(v.aval, args, eqn.primitive.name) for v in eqn.outvars]
+        shapes = [jnp.zeros(v.aval.shape, v.aval.dtype) for v in eqn.outvars]
+        return [_long(x) if d else same for x, same, d in zip(forms, shapes, differs, strict=True)]
+    axes = [-1 if is_lanes(a) else None for a in args]
+    apply = jax.vmap(jaxpr_as_fun(closed), axes, [-1 if d else None for d in differs])
+    found = apply(*(joined(a) if is_lanes(a) else a for a in args))
+    return [_parted(x) if d else x for x, d in zip(found, differs, strict=True)]
+
+
+def _long(x: Any) -> Any:
+    """A form, as a table where it has many rows."""
+    if not is_lanes(x) or not x.shape or x.shape[0] < MANY:
+        return x
+    rows = x.shape[0]
+    return lanes_of(x.shape[1:], [np.zeros((rows, *jnp.shape(a)), a.dtype) for a in x.parts.reshape(rows, -1)[0]], rows)
+
+
+def _parted(x: jax.Array) -> Any:
+    """Lanes from an array [*shape, L], a table where it has many rows."""
+    if x.ndim < 2 or x.shape[0] < MANY:
+        return split(x) if x.size else jnp.zeros(x.shape[:-1], x.dtype)
+    return lanes_of(x.shape[1:-1], [x[:, *i] for i in np.ndindex(x.shape[1:-1])], x.shape[0])
 
 
 def _form(aval: Any, args: list[Any], name: str) -> Any:

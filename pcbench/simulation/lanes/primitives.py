@@ -28,6 +28,7 @@ __all__ = [
     "generators",
     "inner",
     "jaxpr_as_fun",
+    "named",
     "products_of",
     "said",
     "scan",
@@ -71,6 +72,11 @@ def called(params: dict[str, Any]) -> Any:
     """Return the program that one of CALLS applies, closed."""
     found = params.get("jaxpr") or params["call_jaxpr"]
     return found if hasattr(found, "consts") else ClosedJaxpr(found, ())
+
+
+def named(params: dict[str, Any]) -> str:
+    """Return the name of the function that one of CALLS applies; empty where it has none."""
+    return str(params.get("name", ""))
 
 
 def scan(params: dict[str, Any]) -> Scan:

@@ -1,0 +1,84 @@
+"""iekf: the iterated extended Kalman filter: the sensor's slope is taken anew where each correction leads.
+
+    z_0 = z-,   z_(i+1) = z- + K_i (y - h(z_i) - H_i (z- - z_i)),   K_i = P- H_i' (H_i P- H_i' + R)^-1,   H_i = dh/dz at z_i
+
+for a fixed number of times; P by the last slope. It is Gauss-Newton on what a sample and the prediction say of z, so it finds
+the likeliest z where that converges. Between samples it is `ekf`: mean and covariance go by slopes, tick by tick, and a sample
+of any age is used at its own time (`parts/tick_by_tick`).
+Source: Bell, Cathey 1993.
+Found: where y is linear in z nothing is left to iterate: it is `ekf`, and on a linear plant `dkf`, to rounding.
+Time index: the estimate is of now, after the jump. Not claimed: that the iteration converges; no step is ever shortened.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from pydantic import Field
+
+from pcbench.observers.parts import corrections, nonlinear_model, tick_by_tick
+from pcbench.observers.parts.corrections import Linear
+from pcbench.observers.parts.kalman import Posterior
+from pcbench.observers.parts.nonlinear_model import Gains, seen, started, within
+from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.tick_by_tick import State
+from pcbench.protocols import Now, Surprise
+from pcbench.synthesis.certificate import Design, Setting
+
+
+class Options(nonlinear_model.Options):
+    """What the filter assumes, and how often it looks again."""
+
+    iterations: int = Field(
+        3, ge=1, le=100, description="corrections by a sample, each by the slope where the last led"
+    )
+
+
+def first(gains: Gains, xhat0: Array) -> Posterior:
+    """Return the prior."""
+    return Posterior(started(gains, xhat0), gains.P0, jnp.asarray(0))
+
+
+def tick(gains: Gains, now: Now, state: State) -> State:
+    """Move mean and covariance by the slope there."""
+    F = gains.slope(now, state.mean)
+    return state._replace(mean=within(gains, gains.motion(now, state.mean)), P=F @ state.P @ F.T + gains.Q)
+
+
+def looked(gains: Gains, now: Now, state: State, sample: Measurement, about: Array) -> tuple[Array, Array, Surprise]:
+    """Return what z is once a sample is known, by the sensor's slope at `about`."""
+    return corrections.by_slope(gains, state.mean, state.P, Linear(*seen(gains, now, about), about), sample)
+
+
+def update(gains: Gains, now: Now, state: State, sample: Measurement) -> State:
+    """Correct by a sample of the state's tick, as often as `own` is long."""
+    z, P = state.mean, state.P
+    for _ in range(gains.own.shape[0]):
+        z, P, _ = looked(gains, now, state, sample, z)
+    return state._replace(mean=within(gains, z), P=P)
+
+
+def expected(gains: Gains, now: Now, state: State, sample: Measurement) -> Surprise:
+    """Return how far a sample is from what is expected of it, by the slope at the prediction."""
+    return looked(gains, now, state, sample, state.mean)[2]
+
+
+def mean(gains: Gains, state: State) -> Array:
+    """Return z."""
+    return state.mean
+
+
+def spread(gains: Gains, state: State) -> Array:
+    """Return P."""
+    return state.P
+
+
+OBSERVER = tick_by_tick.observer(tick_by_tick.Way(first, tick, update, mean, spread, expected))
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather what the filter assumes; there is no certificate for a nonlinear model."""
+    gains, proof = nonlinear_model.told(setting, options, "iekf")
+    own: Any = np.zeros(options.iterations)  # its length alone is the message (`protocols.Room`)
+    return Design(gains._replace(own=own), proof, True if setting.model.E is not None else None)

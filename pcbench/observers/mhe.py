@@ -1,0 +1,191 @@
+"""mhe: moving horizon estimation: the likeliest states at the newest samples, within bounds.
+
+    min  |z_0 - m|^2_(P^-1) + sum_i |z_i - f_i(z_(i-1))|^2_(Q_i^-1) + sum_i |y_i - h(z_i)|^2_(R^-1),   lower <= z_i <= upper
+
+over z_0 .. z_M at the times of the M newest samples and of the one before them. m is what this estimator made of that one when
+it was the newest, P what an extended filter believes of that (the arrival cost). f_i goes from sample to sample tick by tick,
+Q_i is its process noise, carried by the slopes. Gauss-Newton: a fixed number of times f_i and h are replaced by their slopes,
+and what is left is a quadratic program along a chain (`parts/structured_qp`). The estimate is z_M; from there mean and
+covariance go on to now as those of `iekf`, so a sample of any age is used at its own time (`parts/tick_by_tick`).
+
+`lower`, `upper` are of the states; what is unknown beside them keeps to the plant's range.
+Source: Rao, Rawlings, Mayne 2003, with an arrival cost that is filtered.
+Found: without bounds it is `dkf` on a linear plant, to rounding, whatever M; the window then is for nothing. On a nonlinear one
+it is worth what looking again at earlier samples and keeping to the bounds are worth.
+Time index: the estimate is of now, after the jump. Not claimed: that Gauss-Newton converges, or that the covariance knows of
+bounds.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float, Int
+from pydantic import Field
+
+from pcbench.errors import UserError, shown
+from pcbench.observers import iekf
+from pcbench.observers.parts import nonlinear_model, reordering, structured_qp, tick_by_tick
+from pcbench.observers.parts.nonlinear_model import Gains, at, seen, started, value_of, within
+from pcbench.observers.parts.reordering import Measurement
+from pcbench.observers.parts.structured_qp import Bounds, Chain
+from pcbench.protocols import Now, Room
+from pcbench.synthesis.certificate import Design, Setting
+
+USUAL = 10  # samples of a window
+
+
+class Horizon(NamedTuple):
+    """What it has besides a filter."""
+
+    window: Room  # M
+    iterations: Room
+    bounds: Any  # Bounds; (): none
+
+
+class Window(NamedTuple):
+    """The newest M samples, oldest first, and what is known at each; a place not yet filled is not fresh, at tick 0."""
+
+    mean: Float[Array, " N"]  # of the newest, carried on
+    P: Float[Array, "N N"]
+    taken: Int[Array, ""]
+    samples: Measurement  # [M]
+    path: Float[Array, "M N"]  # the likeliest states, as last found
+    means: Float[Array, "M N"]  # those of each sample when it was the newest
+    spreads: Float[Array, "M N N"]
+    before: Float[Array, " N"]  # m
+    known: Float[Array, "N N"]  # P
+    since: Int[Array, ""]  # tick of m
+    start: Float[Array, " N"]  # z_0, as last found
+
+
+class Options(nonlinear_model.Options):
+    """What it assumes, how far it looks back, and within which bounds."""
+
+    window: int | None = Field(
+        None, ge=1, le=1000, description="samples that it looks back over; default: 10, or all where a run has fewer"
+    )
+    iterations: int = Field(2, ge=1, le=100, description="of Gauss-Newton, at every sample")
+    lower: float | list[float] | None = Field(None, description="least value of every state, or of each; default: none")
+    upper: float | list[float] | None = Field(
+        None, description="greatest value of every state, or of each; default: none"
+    )
+
+
+def first(gains: Gains, xhat0: Array) -> Window:
+    """Return an empty window after the prior."""
+    z, M = started(gains, xhat0), gains.own.window.shape[0]
+    none = reordering.start((), jnp.zeros(M), gains.C.shape[0], 0).samples
+    row, rows, zero = jnp.tile(z, (M, 1)), jnp.tile(gains.P0, (M, 1, 1)), jnp.asarray(0)
+    return Window(
+        mean=z,
+        P=gains.P0,
+        taken=zero,
+        samples=none._replace(taken=jnp.zeros(M, int)),
+        path=row,
+        means=row,
+        spreads=rows,
+        before=z,
+        known=gains.P0,
+        since=zero,
+        start=z,
+    )
+
+
+def stage(gains: Gains, now: Now, z: Array, since: Array, until: Array) -> tuple[Array, Array, Array]:
+    """Return f(z) from tick to tick, its slope, and the process noise that it gathers."""
+
+    def tick(k: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        z, F, Q = carry
+        A = gains.slope(at(now, k), z)
+        return gains.motion(at(now, k), z), A @ F, A @ Q @ A.T + gains.Q
+
+    return lax.fori_loop(since, until, tick, (z, jnp.eye(z.shape[0]), jnp.zeros_like(gains.Q)))
+
+
+def linearised(gains: Gains, now: Now, w: Window, path: Float[Array, "M+1 N"]) -> Chain:
+    """Return the chain of slopes along a path."""
+    N, q = path.shape[1], gains.C.shape[0]
+    since = jnp.append(w.since, w.samples.taken[:-1])
+
+    def one(z: Array, next_: Array, begin: Array, sample: Measurement) -> tuple[Array, ...]:
+        f, F, Q = stage(gains, now, z, begin, sample.taken)
+        y, H = seen(gains, at(now, sample.taken), next_)
+        value = value_of(gains, sample.value) - y + H @ next_
+        return F, f - F @ z, Q, H, value, jnp.where(sample.fresh, 1.0 / gains.R, 0.0)
+
+    rest = lax.map(lambda row: one(*row), (path[:-1], path[1:], since, w.samples))
+    head = jnp.eye(N), w.before, w.known, jnp.zeros((q, N)), jnp.zeros(q), jnp.zeros(q)
+    return Chain(*(jnp.concatenate([a[None], b]) for a, b in zip(head, rest, strict=True)))
+
+
+def update(gains: Gains, now: Now, state: Window, sample: Measurement) -> Window:
+    """Take a sample of the state's tick into the window, the oldest out, and look at all of them again."""
+    z, P, _ = iekf.looked(gains, now, state, sample, state.mean)
+
+    def shifted(rows: Array, new: Array) -> Array:
+        return jnp.concatenate([rows[1:], jnp.asarray(new)[None]])
+
+    w = state._replace(
+        samples=jax.tree.map(shifted, state.samples, sample),
+        spreads=shifted(state.spreads, P),
+        before=state.means[0],
+        known=state.spreads[0],
+        since=state.samples.taken[0],
+    )
+    path = jnp.concatenate([state.path, within(gains, z)[None]])
+
+    def again(_: Any, path: Array) -> Array:
+        chain, bounds = linearised(gains, now, w, path), gains.own.bounds
+        return structured_qp.solved(chain, bounds, path) if bounds else structured_qp.smoothed(chain)
+
+    path = lax.fori_loop(0, gains.own.iterations.shape[0], again, path)
+    return w._replace(mean=path[-1], P=P, path=path[1:], start=path[0], means=shifted(state.means, path[-1]))
+
+
+OBSERVER = tick_by_tick.observer(tick_by_tick.Way(first, iekf.tick, update, iekf.mean, iekf.spread, iekf.expected))
+
+
+def bounds_of(setting: Setting, options: Options, where: str) -> Any:
+    """Return the bounds of states and unknowns; (): none. Raises UserError where they do not fit, or leave out the start."""
+    n = len(setting.model.A)
+    ends = []
+    for name, none in (("lower", -np.inf), ("upper", np.inf)):
+        given = getattr(options, name)
+        if isinstance(given, list) and len(given) != n:
+            raise UserError(f"{where}: {name}: got {shown(given)}, expected a number, or {n}, one for each state.")
+        ends.append(np.broadcast_to(none if given is None else np.asarray(given, float), n))
+    low, high = ends
+    if not np.all(low < high):
+        raise UserError(
+            f"{where}: got lower = {low.tolist()} and upper = {high.tolist()}, expected the first below; change them."
+        )
+    start = np.array(setting.xhat0 or low)
+    if np.any(start < low) or np.any(start > high):
+        raise UserError(
+            f"{where}: got bounds that leave out xhat0 = {start.tolist()}, expected lower <= xhat0 <= upper; widen them, or "
+            "start within."
+        )
+    more = np.array(setting.unknown_range, float).reshape(-1, 2)
+    low, high = np.append(low, more[:, 0]), np.append(high, more[:, 1])
+    if not (np.isfinite(low) | np.isfinite(high)).any():
+        return ()
+    size = np.sqrt(np.append(np.diag(setting.P0), np.square(setting.unknown_std)))
+    return Bounds(low, high, 0.01 * np.where(size > 0, size, 1.0))
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather what it assumes; raise UserError for a window that no run fills, and bounds that leave out the start."""
+    where = f"mhe in {setting.scenario}"
+    gains, proof = nonlinear_model.told(setting, options, "mhe")
+    most = sum(setting.ticks // period + 1 for period in setting.period)
+    window = min(USUAL, most) if options.window is None else options.window
+    if window > most:
+        raise UserError(
+            f"{where}: got a window of {window} samples, longer than the horizon, in which {most} are taken; expected "
+            f"at most {most}."
+        )
+    own = Horizon(np.zeros(window), np.zeros(options.iterations), bounds_of(setting, options, where))
+    return Design(gains._replace(own=own), proof, True if setting.model.E is not None else None)

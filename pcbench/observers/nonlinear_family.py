@@ -1,0 +1,52 @@
+"""Estimators for nonlinear plants beside `ekf`: they take samples of any age by the same rule as it."""
+
+from pcbench.observers import iekf, mhe, particle, ukf
+from pcbench.observers.entry import Entry
+
+NONLINEAR = {
+    "iekf": Entry(
+        observer=iekf.OBSERVER,
+        options=iekf.Options,
+        design=iekf.design,
+        knows_schedule=True,
+        summary="extended Kalman filter that takes the sensor's slope anew where each correction leads",
+        takes="any schedule",
+        heavy=True,
+        nonlinear=True,
+        smooth=False,
+    ),
+    "ukf": Entry(
+        observer=ukf.OBSERVER,
+        options=ukf.Options,
+        design=ukf.design,
+        knows_schedule=True,
+        summary="unscented Kalman filter: points in place of slopes; with form = 'cubature' the cubature filter",
+        takes="any schedule",
+        heavy=True,
+        nonlinear=True,
+        smooth=False,
+    ),
+    "mhe": Entry(
+        observer=mhe.OBSERVER,
+        options=mhe.Options,
+        design=mhe.design,
+        knows_schedule=True,
+        summary="moving horizon estimation: looks back over a window of samples, within bounds",
+        takes="any schedule",
+        heavy=True,
+        nonlinear=True,
+        smooth=False,
+        loops=False,
+    ),
+    "particle": Entry(
+        observer=particle.OBSERVER,
+        options=particle.Options,
+        design=particle.design,
+        knows_schedule=False,
+        summary="bootstrap particle filter with systematic resampling",
+        takes="any schedule",
+        heavy=True,
+        nonlinear=True,
+        smooth=False,
+    ),
+}

@@ -1,0 +1,136 @@
+"""What filters of a nonlinear model are told, and how it moves and measures: what `ekf`, `iekf`, `ukf` and others share.
+
+State z = (x, p): the plant's state and what is unknown beside it (parameters, unknown inputs), which walk at random. p is
+clipped to the plant's range. Between samples mean and covariance go by slopes, tick by tick:
+
+    P <- F P F' + Q,  F the slope of a tick at z (`one_tick`),    z <- one tick under its input
+
+R is the variance of one sample, P0 = diag(prior_std^2, unknown_std^2), Q what the scenario has designers assume for the states,
+and walk unknown_std^2 h for p.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float, Int
+
+from pcbench.dynamics import linear
+from pcbench.observers.parts import assumed_noise, one_tick
+from pcbench.observers.parts.options import tunable
+from pcbench.protocols import Leaf, Now, Room
+from pcbench.synthesis.certificate import Certificate, Setting
+
+
+class Gains(NamedTuple):
+    """n states, s unknowns, N = n + s, q outputs."""
+
+    motion: Any  # (now, z[N]) -> z[N] one tick later
+    sensor: Any  # (now, x[n], p[s]) -> y[q]; None: C x, D u
+    slope: Any  # (now, z[N]) -> F[N, N]
+    C: Float[Leaf, "q n"]
+    D: Float[Leaf, "q m"]
+    R: Float[Leaf, " q"]  # variance of one sample
+    mix: Any  # [q, q] of the outputs, so that their noise is independent; None: it is
+    Q: Float[Leaf, "N N"]  # a tick
+    P0: Float[Leaf, "N N"]
+    start: Float[Leaf, " s"]  # p at t = 0
+    low: Float[Leaf, " s"]
+    high: Float[Leaf, " s"]
+    room: Room  # for samples that may be overtaken
+    guard: Any = ()  # guard.Guard, of a filter that does not take every sample for what it says
+    own: Any = ()  # what one observer has besides
+
+
+class Options(assumed_noise.Options):
+    """What a filter assumes."""
+
+    walk: float = tunable(1.0, ge=0, description="how far unknowns walk: variance over the square of their size [1/s]")
+
+
+def started(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " N"]:
+    """Return z at t = 0."""
+    return jnp.concatenate([xhat0, gains.start])
+
+
+def within(gains: Gains, z: Float[Array, " N"]) -> Float[Array, " N"]:
+    """Return z with p clipped to its range."""
+    s = gains.start.shape[0]
+    return jnp.concatenate([z[: z.shape[0] - s], jnp.clip(z[z.shape[0] - s :], gains.low, gains.high)]) if s else z
+
+
+def at(now: Now, tick: Int[Array, ""]) -> Now:
+    """Return the present as it was at an earlier tick, with the input held from there."""
+    since = now.tick - tick
+    return now._replace(t=tick * now.dt, tick=tick, u=now.past_u(since), past_u=lambda age: now.past_u(age + since))
+
+
+def carried(gains: Gains, now: Now, before: Any, until: Int[Array, ""]) -> tuple[Array, Array]:
+    """Return mean and covariance carried on to a tick, one by one."""
+
+    def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
+        (z, P), there = carry, at(now, k)
+        F = gains.slope(there, z)
+        return within(gains, gains.motion(there, z)), F @ P @ F.T + gains.Q
+
+    return lax.fori_loop(before.taken, until, tick, (before.mean, before.P))
+
+
+def sensed(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
+    """Return what a sensor that is not linear gives at z, [q], and its Jacobian, [q, N]."""
+    n = gains.C.shape[1]
+
+    def output(z: Array) -> Array:
+        y = gains.sensor(there, z[:n], z[n:])
+        return y if gains.mix is None else gains.mix @ y
+
+    return output(z), jax.jacfwd(output)(z)
+
+
+def seen(gains: Gains, there: Now, z: Float[Array, " N"]) -> tuple[Array, Array]:
+    """Return what is expected of a sample at z, [q], and its slope, [q, N]."""
+    if gains.sensor is not None:
+        return sensed(gains, there, z)
+    C = jnp.concatenate([gains.C, jnp.zeros((gains.C.shape[0], gains.start.shape[0]))], axis=1)
+    return C @ z, C
+
+
+def value_of(gains: Gains, value: Float[Array, " q"]) -> Float[Array, " q"]:
+    """Return what a sample says of outputs whose noise is independent."""
+    return value if gains.mix is None else gains.mix @ value
+
+
+def told(setting: Setting, options: Options, name: str) -> tuple[Gains, Certificate]:
+    """Gather what a filter assumes; there is no certificate for a nonlinear model."""
+    n, s, where = len(setting.model.A), len(setting.unknown_std), f"{name} in {setting.scenario}"
+    motion, tangent = one_tick.motion_of(setting)
+    size = np.square(setting.unknown_std)
+    P0, Q = np.zeros((n + s, n + s)), np.zeros((n + s, n + s))
+    P0[:n, :n], P0[n:, n:] = setting.P0, np.diag(size)
+    q = assumed_noise.through(options.q, setting.model.B.shape[1], setting.input_intensity, where)
+    own = assumed_noise.process(setting, options.Q, where)
+    Q[:n, :n] = own + linear.input_noise(setting.model, q, setting.dt)
+    Q[n:, n:] = np.diag(options.walk * size * setting.dt)
+    mix, C, R = assumed_noise.independent(setting, options.R, setting.model.C, where)
+    low, high = np.array(setting.unknown_range).T.reshape(2, s)
+    gains = Gains(
+        motion=motion,
+        slope=tangent,
+        sensor=setting.sensor,
+        C=C,
+        D=setting.model.feedthrough * (setting.sensor is None),  # a sensor's output has the input's part in it
+        R=R,
+        mix=mix,
+        Q=Q,
+        P0=P0,
+        start=np.array(setting.unknown0, float),
+        low=low,
+        high=high,
+        room=setting.room,
+    )
+    numbers = {"R": R, **assumed_noise.option("Q", own)}
+    return gains, Certificate(
+        "none: the slope at the estimate is no proof", float("inf"), "none", "not needed", numbers
+    )

@@ -1,0 +1,212 @@
+"""Estimators for nonlinear plants: each equals an independent reference, and on a linear plant Kalman's filter.
+
+The linear plant and its schedules are those of `test_late_samples`; the nonlinear one is in `support/swinging`, where samples
+are late, lost and overtaking, neither sensor is linear, and a parameter is estimated beside the state. Tolerances are rounding:
+1e-10 of the signal's size.
+"""
+
+import driven
+import honest
+import numpy as np
+import pytest
+import swinging
+from harness import inputs, starts
+from reference import horizon, particles
+from reference import nonlinear as reference
+from test_late_samples import CASE, KNOWN, TICKS, TIMES, optimum, plant, same
+from test_late_samples import found as of_linear
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.observers import OBSERVERS
+
+CUBATURE = {"form": "cubature"}
+LINEAR = [("iekf", {}), ("ukf", {}), ("ukf", CUBATURE)]
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "schedule"),
+    [
+        pytest.param(*each, schedule, marks=() if each == LINEAR[1] and schedule == "wild" else pytest.mark.slow)
+        for each in LINEAR
+        for schedule in TIMES
+    ],
+    ids=str,
+)
+def test_on_a_linear_plant_it_is_the_optimum_whatever_is_late_lost_or_overtaking(name, options, schedule):
+    there = driven.traffic(TIMES[schedule], plant(schedule)[1], TICKS, 2)
+    xhat, P, squares = driven.whole(name, KNOWN, options, there, inputs(CASE), starts(CASE)[1])
+    same(xhat, optimum(schedule))
+    same(P, of_linear("dkf", schedule)[1])
+    best = driven.whole("dkf", KNOWN, {}, there, inputs(CASE), starts(CASE)[1])[2]
+    np.testing.assert_allclose(squares, best, rtol=0, atol=1e-9 * best.max())
+
+
+def agrees(got, want):
+    states, squares = want
+    same(got[0], np.array([z for z, _ in states]))
+    same(got[1], np.array([P for _, P in states]))
+    same(got[2], squares)
+    assert squares[:, 1].sum() > 6
+
+
+@pytest.mark.parametrize("iterations", [pytest.param(1, marks=pytest.mark.slow), 4])
+def test_iterating_equals_the_reference(iterations):
+    want = reference.by_slopes(swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), iterations)
+    agrees(swinging.found("iekf", iterations=iterations), want)
+
+
+@pytest.mark.slow
+def test_iterating_once_is_the_extended_filter():
+    for a, b in zip(swinging.found("iekf", iterations=1), swinging.found("ekf"), strict=True):
+        same(a, b)
+    assert np.abs(swinging.found("iekf", iterations=4)[0] - swinging.found("ekf")[0]).max() > 1e-3
+
+
+WEIGHTS = [{"alpha": 0.6, "beta": 1.3, "kappa": 0.4}, pytest.param({"alpha": 1.0, "beta": 2.0}, marks=pytest.mark.slow)]
+
+
+@pytest.mark.parametrize("options", WEIGHTS, ids=str)
+def test_unscented_points_equal_the_reference(options):
+    want = reference.by_points(swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), **options)
+    agrees(swinging.found("ukf", **options), want)
+
+
+@pytest.mark.slow
+def test_cubature_points_equal_the_reference():
+    want = reference.by_points(
+        swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), cubature=True
+    )
+    agrees(swinging.found("ukf", **CUBATURE), want)
+
+
+@pytest.mark.slow
+def test_a_start_that_is_known_has_no_points():
+    """P0 = 0 and no process noise: the points are one, and nothing is divided by 0."""
+    known = swinging.told(P0=np.zeros((2, 2)), process_std=(), unknown_std=(0.0,))
+    xhat, P, _ = driven.whole("ukf", known, {}, swinging.traffic(), swinging.inputs(), swinging.START)
+    z = np.append(swinging.START, swinging.P_START)
+    for k, u in enumerate(swinging.inputs()):
+        np.testing.assert_allclose(xhat[k], z, rtol=0, atol=1e-12)
+        z = reference.rk4(swinging.rate, z, u, swinging.H)
+    assert not P.any()
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "sentence"),
+    [
+        ("ukf", {"form": "cubature", "alpha": 0.3}, "got alpha beside form = 'cubature'"),
+        ("ukf", {"kappa": -3.0}, "got kappa = -3 with 3 states and unknowns, expected more than -3"),
+    ],
+    ids=str,
+)
+def test_what_cannot_be_is_refused_in_a_sentence(name, options, sentence):
+    with pytest.raises(UserError, match=sentence) as caught:
+        OBSERVERS[name].design(swinging.told(), OBSERVERS[name].options(**options))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "option"),
+    [
+        ("mhe", "window"),
+        ("mhe", "iterations"),
+        ("iekf", "iterations"),
+        ("iekf", "walk"),
+        ("ukf", "alpha"),
+        ("ukf", "beta"),
+        ("ukf", "R"),
+    ],
+)
+@pytest.mark.parametrize("value", [-1, float("nan"), float("inf")])
+def test_options_that_are_no_sizes_or_counts_are_refused(name, option, value):
+    with pytest.raises(ValueError, match=option):
+        OBSERVERS[name].options(**{option: value})
+
+
+@pytest.mark.parametrize(
+    ("schedule", "window"),
+    [("wild", 4), *(pytest.param(*each, marks=pytest.mark.slow) for each in (("now", 1), ("wild", 1), ("late", 15)))],
+)
+def test_looking_back_without_bounds_is_the_optimum_of_a_linear_plant_whatever_the_window(schedule, window):
+    there = driven.traffic(TIMES[schedule], plant(schedule)[1], TICKS, 2)
+    xhat, P, _ = driven.whole("mhe", KNOWN, {"window": window}, there, inputs(CASE), starts(CASE)[1])
+    same(xhat, optimum(schedule))
+    same(P, of_linear("dkf", schedule)[1])
+
+
+ANYWHERE = {"unknown_range": ((-np.inf, np.inf),)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("window", "iterations"), [(1, 1), (3, 3)])
+def test_looking_back_equals_the_reference(window, iterations):
+    model = swinging.model()._replace(low=np.full(3, -np.inf), high=np.full(3, np.inf))
+    given = model, *swinging.prior(), swinging.samples(), swinging.inputs(), window, iterations
+    agrees(swinging.found("mhe", known=ANYWHERE, window=window, iterations=iterations), horizon.estimated(*given))
+
+
+def test_looking_back_within_bounds_equals_the_reference():
+    """An interior point against active sets: to 1e-7, as near as the multipliers of the last step let it come."""
+    low, high = np.array([-0.2, -0.9]), np.array([0.75, 1.2])
+    ends = np.append(low, 1.0), np.append(high, 5.0)
+    given = swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), 3, 2
+    want, _ = horizon.estimated(*given, *ends)
+    got = swinging.found("mhe", window=3, iterations=2, lower=low.tolist(), upper=high.tolist())[0]
+    np.testing.assert_allclose(got, [z for z, _ in want], rtol=0, atol=1e-7)
+    free = swinging.found("mhe", window=3, iterations=2)[0]
+    assert np.abs(got - free).max() > 1e-2, "the bounds hold somewhere"
+
+
+@pytest.mark.parametrize(
+    ("options", "changes", "sentence"),
+    [
+        (
+            {"window": 19},
+            {},
+            "got a window of 19 samples, longer than the horizon, in which 18 are taken; expected at most 18",
+        ),
+        ({"lower": 0.0}, {"xhat0": (0.7, -0.4)}, "got bounds that leave out xhat0"),
+        ({"lower": [0.0]}, {}, "lower: got .*, expected a number, or 2, one for each state"),
+        ({"lower": 1.0, "upper": 1.0}, {}, "expected the first below"),
+    ],
+    ids=str,
+)
+def test_windows_and_bounds_that_cannot_be_are_refused_in_a_sentence(options, changes, sentence):
+    with pytest.raises(UserError, match=sentence) as caught:
+        OBSERVERS["mhe"].design(swinging.told(**changes), OBSERVERS["mhe"].options(**options))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(UserError, match="mhe in helicopter/constant got a closed loop"):
+        pcbench.run("helicopter/constant", observers=["mhe"])
+
+
+@pytest.mark.parametrize(("many", "share"), [(40, 0.6), pytest.param(25, 0.0, marks=pytest.mark.slow)])
+def test_particles_equal_the_reference_on_the_same_draws(many, share):
+    """Late and overtaking samples move the same particles by the same draws again."""
+    xhat, P, _ = swinging.found("particle", particles=many, resample=share)
+    model, (z, P0) = swinging.model(), swinging.prior()
+    want = particles.filtered(model, z, P0, swinging.samples(), swinging.inputs(), many, share)
+    same(xhat, np.array([m for m, _ in want]))
+    same(P, np.array([each for _, each in want]))
+
+
+def test_of_one_particle_too_many_it_says_how_many_fit():
+    with pytest.raises(UserError, match=r"got 10000000000 particles, which take .* expected at most"):
+        OBSERVERS["particle"].design(swinging.told(), OBSERVERS["particle"].options(particles=10**10))
+
+
+@pytest.mark.slow
+def test_the_difference_from_kalmans_filter_falls_as_one_over_the_particles():
+    """In mean square over 64 runs, each with draws of its own: a slope of -1 +- 0.2 over three doublings twice."""
+    options = {f"particle-{S}": {"particles": S} for S in (50, 200, 800)}
+    study = honest.STUDY | {
+        "observers": ["dkf", *options],
+        "seeds": 64,
+        "options": options | {"scenario": {"random_start": True}},
+    }
+    runs = pcbench.run(study).runs
+    final = runs[runs.signal == "a"].pivot_table(index="seed", columns="observer", values="final")
+    square = [np.mean((final[name] - final["dkf"]) ** 2) for name in options]
+    slope = np.polyfit(np.log([50, 200, 800]), np.log(square), 1)[0]
+    assert slope == pytest.approx(-1.0, abs=0.2)
+    assert final[next(iter(options))].nunique() == 64

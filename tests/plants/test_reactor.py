@@ -1,0 +1,78 @@
+"""The batch reactor against an integrator of its own, and what estimators make of a poor start."""
+
+import re
+
+import numpy as np
+import pytest
+from documents import PAGES
+from scipy.integrate import solve_ivp
+
+import pcbench
+
+FAILED = 0.3  # atm in the tail, as much as there is left of A
+
+
+def rate(t, x):
+    r = 0.16 * x[0] ** 2 - 0.0064 * x[1]
+    return [-2 * r, r]
+
+
+def test_its_run_is_scipys():
+    """One Runge-Kutta step a tick of 0.1 s: to 2e-6 atm over 30 s; what reacts is kept, pA + 2 pB."""
+    frame = pcbench.trace({"name": "still", "scenario": {"base": "reactor/batch", "process_std": [0.0, 0.0]}}, ["ekf"])
+    got = frame[["pressure_a", "pressure_b"]].to_numpy()
+    want = solve_ivp(rate, (0, 30), [3.0, 1.0], t_eval=frame["t"], rtol=1e-10, atol=1e-12).y.T
+    np.testing.assert_allclose(got, want, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(got @ [1.0, 2.0], 5.0, rtol=0, atol=1e-12)
+
+
+def test_it_has_equilibria_below_zero_that_no_total_pressure_tells_apart():
+    """At rest pB = 25 pA^2, so that pA solves 25 pA^2 + pA = y: one root is a pressure, the other is negative."""
+    for total in (1.0, 2.6):
+        for pA in np.roots([25.0, 1.0, -total]):
+            assert np.abs(rate(0, [pA, total - pA])).max() < 1e-12
+    assert sorted(np.sign(np.roots([25.0, 1.0, -2.6]))) == [-1, 1]
+
+
+@pytest.mark.slow
+def test_from_a_poor_start_the_extended_filter_fails_unless_it_doubts_its_model_and_bounds_help():
+    runs = pcbench.run("reactor", seeds=64).runs
+    rows = runs[runs.signal == "pressure_a"].set_index("observer")
+    failed = {name: (rows.loc[name, "tail_rmse"] > FAILED).mean() for name in rows.index.unique()}
+    below = rows.loc["ekf"][rows.loc["ekf", "tail_rmse"] > FAILED]["final"]
+    assert min(failed["ekf"], failed["ukf"], failed["mhe"]) > 0.8
+    assert (below > 0.5).all(), (
+        "x - xhat: it has found a pressure below the true one, which is 0.31 atm, by more than that"
+    )
+    assert failed["ekf-tuned"] == failed["mhe-bounded"] == 0.0
+    assert rows.loc["mhe-bounded", "tail_rmse"].mean() < 0.2 * rows.loc["ekf-tuned", "tail_rmse"].mean()
+
+
+@pytest.mark.slow
+def test_the_guides_table_is_what_comes_out():
+    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+) \| (\d+) % \| (\d+) \|", PAGES["nonlinear.md"], re.M)
+    runs = pcbench.run("reactor").runs
+    tail = runs[runs.signal == "pressure_a"].set_index("observer")["tail_rmse"]
+    costs = pcbench.costs("reactor").set_index("observer")["sample"]
+    assert len(rows) == 6
+    for name, error, failed, products in rows:
+        assert tail[name].mean() == pytest.approx(float(error), rel=0.01)
+        assert 100 * (tail[name] > FAILED).mean() == pytest.approx(float(failed), abs=1)
+        assert costs[name] == int(products)
+
+
+@pytest.mark.slow
+def test_tuning_finds_an_extended_filter_that_does_not_fail():
+    """Forty looks at 64 runs, judged on others."""
+    found = pcbench.tune(
+        "reactor/batch", "ekf", budget=40, objective="tail_rmse", only=["Q"], training=(0, 64), judges=(100, 164)
+    )
+    study = {
+        "name": "tuned",
+        "scenarios": ["reactor/batch"],
+        "observers": ["ekf"],
+        "options": {"ekf": found.found},
+        "seeds": 64,
+    }
+    runs = pcbench.run(study, first_seed=200).runs
+    assert (runs[runs.signal == "pressure_a"].tail_rmse < FAILED).all()
