@@ -17,6 +17,7 @@ from pcbench.cli.guide import pages, title
 from pcbench.study import read
 
 LONGEST = 120  # lines beside code
+REFERENCE = "tables.md"  # a line for each column, to be looked up: twice as many
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 MENTIONED = ("[controller]", "scenarios = ", "[lti.plant]")  # first lines of what is part of a study
 RUN_ELSEWHERE = (
@@ -29,7 +30,7 @@ RUN_ELSEWHERE = (
 
 @pytest.mark.parametrize("name", PAGES)
 def test_a_page_is_short_and_has_a_title(name):
-    assert len(prose(PAGES[name]).splitlines()) <= LONGEST
+    assert len(prose(PAGES[name]).splitlines()) <= (LONGEST if name != REFERENCE else 2 * LONGEST)
     assert PAGES[name].startswith(f"# {title(PAGES[name])}\n")
 
 
