@@ -56,6 +56,7 @@ def test_every_design_says_what_it_promises_and_can_be_read_back(observer, tmp_p
     proof = tomllib.loads(path.read_text())["resolved"]["certificate"]
     proven = proof.pop("certified", None)
     unproven = ("ekf", "high-gain", "no-delay", "kf-now", "kf-shift", "kf-larsen", "kf-alexander")
+    unproven += ("iekf", "ukf", "mhe", "particle")
     assert proven == (None if observer == "open-loop" else observer not in unproven), "in the files as well"
     assert set(proof) == {"inequality", "margin", "solver", "status", "fallback", "decay_rate"}
     again = pcbench.design(path, observer)

@@ -40,17 +40,16 @@ def unsettled(band: Any, m: Maps, each: Chunks, exits: Exits) -> Array:
     Where rounding is all that took |e| out of the band, the tick is that of the chunk's largest |e|.
     """
     (C, _, r), n = m.own.shape, len(exits.chunk)
-    common = jax.vmap(products.same)(m.common, exits.shared).reshape(C, TICKS, n)
-    own = jnp.moveaxis(m.own.reshape(C, TICKS, n, r), (2, 3), (0, 1))  # [n, r, C, TICKS]
+    common = jnp.moveaxis(jax.vmap(products.same)(m.common, exits.shared).reshape(C, TICKS, n), 0, 2)
+    own = jnp.moveaxis(m.own.reshape(C, TICKS, n, r), (2, 3, 1), (0, 1, 2))  # [n, r, TICKS, C]
+    at = jnp.maximum(exits.chunk, 0)
 
-    def of_signal(given: tuple[Array, ...]) -> Array:
-        common, own, chunk, z, limit = given
-        at = jnp.maximum(chunk, 0)
-        size = jnp.abs(reduce(jnp.add, (own[j][at] * z[j][:, None] for j in range(r)), common[at]))  # [L, TICKS]
-        last = jnp.max(jnp.where(size > limit, jnp.arange(TICKS)[None], -1), 1)
-        t = lax.cond(
-            jnp.all((last >= 0) | (chunk < 0)), lambda: last, lambda: jnp.where(last < 0, jnp.argmax(size, 1), last)
-        )
-        return jnp.where(chunk < 0, 0, each.start[at] + t + 1).astype(float)
+    def sizes(common: Array, own: Array, at: Array, z: Array) -> Array:
+        return jnp.abs(reduce(jnp.add, (own[j][:, at] * z[j][None] for j in range(r)), common[:, at]))  # [TICKS, L]
 
-    return lax.map(of_signal, (jnp.moveaxis(common, 2, 0), own, exits.chunk, exits.own, jnp.asarray(band)[:n]))
+    size = jax.vmap(sizes, (1, 0, 0, 0))(common, own, at, exits.own)
+    outside = size > jnp.asarray(band)[:n, None, None]
+    last = jnp.max(jnp.where(outside, jnp.arange(TICKS)[None, :, None], -1), 1)
+    known = jnp.all((last >= 0) | (exits.chunk < 0))
+    t = lax.cond(known, lambda: last, lambda: jnp.where(last < 0, jnp.argmax(size, 1), last))
+    return jnp.where(exits.chunk < 0, 0, each.start[at] + t + 1).astype(float)
