@@ -52,13 +52,9 @@ class Sampling(NamedTuple):
     delay_swing: tuple[float, float] = (0.0, 0.0)  # (a [s], w [rad/s]): every delay is delay + a sin(w t), t of arrival
     outlier_probability: float = 0.0  # that a sample's noise is outlier_scale times what it would be
     outlier_scale: float = 10.0
-    noise_tail: float = (
-        0.0  # degrees of freedom of Student's t that the noise has, of the same variance; 0: it is normal
-    )
+    noise_tail: float = 0.0  # degrees of freedom of the noise, Student's t of the same variance; 0: it is normal
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
-    delay_steps: tuple[
-        float, ...
-    ] = ()  # [m] s, a sample arrives later by one of them: a Markov chain from sample to sample
+    delay_steps: tuple[float, ...] = ()  # [m] s, a sample arrives later by one of them, a Markov chain's
     delay_stay: tuple[float, ...] = ()  # [m] or [1] probability that the next one's is the same; empty: 1 / m
 
 
