@@ -49,7 +49,7 @@ ARM = (
     SINE,
     SINE.having(
         name="arm/sawtooth",
-        summary="unknown saw-tooth that falls by 0.35 every 2 s, measured continuously",
+        summary="unknown saw-tooth, 0.35 every 2 s, measured continuously",
         unknown_input="arm-sawtooth",
     ),
     SINE.having(
