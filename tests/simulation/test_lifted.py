@@ -14,7 +14,7 @@ from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer
 from pcbench.simulation import batch, metrics
-from pcbench.simulation.lifted import chunks, form, reach
+from pcbench.simulation.lifted import chunks, form, maps, products, reach
 from tests.support.harness import LINEAR, ODD, Case, problem, recorder
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -183,3 +183,21 @@ def test_dense_events_and_long_and_short_horizons_are_stepped():
     assert chunks.room(np.arange(chunks.FEWEST) % 200 == 0, 3) > 0
     assert chunks.room(np.arange(10**6) % 200 == 0, 3) == 0
     assert chunks.room(np.arange(10**4) % 200 == 0, 3) == 256
+
+
+@pytest.mark.parametrize("own", [0, 2, products.FEW, products.FEW + 3])
+def test_sums_of_squares_are_those_of_the_errors_whatever_part_of_them_lanes_share(own):
+    """R of the QR of a chunk's map gives what the map gives, with few numbers of a lane's own or many."""
+    rng, common, lanes = np.random.default_rng(own), 3, 5
+    E, z, shared = (
+        rng.normal(size=(1, 64 * 2, own + common)),
+        rng.normal(size=(own, lanes)),
+        rng.normal(size=common - 1),
+    )
+    with process.float64():
+        R = np.asarray(maps.roots(jnp.asarray(E), 2))[0]
+        fixed = products.same(jnp.asarray(R[..., own:]), jnp.asarray(shared))
+        found = products.square(jnp.asarray(R[:, :own, :own]), fixed, jnp.asarray(z) if own else jnp.zeros((0, 1)))
+    e = E[0, :, :own] @ z + (E[0, :, own:] @ np.append(1.0, shared))[:, None]
+    expected = (e**2).reshape(64, 2, lanes).sum(0)
+    np.testing.assert_allclose(np.broadcast_to(found, expected.shape), expected, rtol=1e-12)

@@ -59,7 +59,7 @@ def maps(layout: Layout, p: Problem, state: State, form: Form, each: Chunks) -> 
     moves = np.repeat([i != 0 or form.label == PLANT for i in order], sizes)
     own, shared = np.flatnonzero(moves[:r]), r + np.flatnonzero(moves[r:])
     common = np.r_[0, 1 + r : 1 + F]
-    root = _roots(jnp.concatenate([errors[..., 1 : 1 + r], errors[..., common]], -1), form.signals)
+    root = roots(jnp.concatenate([errors[..., 1 : 1 + r], errors[..., common]], -1), form.signals)
     return Maps(
         own=errors[..., 1 : 1 + r],
         common=errors[..., common],
@@ -71,7 +71,7 @@ def maps(layout: Layout, p: Problem, state: State, form: Form, each: Chunks) -> 
     )
 
 
-def _roots(E: Array, signals: int) -> Array:
+def roots(E: Array, signals: int) -> Array:
     """Return R of each chunk's and signal's rows, [C, TICKS n, F] to [C, n, F, F]: rows = Q R, R 0 below its diagonal.
 
     By the modified method of Gram and Schmidt, whose R is as accurate as that of reflections (Bjorck 1967), for all chunks at
