@@ -148,7 +148,7 @@ def test_looking_back_equals_the_reference(window, iterations):
 
 def test_looking_back_within_bounds_equals_the_reference():
     """An interior point against active sets: to 1e-7, as near as the multipliers of the last step let it come."""
-    low, high = np.array([-0.2, -0.9]), np.array([0.75, 1.2])
+    low, high = np.array([-0.2, -0.9]), np.array([0.75, 0.1])
     ends = np.append(low, 1.0), np.append(high, 5.0)
     given = swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), 3, 2
     want, _ = horizon.estimated(*given, *ends)
@@ -156,6 +156,7 @@ def test_looking_back_within_bounds_equals_the_reference():
     np.testing.assert_allclose(got, [z for z, _ in want], rtol=0, atol=1e-7)
     free = swinging.found("mhe", window=3, iterations=2)[0]
     assert np.abs(got - free).max() > 1e-2, "the bounds hold somewhere"
+    assert (free[:, 1] > high[1] + 0.01).any(), "those above too"
 
 
 @pytest.mark.parametrize(
