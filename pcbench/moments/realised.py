@@ -39,8 +39,10 @@ def realised(p: Plan, root_seed: int, seed: int) -> Realised:
     """Return a cell as one run has it, but for its noise."""
     one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, Times) else p
     layout, problem = one.layout._replace(width=1, watch=False, strides=False), one.problem
-    root, seeds = jnp.asarray(root_seed), jnp.asarray([seed])
     plant = layout.plant
+    if not (layout.pending or (layout.drifting and plant.of_run)):
+        return Realised(layout, problem, ())
+    root, seeds = jnp.asarray(root_seed), jnp.asarray([seed])
     if layout.drifting and plant.of_run:
         uniform = draws.uniforms(root, seeds, "drift", jnp.asarray(0), 1, plant.drawn)[0][:, 0]
         problem = problem._replace(params=jax.tree.map(np.asarray, plant.of_run(problem.params, uniform)))

@@ -36,7 +36,8 @@ def _bound(cell: Cell, known: Setting, steps: riccati.Steps) -> NDArray[np.float
     samples = [(s.arrives, s.taken, s.channel) for s in shared.samples(clocks, known.ticks)]
     added = known._replace(process_std=s.truth.process_std).process_noise  # what is, not what designers assume
     noise = linear.noise_doublings(known.model, added, known.dt, len(doubled))
+    tail = range(cell.times.tail, known.ticks)
     variance = riccati.posterior_variance(
-        doubled, noise, known.model.C, known.noise_variance, known.P0, samples, known.ticks, steps
+        doubled, noise, known.model.C, known.noise_variance, known.P0, samples, tail, steps
     )
-    return np.sqrt(variance[cell.times.tail :].mean(0))
+    return np.sqrt(variance)

@@ -20,6 +20,7 @@ from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
 from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, remembered, riccati, robust, solvers
+from pcbench.synthesis.again import Again
 from pcbench.synthesis.certificate import Certificate, Setting, certified
 from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
 from pcbench.synthesis.ranges import Maps
@@ -48,7 +49,7 @@ def find(
         found, certificate = robust.design(task, method, decay, where)  # type: ignore[arg-type]
         L = np.asarray(found.L, float)
     else:
-        L, certificate = _at_the_mean(method, given, Phi, Q, C, R, mean.seconds, where)
+        L, certificate = at_the_mean(method, given, Phi, Q, C, R, mean.seconds, where)
         if maps is not None or decay:
             certificate = _over(L, C, maps or mean, decay or 0.0, where)
     X = ahead @ error_bounds.covariance(error_bounds.errors(L, C, Phi), L @ R @ L.T) @ ahead.T
@@ -79,6 +80,9 @@ def _at_the_mean(
         found = current_estimator.lyapunov(Phi, C, L)
         certificate = certified(certify(found), where)
     return np.asarray(sharpened(found).L, float), certificate
+
+
+at_the_mean = Again(_at_the_mean)  # no delay is among what it is given, and cells differ in that first
 
 
 def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:

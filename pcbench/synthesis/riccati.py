@@ -7,7 +7,8 @@ noise enters through the input, Q = 0.002 B B'. Source: Mohammed et al. 2017, se
 """
 
 from bisect import bisect
-from functools import cache
+from collections.abc import Callable, Iterable
+from functools import cache, partial
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -100,6 +101,13 @@ def multirate(
     return CovarianceRun(P, K, innovation, least)
 
 
+Taken = tuple[int, int]  # a sample: the tick at which it is taken, its channel
+Stage = tuple[int, Matrix]  # a tick and the covariance of then
+
+
+After = Callable[[Matrix, int, int], Matrix]  # (P, ticks, channel) -> P that many ticks on, with its sample
+
+
 class Steps(NamedTuple):
     """What covariance recursions of one model, noise and R have found on their way, for others of the same."""
 
@@ -108,14 +116,18 @@ class Steps(NamedTuple):
     ]  # (P to the bit, ticks, channel) -> P that many ticks on, with its sample
     over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, the covariance that noise adds
     flow: dict[str, Matrix]  # the same for 0, 1, 2, ... ticks, one by one: "maps" and "noise" [ticks, n, n]
+    chains: dict[
+        tuple[bytes, tuple[Taken, ...]], list[Stage]
+    ]  # (P0 to the bit, samples) -> after none, one, two ... of them
 
 
 ROOM = 1 << 16  # covariances that `Steps` hold: some ten megabytes
+CHAINS = 16  # cells that differ in their delay alone come one after the other
 
 
 def no_steps() -> Steps:
     """Return what is known before the first recursion."""
-    return Steps({}, {}, {})
+    return Steps({}, {}, {}, {})
 
 
 def posterior_variance(
@@ -125,10 +137,10 @@ def posterior_variance(
     R: Matrix,
     P0: Matrix,
     samples: list[tuple[int, int, int]],
-    ticks: int,
+    ticks: range,
     steps: Steps | None = None,
 ) -> Matrix:
-    """Return the variance [N, n] that no causal estimator can beat at ticks 0 .. N-1.
+    """Return the variance [n] that no causal estimator can beat, its mean over some ticks, from 0 on.
 
     `doubled` and `noise` are the maps over 2^b ticks and the covariance that process noise adds over them, [bits, n, n].
 
@@ -137,28 +149,64 @@ def posterior_variance(
     exists only where R > 0. `steps` of earlier calls with the same `doubled`, `noise`, C and R save time, and change no bit.
     """
     steps = no_steps() if steps is None else steps
-    arriving: dict[int, list[tuple[int, int]]] = {}
+    since = _newest(partial(_after, steps, doubled, noise, C, R), P0, samples, steps)
+    edges = [tick for tick in since if tick < ticks.stop] + [ticks.stop]
+    spans: dict[
+        tuple[int, int], tuple[int, Matrix]
+    ] = {}  # ticks from a sample on -> how often, the sum of its covariances
+    for (taken, P), (start, stop) in zip((since[tick] for tick in edges[:-1]), pairwise(edges), strict=True):
+        if stop > ticks.start:
+            span = max(start, ticks.start) - taken, stop - taken
+            often, added = spans.get(span, (0, 0.0))
+            spans[span] = often + 1, added + P
+    F, G = _flow(steps, doubled, noise, max(stop for _, stop in spans))
+    total = np.zeros(len(P0))
+    for (start, stop), (often, P) in spans.items():
+        moved = F[start:stop]
+        total += np.einsum("ijl,jl->i", np.einsum("kij,kil->ijl", moved, moved), P)
+        total += often * np.einsum("kii->i", G[start:stop])
+    return total / len(ticks)
+
+
+def _newest(after: After, P0: Matrix, samples: list[tuple[int, int, int]], steps: Steps) -> dict[int, Stage]:
+    """From which tick on nothing newer is known than which stage: the tick of a sample and the covariance after it."""
+    in_order = sorted((taken, channel, arrival) for arrival, taken, channel in samples)
+    each = tuple((taken, channel) for taken, channel, _ in in_order)
+    if any(a > b for (*_, a), (*_, b) in pairwise(in_order)):
+        return _overtaken(after, P0, samples)
+    key = P0.tobytes(), each
+    if key not in steps.chains:
+        if len(steps.chains) >= CHAINS:
+            steps.chains.clear()
+        steps.chains[key] = _chain(after, [(0, P0)], each)
+    stages = steps.chains[key]
+    return {0: stages[0]} | {arrival: stages[i] for i, (*_, arrival) in enumerate(in_order, 1)}
+
+
+def _overtaken(after: After, P0: Matrix, samples: list[tuple[int, int, int]]) -> dict[int, Stage]:
+    """The same where a sample may arrive after a newer one: what came of newer ones is found again."""
+    arriving: dict[int, list[Taken]] = {}
     for arrival, taken, channel in samples:
         arriving.setdefault(arrival, []).append((taken, channel))
-    known: list[tuple[int, int]] = []  # (taken, channel), oldest first
-    stages = [(0, P0)]  # the tick and covariance after none, one, two ... of them
-    since = {0: stages[0]}  # from this tick on, nothing newer than that is known
+    known: list[Taken] = []  # oldest first
+    stages: list[Stage] = [(0, P0)]  # after none, one, two ... of them
+    since = {0: stages[0]}
     for tick in sorted(arriving):
         for one in sorted(arriving[tick]):
             place = bisect(known, one)
             known.insert(place, one)
             del stages[place + 1 :]
-            for taken, channel in known[place:]:
-                at, P = stages[-1]
-                stages.append((taken, _after(steps, doubled, noise, C, R, P, taken - at, channel)))
+            _chain(after, stages, known[place:])
         since[tick] = stages[-1]
-    edges = [tick for tick in since if tick < ticks] + [ticks]
-    F, G = _flow(steps, doubled, noise, 1 + max(end - 1 - since[tick][0] for tick, end in pairwise(edges)))
-    lengths = np.diff(edges)
-    known_from, covariances = zip(*(since[tick] for tick in edges[:-1]), strict=True)
-    gone = np.arange(edges[-1]) - np.repeat(known_from, lengths)
-    moved, P = F[gone], np.repeat(np.stack(covariances), lengths, axis=0)
-    return np.einsum("kij,kij->ki", moved @ P, moved) + np.diagonal(G, axis1=1, axis2=2)[gone]
+    return since
+
+
+def _chain(after: After, stages: list[Stage], samples: Iterable[Taken]) -> list[Stage]:
+    """Add the stages after some samples, oldest first."""
+    for taken, channel in samples:
+        at, P = stages[-1]
+        stages.append((taken, after(P, taken - at, channel)))
+    return stages
 
 
 def _after(

@@ -56,6 +56,20 @@ def test_the_error_is_affine_in_the_noise(observer):
     assert np.abs(noise(base)[0]).max() > 0.5
 
 
+def at_every_tick(*given):
+    """The bound of each tick by itself; over all of them, and over some, it is their mean."""
+    *given, ticks = given
+    steps = riccati.no_steps()
+
+    def over(first, last):
+        return riccati.posterior_variance(*given, range(first, last), steps)
+
+    each = np.stack([over(k, k + 1) for k in range(ticks)])
+    for first, last in ((0, ticks), (ticks // 3, ticks), (1, ticks // 2)):
+        np.testing.assert_allclose(over(first, last), each[first:last].mean(0), rtol=1e-12)
+    return each
+
+
 @pytest.mark.parametrize(("te", "d"), [([60, 60], [60, 60]), ([40, 25], [130, 40]), ([50, 50], [0, 20])])
 def test_the_bound_with_process_noise_equals_the_reference_recursion(te, d):
     """Noise that is added between samples, on the way to the present, and before the first; two sensors of their own times."""
@@ -64,7 +78,7 @@ def test_the_bound_with_process_noise_equals_the_reference_recursion(te, d):
     doubled = synthesis.doublings(ODD, h, synthesis.bits_for(ticks))
     noise = synthesis.noise_doublings(ODD, synthesis.input_noise(ODD, 0.3, h), h, len(doubled))
     samples = [(taken + d[j], taken, j) for j in range(2) for taken in range(0, ticks + 1, te[j])]
-    got = riccati.posterior_variance(doubled, noise, ODD.C, R, P0, samples, ticks)
+    got = at_every_tick(doubled, noise, ODD.C, R, P0, samples, ticks)
     model = linear.Model(ODD.A, ODD.B, ODD.C, h)
     want = np.diagonal(moments.posterior_covariance(model, ticks, te, d, R, P0, W), axis1=1, axis2=2)
     np.testing.assert_allclose(got, want[:-1], rtol=1e-9, atol=1e-12)
@@ -75,7 +89,7 @@ def test_the_bound_equals_the_reference_recursion(te, d):
     P0, R, ticks = cart.P0, np.array([0.6]), 400
     doubled = synthesis.doublings(CART, 1e-3, synthesis.bits_for(ticks))
     samples = [(taken + d, taken, 0) for taken in range(0, ticks + 1, te)]
-    got = riccati.posterior_variance(doubled, 0 * doubled, CART.C, R, P0, samples, ticks)
+    got = at_every_tick(doubled, 0 * doubled, CART.C, R, P0, samples, ticks)
     model = linear.Model(CART.A, CART.B, CART.C, 1e-3)
     want = np.diagonal(moments.posterior_covariance(model, ticks, [te], [d], R, P0), axis1=1, axis2=2)
     np.testing.assert_allclose(got, want[:-1], rtol=1e-10, atol=1e-12)
@@ -88,13 +102,14 @@ def test_the_bound_has_the_same_bits_whatever_was_found_before():
     noise = synthesis.noise_doublings(ODD, synthesis.input_noise(ODD, 0.3, h), h, len(doubled))
     for ticks, te, d in [
         (300, [60, 60], [60, 60]),
+        (300, [60, 60], [90, 90]),
         (300, [30, 60], [60, 60]),
         (400, [40, 25], [130, 40]),
         (100, [7, 7], [0, 20]),
     ]:
         samples = [(taken + d[j], taken, j) for j in range(2) for taken in range(te[j], ticks + 1, te[j])]
-        given = (doubled, noise, ODD.C, R, P0, samples, ticks)
+        given = (doubled, noise, ODD.C, R, P0, samples, range(ticks // 5, ticks))
         np.testing.assert_array_equal(
             riccati.posterior_variance(*given, steps=steps), riccati.posterior_variance(*given)
         )
-    assert steps.after
+    assert len(steps.chains) == 2  # the first two cells share one; samples of the others but the third overtake
