@@ -26,21 +26,35 @@ install_import_hook([f"pcbench.{name}" for name in SHAPED], "shapes.checked")
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _recordings(request):
-    """Compile recordings of one run in a hurry; the slow tests have them as a user has."""
+def _in_a_hurry(request):
+    """Compile everything in a hurry, in other processes too; the slow tests have it as a user has.
+
+    A test that asks for bits, or for what is in a program, asks for `as_users_have_it`.
+    """
     import hurried
 
-    from pcbench.simulation import trace
+    from pcbench.simulation import batch, trace
 
     with pytest.MonkeyPatch.context() as patch:
         if request.config.option.markexpr == "not slow":
             patch.setattr(trace, "compiled", hurried.recorder)
+            patch.setattr(batch, "OPTIONS", batch.OPTIONS | hurried.options())
+            patch.setenv("XLA_FLAGS", hurried.flags())
+        yield
+
+
+@pytest.fixture(scope="module")
+def as_users_have_it():
+    """Have batches compiled as a user has them, where a module asks for it."""
+    import hurried
+
+    with hurried.not_here():
         yield
 
 
 @pytest.fixture(scope="module")
 def in_a_hurry(request):
-    """Have batches too compiled in a hurry, where a module asks for it; the slow tests have them as a user has."""
+    """Have batches of a few lanes too, where a module asks for it; the slow tests have them as a user has."""
     import hurried
 
     with hurried.programs() if request.config.option.markexpr == "not slow" else nullcontext():

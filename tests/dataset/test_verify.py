@@ -4,7 +4,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from commands import call
+from small_study import STUDY
 
+import pcbench
 from pcbench.dataset import block_files, store, verify
 
 
@@ -24,10 +26,17 @@ def test_status_says_how_far_a_study_is(copy):
     assert sum(s.seeds for s in found.shares) == 160 - 16
 
 
-def test_verify_finds_a_number_that_was_changed_and_nothing_else(copy):
-    found = verify.verify(copy, None, 0)
+@pytest.fixture
+def mine(tmp_path, as_users_have_it):
+    """The small study with the bits that users have: each block comes out again by itself."""
+    pcbench.run(STUDY, out=tmp_path / "mine", block=16)
+    return tmp_path / "mine"
+
+
+def test_verify_finds_a_number_that_was_changed_and_nothing_else(mine):
+    found = verify.verify(mine, None, 0)
     assert (found.files, len(found.recomputed), found.wrong, found.differing) == (12, 12, [], [])
-    place = store.target(copy)
+    place = store.target(mine)
     b = block_files.present(place)[5]
     table = block_files.read(place, b)
     i = table.schema.get_field_index("rmse")
@@ -35,7 +44,7 @@ def test_verify_finds_a_number_that_was_changed_and_nothing_else(copy):
     values[7] = np.nextafter(values[7], 1e9)
     changed = table.set_column(i, table.schema.field(i), [values])
     store.put_table(place, b.name, block_files.sealed(changed, block_files.about(table)))
-    found = verify.verify(copy, None, 0)
+    found = verify.verify(mine, None, 0)
     assert len(found.differing) == 1
     assert b.name in found.differing[0]
     assert "rounding" in found.differing[0]

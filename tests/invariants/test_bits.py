@@ -12,6 +12,7 @@ from pcbench.simulation import batch
 from pcbench.simulation.draws import measurement_noise, normals, run_keys
 from pcbench.study import read
 
+pytestmark = pytest.mark.usefixtures("as_users_have_it")
 EVERYONE = ["pccebo", "kfbo", "dkf", "open-loop"]
 SEVEN = np.array([7])
 
@@ -34,7 +35,7 @@ def same(a, b, place, observers=EVERYONE):
 
 
 @pytest.fixture(scope="module")
-def alone():
+def alone(as_users_have_it):
     return results(SEVEN)["cart/gaussian-fast0"]
 
 

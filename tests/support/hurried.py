@@ -1,6 +1,6 @@
 """Compiled in a hurry: in a third of the time, to run several times as long. For short runs whose numbers have a tolerance.
 
-Where a test asks for bits or for what is in a program, it is the one that a user gets; in the slow tests all are.
+Where a test asks for bits or for what is in a program, it is the one that a user gets (`not_here`); in the slow tests all are.
 """
 
 from contextlib import contextmanager
@@ -38,6 +38,18 @@ def recorder():
     from pcbench.simulation import trace
 
     return jax.jit(trace.record, static_argnums=0, compiler_options=options())
+
+
+@contextmanager
+def not_here():
+    """Have the programs that a user has, until this is left."""
+    from pcbench.simulation import batch
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(batch, "OPTIONS", {name: said for name, said in batch.OPTIONS.items() if name not in OPTIONS})
+        patch.setattr(batch, "_compiled", lru_cache(maxsize=64)(batch._compiled.__wrapped__))
+        patch.delenv("XLA_FLAGS", raising=False)
+        yield
 
 
 @contextmanager
