@@ -164,6 +164,7 @@ def test_run_shows_a_table_and_says_where_the_files_are(tmp_path):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_quiet_says_only_where_the_result_is(tmp_path):
     done = call("run", *SMALL, "--seeds", "2", "--quiet", "--out", tmp_path / "q")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{tmp_path / 'q'}\n", "")
@@ -311,6 +312,7 @@ def test_reproduce_prints_every_claim_with_a_verdict():
     assert verdicts["6.3: PCCEBO less sensitive to the parameters, MAE"] == "does not hold"
 
 
+@pytest.mark.slow
 def test_ctrl_c_leaves_complete_files_only(tmp_path):
     out = tmp_path / "out"
     words = [*PCBENCH, "run", *SMALL, "--seeds", "64000", "--block", "256", "--out", str(out)]

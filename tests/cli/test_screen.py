@@ -282,6 +282,7 @@ def test_a_list_fits_a_screen_line_each():
     assert STUDY["scenarios"][0] in text
 
 
+@pytest.mark.slow
 def test_gains_that_nothing_proves_are_named_with_the_reason(tmp_path, monkeypatch):
     proof = 'Certificate("none: for tests", 1.0, "none", "none")'
     text = OWN.read_text()

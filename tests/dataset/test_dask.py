@@ -26,9 +26,8 @@ def whole(tmp_path_factory):
     return tables(out)
 
 
-@pytest.mark.parametrize(
-    "workers", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(4, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2, 4])
 def test_workers_leave_the_same_bytes(whole, tmp_path, workers):
     pcbench.run(STUDY, out=tmp_path / "out", dask="local", workers=workers, **SMALL)
     assert tables(tmp_path / "out") == whole

@@ -130,6 +130,7 @@ def test_only_what_is_named_is_copied(here):
 LOOP = {"name": "s", "scenarios": ["mine.py:late"], "observers": ["mine.py:nudge", "dkf"], "seeds": 4}
 
 
+@pytest.mark.slow
 def test_plants_and_laws_are_kept_likewise(here):
     """One dataset of an observer, a plant, a law and a scenario: read without the file, come out again by the copy."""
     loop = SOURCE.with_name("own_loop.py").read_text().replace("Options", "Gentle")

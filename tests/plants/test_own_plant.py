@@ -74,7 +74,7 @@ def test_observers_run_on_it_and_those_that_cannot_say_why(own):
         pcbench.run(own(observers=["high-gain"]))
 
 
-@pytest.mark.parametrize("observer", ["ekf", "open-loop"])
+@pytest.mark.parametrize("observer", [pytest.param("ekf", marks=pytest.mark.slow), "open-loop"])
 def test_perfect_start_holds(own, observer):
     """True model, true start, no noise: `ekf` has no error far from upright, the linear ones near it."""
     x0 = [0.1, 0.5, -0.2, 0.3] if observer == "ekf" else [1e-7, 2e-7, 0.0, 0.0]

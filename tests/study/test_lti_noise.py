@@ -54,8 +54,12 @@ def drawn(seed):
     ("given", "root"),
     [
         (FULL, np.real(sqrtm(linear.process_noise(MODEL.A, W, TICK)))),
-        (PLANT | {"process_std": [0.1, 0.0, 0.3]}, np.diag([0.1, 0.0, 0.3])),
-        (PLANT | {"dt": TICK, "A": SLOW.tolist(), "QN": [0.04, 0.0, 0.09]}, np.diag([0.2, 0.0, 0.3])),
+        pytest.param(PLANT | {"process_std": [0.1, 0.0, 0.3]}, np.diag([0.1, 0.0, 0.3]), marks=pytest.mark.slow),
+        pytest.param(
+            PLANT | {"dt": TICK, "A": SLOW.tolist(), "QN": [0.04, 0.0, 0.09]},
+            np.diag([0.2, 0.0, 0.3]),
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["G and QN", "process_std", "discrete"],
 )
