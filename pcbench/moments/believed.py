@@ -10,10 +10,10 @@ Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
 
 from pcbench.simulation.consistency import KNOWN
 from pcbench.statistics.consistency import SIGMAS
+from pcbench.statistics.distributions import normal_below
 from pcbench.statistics.moments import Values
 
 
@@ -51,7 +51,7 @@ def inside(b: Believed) -> list[Values]:
     """Return for each of SIGMAS the share [n, S] of normal errors that lies within so many, NaN of a state that is known."""
     sigma, std = np.sqrt(_variances(b)), np.sqrt(np.maximum(_diagonal(b.covariance), 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ends = [[ndtr((side * k * sigma - b.mean) / std) for side in (1, -1)] for k in SIGMAS]
+        ends = [[normal_below((side * k * sigma - b.mean) / std) for side in (1, -1)] for k in SIGMAS]
     still = [np.where(np.isnan(sigma), np.nan, (np.abs(b.mean) <= k * sigma) * 1.0) for k in SIGMAS]
     return [np.where(std > 0, high - low, alone) for (high, low), alone in zip(ends, still, strict=True)]
 

@@ -3,13 +3,13 @@
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri
 
 from pcbench.moments import believed
 from pcbench.moments.affine import refusal
 from pcbench.moments.solve import CellMoments
 from pcbench.statistics.consistency import INSIDE
 from pcbench.statistics.description import BLANK, Row, columns
+from pcbench.statistics.distributions import normal_quantile
 from pcbench.statistics.estimates import Estimate, positive, reached, root, student
 from pcbench.statistics.moments import Values, moments
 from pcbench.statistics.order_statistics import QUANTILES
@@ -106,5 +106,5 @@ def _quantiles(cell: CellMoments, label: str, i: int) -> dict[str, Any]:
     """Quantiles of the last error, which is normal."""
     at = cell.signals[label].start + i
     mean, std = cell.sums.mean[at, 0], cell.sums.std[at, 0]
-    each = {q: float(mean + std * ndtri(int(q[1:]) / 100)) for q in QUANTILES}
+    each = {q: float(mean + std * normal_quantile(int(q[1:]) / 100)) for q in QUANTILES}
     return each | {q + end: value for q, value in each.items() for end in ("_low", "_high")}

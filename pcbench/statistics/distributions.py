@@ -1,9 +1,24 @@
-"""Distribution functions: Student's, binomial, chi-square. SciPy is imported by who asks first; quantiles are found once."""
+"""Normal, Student, binomial, chi-square distributions. SciPy is imported by who asks first; quantiles are found once."""
 
 from functools import cache
 from typing import Any
 
 from numpy.typing import NDArray
+
+
+def normal_below(x: NDArray[Any]) -> NDArray[Any]:
+    """Return P(X <= x) of the standard normal distribution."""
+    from scipy.special import ndtr
+
+    return ndtr(x)
+
+
+@cache
+def normal_quantile(p: float) -> float:
+    """Return the x below which a standard normal number lies with probability p."""
+    from scipy.special import ndtri
+
+    return float(ndtri(p))
 
 
 def student_below(df: int, t: NDArray[Any]) -> NDArray[Any]:

@@ -32,3 +32,9 @@ def test_a_command_imports_nothing_heavy_that_it_does_not_use(name, tmp_path):
     (tmp_path / "few.toml").write_text(tomli_w.dumps(FEW))
     words, uses = COMMANDS[name]
     assert imported(words, tmp_path) & (HEAVY | {"jax"}) <= uses
+
+
+def test_before_a_study_begins_no_distribution_is_imported():
+    code = "import sys, pcbench.api; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"scipy.special", "pandas"} & set(done.stdout.split())
