@@ -57,7 +57,7 @@ class Mapping(BaseModel):
 
 
 class Format(NamedTuple):
-    """How one kind of file is read: (path, topic, fields, those that are times, their unit, where) -> parts of its fields, [K] each."""
+    """How one kind of file is read: (path, topic, fields, those that are times, their unit, where) -> parts of its fields."""
 
     read: Callable[..., Iterator[dict[str, Floats]]]
     stamp: str  # the field of stamps, where none is named
@@ -120,7 +120,7 @@ def _times(c: Column, kind: Format, where: str, delay: float | None) -> tuple[st
     arrived = c.arrived or (None if late is not None else kind.arrived)
     if arrived is None and late is None:
         raise UserError(
-            f"{where}: got neither arrived nor delay, expected one of them: this kind of file does not say when samples arrived; "
+            f"{where}: got neither arrived nor delay, expected one: this kind of file does not say when samples arrived; "
             "write delay = 0.0 if they came at once."
         )
     if c.arrived and late is not None:
@@ -153,12 +153,12 @@ def _table(given: dict[str, Column], kind: Format, file: Path, m: Mapping, path:
     """Inputs or truth: columns of one topic, which has one time for all."""
     if not given:
         return None
-    first, *rest = given.values()
+    first = next(iter(given.values()))
     for name, c in given.items():
         if (c.topic, c.t) != (first.topic, first.t) or c.arrived or c.sampled or c.delay is not None:
             raise UserError(
-                f"{path.name}: {what}.{name}: got other times than {what}.{next(iter(given))}, expected one topic and one t for "
-                f"all {what}; write them so."
+                f"{path.name}: {what}.{name}: got other times than {what}.{next(iter(given))}, expected one topic and one t "
+                f"for all {what}; write them so."
             )
     stamp = first.t or kind.stamp
 

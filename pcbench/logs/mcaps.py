@@ -46,6 +46,6 @@ def _decoder(encoding: str, schema: Any, where: str) -> Callable[[bytes], Any]:
         if found is not None:
             return found
     raise UserError(
-        f"{where}: got messages encoded as {encoding}, expected json or cdr (of ROS 2); convert the file, or write its numbers as "
-        "CSV."
+        f"{where}: got messages encoded as {encoding}, expected json or cdr (of ROS 2); convert the file, or write its "
+        "numbers as CSV."
     )

@@ -21,7 +21,7 @@ STAMP = (
 def parts(
     messages: Iterable[tuple[int, Any]], fields: list[str], times: set[str], unit: str | None, where: str
 ) -> Iterator[dict[str, Floats]]:
-    """Yield parts of fields, [K] each, of messages (received [ns], message); `times` are in seconds, plain numbers in `unit`."""
+    """Yield parts of fields, [K] each, of messages (received [ns], message); `times` in seconds, plain ones in `unit`."""
     found: list[list[float]] = []
     for number, (received, message) in enumerate(messages, 1):
         place = f"{where}: message {number}"

@@ -114,7 +114,9 @@ def jumps(seen: Seen) -> NDArray[Any]:
     """Return where the delay of a channel jumps, a hundred at most: (by how much [s], stamp [s], row)."""
     low, high = seen.delays.quantiles((0.25, 0.75))
     (median,) = seen.intervals.quantiles((0.5,))
-    return seen.steps[seen.steps[:, 0] > np.nanmax([JUMP * (high - low), 0.5 * median])]
+    return (
+        seen.steps[seen.steps[:, 0] > max(JUMP * (high - low), 0.5 * median)] if seen.intervals.many else seen.steps[:0]
+    )
 
 
 def described(found: Survey) -> list[dict[str, Any]]:

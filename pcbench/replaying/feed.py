@@ -88,8 +88,8 @@ def _in_ticks(table: Table, where: str, clock: Clocked, many: int) -> Iterator[R
         if bad.any():
             i, j = (int(place[0]) for place in np.nonzero(bad))
             raise UserError(
-                f"{where}: row {rows.row[i]}: got {rows.values[i, j]} as {table.names[j]}, expected a finite number; mend or leave out "
-                "that row."
+                f"{where}: row {rows.row[i]}: got {rows.values[i, j]} as {table.names[j]}, expected a finite number; mend or "
+                "leave out that row."
             )
         yield rows._replace(t=ticks(rows.t, clock.start, clock.dt)[0].astype(float))
 

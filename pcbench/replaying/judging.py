@@ -40,7 +40,7 @@ def add(sums: Sums, numbers: NDArray[np.float64], held_out: NDArray[np.bool_]) -
     square, degrees, log_det = (np.bincount(part, numbers[:, i], 2)[:2] for i in range(3))
     z = numbers[:, 3] / np.sqrt(numbers[:, 1])
     every, old = np.concatenate([sums.newest, z]), len(sums.newest)
-    more = [z @ z] + [every[max(old, h) :] @ every[max(old, h) - h : len(every) - h] for h in range(1, LAGS + 1)]
+    more = [every[max(old, h) :] @ every[max(old, h) - h : max(len(every) - h, 0)] for h in range(LAGS + 1)]
     return Sums(
         square=sums.square + square,
         degrees=sums.degrees + degrees,

@@ -86,8 +86,8 @@ def _require_fit(cell: Cell, room: Room, where: str) -> None:
         raise UserError(f"{where}: got a scenario that {what}, expected one that samples; take another plant file.")
     if room.apart + room.latest > cell.times.ticks:
         raise UserError(
-            f"{where}: got {room.apart * s.dt:g} s without a sample and some up to {room.latest * s.dt:g} s late, expected less "
-            f"than the horizon of {s.horizon:g} s in all; cut the log there, or write a longer horizon."
+            f"{where}: got {room.apart * s.dt:g} s without a sample and some up to {room.latest * s.dt:g} s late, expected "
+            f"less than the horizon of {s.horizon:g} s in all; cut the log there, or write a longer horizon."
         )
 
 

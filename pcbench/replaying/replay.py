@@ -143,7 +143,7 @@ def _run(
     begin, go = stretch.compiled()
     state, score = begin(p.layout, p.problem, slots, scored, np.asarray(seed))
     tail, out_from = a.cell.times.tail, int((1 - judging.HELD_OUT) * a.last)
-    sums = {label: judging.Sums() for label in state.flight.surprise}
+    sums = {label: judging.Sums() for label, o in p.layout.observers if o.innovation}
     model = smoother.model_of(p.setting, p.problem.xhat0)
     enough = model is not None and smoother.numbers_kept(model, a.last + 1) <= smoother.MOST
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
@@ -156,7 +156,7 @@ def _run(
             ends = np.array([tail, a.last])
             state, score, seen = go(p.layout, problem, state, score, here, part.window, part.truth, ends)
             kept = min(length, a.last + 1 - part.first)
-            found = {label: np.asarray(each)[:kept] for label, each in seen.estimates.items()}
+            found = {label: np.asarray(seen.estimates[label])[:kept] for label, _ in p.layout.observers}
             if schema is None:
                 each = {label: list(signals[: v.shape[1]]) for label, v in found.items()}
                 schema = folder.fields(each, a.clock.start, a.clock.dt)
