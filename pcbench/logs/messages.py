@@ -45,7 +45,7 @@ def _number(received: int, message: Any, field: str, time: bool, unit: str | Non
         value = _inside(value, part, field, where)
     if time:
         for whole, rest in STAMP:
-            if _has(value, whole):
+            if _has(value, whole) and _has(value, rest):
                 return float(_get(value, whole)) + 1e-9 * float(_get(value, rest))
     try:
         return float(value) * (SECONDS[unit or "s"] if time else 1.0)
