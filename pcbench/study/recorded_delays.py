@@ -1,6 +1,6 @@
 """Delays of a log in a study: `delay = "from:flight"` stands for what its samples' delays and losses were.
 
-They are drawn from the log: MANY delays, each from the middle of an equal part of those there, become `delay` and `delay_steps`.
+They are drawn from the log: MANY delays, each from the middle of an equal part of them, become `delay` and `delay_steps`.
 They occur as often, and as often one after the other, as in the log (`delay_stay`); `loss` is the share that never arrived. So
 the resolved study holds numbers alone, and needs no log. All in whole ticks.
 Not claimed: that delays depend on no more than the one before, nor that losses come one by one, as a study draws them.
