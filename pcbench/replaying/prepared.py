@@ -4,8 +4,9 @@ Designers are told of the study's own period, delay, noise and horizon, which is
 many samples overtake, are on their way, how old they get. So on a log of a simulated run gains are those of that run.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import jax
 import numpy as np
 
 from pcbench import planning
@@ -13,6 +14,7 @@ from pcbench.errors import UserError
 from pcbench.logs.windows import Room
 from pcbench.planning.padding import rounded
 from pcbench.plants import signals_of
+from pcbench.protocols import Observer
 from pcbench.replaying.stretch import PLANT
 from pcbench.simulation import conformance
 from pcbench.simulation.problem import Layout, Problem, Recent
@@ -29,6 +31,7 @@ class Prepared(NamedTuple):
     certificates: dict[str, Certificate]
     back: int  # ticks of inputs that they may ask for
     m: int
+    sizes: dict[str, int]  # of what each estimates
 
 
 def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
@@ -72,7 +75,21 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
     )
     for label, observer in layout.observers:
         conformance.check(label, observer, problem._replace(x0=problem.xhat0))
-    return Prepared(layout, problem, known, {o: d.certificate for o, d in designs.items()}, back, m)
+    return Prepared(
+        layout=layout,
+        problem=problem,
+        setting=known,
+        certificates={o: d.certificate for o, d in designs.items()},
+        back=back,
+        m=m,
+        sizes={o: _size(observer, problem, o) for o, observer in layout.observers},
+    )
+
+
+def _size(observer: Observer, p: Problem, label: str) -> int:
+    """How many signals an observer estimates."""
+    found = jax.eval_shape(lambda p: observer.estimate(p.gains[label], observer.init(p.gains[label], p.xhat0)), p)
+    return int(found.shape[0])
 
 
 def _require_fit(cell: Cell, room: Room, where: str) -> None:
@@ -89,8 +106,3 @@ def _require_fit(cell: Cell, room: Room, where: str) -> None:
             f"{where}: got {room.apart * s.dt:g} s without a sample and some up to {room.latest * s.dt:g} s late, expected "
             f"less than the horizon of {s.horizon:g} s in all; cut the log there, or write a longer horizon."
         )
-
-
-def common(cell: Cell) -> dict[str, Any]:
-    """Return what a table of estimates says of its columns: unit by signal."""
-    return dict(signals_of(cell.scenario))

@@ -1,5 +1,6 @@
 """Replay a log: observers run on what was measured, when it arrived, and what can be known of them without or with truth."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -147,20 +148,28 @@ def _run(
     model = smoother.model_of(p.setting, p.problem.xhat0)
     enough = model is not None and smoother.numbers_kept(model, a.last + 1) <= smoother.MOST
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
-    schema = None
-    with folder.writing(into) as write:
+    schema = folder.fields({o: list(signals[:many]) for o, many in p.sizes.items()}, a.clock.start, a.clock.dt)
+
+    def computed() -> Iterator[tuple[feed.Part, stretch.Read]]:
+        """Each part with what was seen in it, handed on while the next is computed."""
+        nonlocal state, score
+        ends, before = np.array([tail, a.last]), None
         for part in feed.parts(a.log, a.found, a.clock, length, a.last, slots, p.back, p.m, many):
-            here = part.first + np.arange(length)
             inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
-            problem = p.problem._replace(inputs=inputs)
-            ends = np.array([tail, a.last])
+            here, problem = part.first + np.arange(length), p.problem._replace(inputs=inputs)
             state, score, seen = go(p.layout, problem, state, score, here, part.window, part.truth, ends)
+            if before is not None:
+                yield before
+            before = part, seen
+        if before is not None:
+            yield before
+
+    with folder.writing(into) as write:
+        for part, seen in computed():
+            here = part.first + np.arange(length)
             kept = min(length, a.last + 1 - part.first)
-            found = {label: np.asarray(seen.estimates[label])[:kept] for label, _ in p.layout.observers}
-            if schema is None:
-                each = {label: list(signals[: v.shape[1]]) for label, v in found.items()}
-                schema = folder.fields(each, a.clock.start, a.clock.dt)
-            write(folder.table(schema, here[:kept] * a.clock.dt, list(found.values())))
+            found = [np.asarray(seen.estimates[label])[:kept] for label, _ in p.layout.observers]
+            write(folder.table(schema, here[:kept] * a.clock.dt, found))
             for label, numbers in seen.surprise.items():
                 flat = np.asarray(numbers).reshape(-1, stretch.JUDGED)
                 sums[label] = judging.add(sums[label], flat, np.repeat(here >= out_from, slots))

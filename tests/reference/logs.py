@@ -4,16 +4,10 @@ Samples are `linear.Sample`-like: taken, arrival, channel, value.
 """
 
 import numpy as np
-from scipy.stats import chi2, multivariate_normal
+from scipy.stats import chi2
 
 from .late import Plant
 from .surprise import joint
-
-
-def log_likelihood(model, u, samples, xhat0, P0, R, W):
-    """Return the log-likelihood of all samples together, of the joint normal that the model says they are."""
-    mean, S = joint(Plant(model, u, W), samples, xhat0, P0, R)
-    return multivariate_normal(mean, S).logpdf([s.value for s in samples])
 
 
 def smoothed(model, u, samples, xhat0, P0, R, W):

@@ -1,6 +1,6 @@
 """A log not of our making: the Nile's yearly flow at Aswan, 1871 to 1970, in the public domain, as statsmodels brings it.
 
-Durbin and Koopman, Time Series Analysis by State Space Methods (2001), section 2.2.5, take a level that walks, measured with noise;
+Durbin and Koopman, Time Series Analysis by State Space Methods (2001), section 2.2.5: a level that walks, measured with noise;
 the most likely variances are 1469.1 and 15099. `nile.csv` is `statsmodels/datasets/nile/nile.csv`, byte for byte.
 """
 
