@@ -116,7 +116,7 @@ def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
             return network.applied(commands, k - age, newest)
         if isinstance(p.inputs, Recent):
             place = jnp.clip(k - age - p.inputs.first, 0, len(p.inputs.rows) - 1)
-            return jnp.where(k >= age, p.inputs.rows[place], 0.0)
+            return jnp.where(age <= k, p.inputs.rows[place], 0.0)
         if isinstance(commands, tuple):
             return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
         return actuator.read(p.line, commands, k - age, k if decided else k - 1)
