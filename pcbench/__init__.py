@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.errors import UserError as UserError
     from pcbench.gains.design import trade_off as trade_off
     from pcbench.gains.tune import tune as tune
+    from pcbench.logs.described import log as log
     from pcbench.machine.process import setup as setup
     from pcbench.observers import Entry as Entry
     from pcbench.observers.parts.options import tunable as tunable
@@ -38,6 +39,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.protocols import Plant as Plant
     from pcbench.protocols import Surprise as Surprise
     from pcbench.protocols import together as together
+    from pcbench.replaying.replay import replay as replay
     from pcbench.study.interop import lti as lti
     from pcbench.study.interop import to_control as to_control
     from pcbench.study.interop import to_scipy as to_scipy
@@ -59,6 +61,8 @@ _LAZY = {
     "trade_off": "gains.design",
     "tune": "gains.tune",
     "suffices": "sufficing.asking",
+    "log": "logs.described",
+    "replay": "replaying.replay",
     "opened": "dataset.result",
     "Result": "dataset.result",
     "Exact": "dataset.exact",

@@ -12,9 +12,10 @@ from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
 from pcbench.gains import versions
+from pcbench.logs.runs import write_run
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.planning import alone, cost, drafts, padding
+from pcbench.planning import alone, cost, drafts, padding, samples_of
 from pcbench.plants import signals_of
 from pcbench.scenarios.sources import units
 from pcbench.study import read
@@ -119,7 +120,12 @@ def exact(
 
 
 def trace(
-    scenario: Described, observers: str | list[str], *, seed: int = 0, overrides: list[str] | None = None
+    scenario: Described,
+    observers: str | list[str],
+    *,
+    seed: int = 0,
+    overrides: list[str] | None = None,
+    log: str | Path | None = None,
 ) -> "pd.DataFrame":
     """Return one run tick by tick, ticks 0 .. N: t [s], each signal, <observer>.<signal>, u1.., y1.. (held arrivals).
 
@@ -128,7 +134,8 @@ def trace(
     A trace of a closed loop is of one observer, and has the set point too: target.<signal>.
 
     `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
-    Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before.
+    Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before. `log` is
+    a folder for what was measured, put in and true, as a log that `pcbench.replay` reads.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
     if not 0 <= seed < 2**32:
@@ -148,6 +155,9 @@ def trace(
         out = trace.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
     signals = [name for name, _ in signals_of(p.cell.scenario)]
+    if log is not None:
+        samples = samples_of(p.cell, (study.root_seed, seed))
+        write_run(log, samples, p.problem.schedule, out, p.cell.scenario.dt, signals)
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):

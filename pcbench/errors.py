@@ -37,12 +37,16 @@ def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
     return UserError(f"{where}: '{short(got)}' is no {kind}; {hint}valid: {', '.join(names)}.")
 
 
-EXTRAS = dict.fromkeys(("cvxpy", "clarabel", "scs", "optax"), "design") | {
-    "matplotlib": "report",
-    "jinja2": "report",
-    "distributed": "dask",
-    "control": "control",
-}  # by package, which of pcbench's extras brings it
+EXTRAS = (
+    dict.fromkeys(("cvxpy", "clarabel", "scs", "optax"), "design")
+    | {
+        "matplotlib": "report",
+        "jinja2": "report",
+        "distributed": "dask",
+        "control": "control",
+    }
+    | dict.fromkeys(("rosbags", "mcap", "mcap-ros2", "pyulog"), "logs")
+)  # by package, which of pcbench's extras brings it
 
 
 def missing(module: str) -> str:

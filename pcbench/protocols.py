@@ -198,10 +198,16 @@ class Covariance(Protocol):
 
 
 class Surprise(NamedTuple):
-    """How far a sample is from what was expected of it: nu' S^-1 nu, S the covariance that nu is believed to have."""
+    """How far a sample is from what was expected of it: nu' S^-1 nu, S the covariance that nu is believed to have.
+
+    With the two last it says too how likely the sample was, and whether samples repeat each other; they may be left out. Taken
+    one after the other the numbers of nu are independent, nu_j with the variance s_j.
+    """
 
     square: Float[Array, ""]
     degrees: Float[Array, ""]  # how many numbers of the sample count; 0: it is not to be judged
+    log_det: Any = None  # log det S, of the numbers that count
+    signed: Any = None  # sum of nu_j / sqrt(s_j) over them
 
 
 class Innovation(Protocol):

@@ -115,6 +115,9 @@ def trace(
     observer: Annotated[str, typer.Option(help="an observer's name, or several with commas")],
     file: Annotated[str, out("file to write, .parquet or .csv")],
     seed: Annotated[int, typer.Option(help="seed index")] = 0,
+    log: Annotated[
+        str | None, typer.Option(help="folder for what was measured, put in and true, as pcbench replay reads it")
+    ] = None,
     changes: Set = None,
 ) -> None:
     """Write one run tick by tick, as Parquet or CSV.
@@ -128,6 +131,6 @@ def trace(
     from pcbench.study import read
 
     as_file.kind_of(file)
-    frame = api.trace(scenario, names(observer), seed=seed, overrides=changes)
+    frame = api.trace(scenario, names(observer), seed=seed, overrides=changes, log=log)
     as_file.put(file, traced.trace_table(frame, signals_of(read.scenario_of(scenario, changes))))
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")

@@ -189,9 +189,15 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySche
         return shared.at_every_tick(n, channels), 1
     if cell.times.random and run is None:
         return per_lane.times(clocks, n, channels, error), per_lane.room(clocks, n, error)
-    found = per_lane.realised(clocks, n, channels, *run) if run and cell.times.random else shared.samples(clocks, n)
-    schedule = shared.schedule(found, n, channels, error)
+    schedule = shared.schedule(samples_of(cell, run), n, channels, error)
     return schedule, shared.in_flight(schedule)
+
+
+def samples_of(cell: Cell, run: tuple[int, int] | None = None) -> list[shared.Sample]:
+    """Return every sample of a cell, lost ones too; of one run (root seed, seed), where sampling is random."""
+    clocks, n, channels = cell.times.clocks, cell.times.ticks, len(cell.scenario.sampling.delay)
+    random = run is not None and cell.times.random
+    return per_lane.realised(clocks, n, channels, *run) if random and run else shared.samples(clocks, n)
 
 
 def alone(p: Plan, root_seed: int, seed: int) -> Plan:

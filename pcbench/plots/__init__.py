@@ -15,11 +15,12 @@ from pcbench.plots.files import save
 from pcbench.plots.gains import fair, trade_off
 from pcbench.plots.honesty import nees
 from pcbench.plots.lines import convergence, curves, distributions
+from pcbench.plots.log_delays import delays
 from pcbench.plots.maps import divergence, heatmaps, winners
 from pcbench.plots.palette import styles
 from pcbench.plots.paper import Paper
 from pcbench.plots.quantile_plot import quantiles
 from pcbench.plots.time_series import time
 
-__all__ = ["Paper", "convergence", "cost", "curves", "distributions", "divergence", "fair", "heatmaps", "nees",
+__all__ = ["Paper", "convergence", "cost", "curves", "delays", "distributions", "divergence", "fair", "heatmaps", "nees",
            "quantiles", "save", "styles", "time", "trade_off", "winners"]  # fmt: skip

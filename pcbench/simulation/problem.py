@@ -43,7 +43,7 @@ class Problem(NamedTuple):
     params: Any  # the plant's
     gains: dict[str, Gains]  # by observer label
     schedule: Any  # a Schedule, the same for every run; or Times: then each run draws its own
-    inputs: Leaf  # [N+1, m] u held over [t_k, t_k+1)
+    inputs: Any  # [N+1, m] u held over [t_k, t_k+1); of a log, Recent
     dt: Leaf  # [s]
     x0: Leaf  # [n] the start, or its mean
     xhat0: Leaf  # [n]
@@ -61,6 +61,13 @@ class Problem(NamedTuple):
     weights: Any = ()  # metrics.Weights of a closed loop whose input and cost are summed
     outliers: Any = ()  # sample_noise.Outliers, where some samples are
     tail: Any = ()  # degrees of freedom of the noise of samples, where that is Student's t
+
+
+class Recent(NamedTuple):
+    """The inputs of some ticks in a row, in place of all: of a log, which may be longer than memory."""
+
+    rows: Leaf  # [K, m]
+    first: Leaf  # the tick of the first of them
 
 
 class Packet(NamedTuple):
@@ -107,6 +114,9 @@ def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:
         if isinstance(commands, network.Commands):
             newest = k if decided else k - 1
             return network.applied(commands, k - age, newest)
+        if isinstance(p.inputs, Recent):
+            place = jnp.clip(k - age - p.inputs.first, 0, len(p.inputs.rows) - 1)
+            return jnp.where(age <= k, p.inputs.rows[place], 0.0)
         if isinstance(commands, tuple):
             return jnp.where(k >= age, p.inputs[jnp.maximum(k - age, 0)], 0.0)
         return actuator.read(p.line, commands, k - age, k if decided else k - 1)

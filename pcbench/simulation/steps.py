@@ -119,7 +119,7 @@ def jump(layout: Layout, p: Problem, k: Array, state: State, row: Row, packet: P
     def one_lane(k: Array, memories: Memories, commands: Any, watches: Any, row: Row, packet: Packet) -> Memories:
         now = present(p, k, False, commands)
         jumped = {
-            label: o.jump(p.gains[label], memories[label], now, _arrival(row, packet, label))
+            label: o.jump(p.gains[label], memories[label], now, arrival_of(row, packet, label))
             for label, o in layout.observers
         }
         return unless_diverged(watches, jumped, memories) if layout.controller else jumped
@@ -128,7 +128,8 @@ def jump(layout: Layout, p: Problem, k: Array, state: State, row: Row, packet: P
     return over(one_lane)(k, state.memories, state.commands, watches, row, packet)
 
 
-def _arrival(row: Row, packet: Packet, label: str) -> Arrival:
+def arrival_of(row: Row, packet: Packet, label: str) -> Arrival:
+    """Return a packet as it arrives at the observer of a label."""
     return Arrival(packet.values, row.fresh, row.age, row.number, packet.notes[label], row.since)
 
 

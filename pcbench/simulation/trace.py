@@ -25,7 +25,8 @@ class Recording(NamedTuple):
     x: Array  # [N+1, n + s] the state, and what the plant has of unknowns
     estimates: dict[str, Array]  # [N+1, n or n + s], after the jump of each tick
     u: Array  # [N+1, m] the input held over the tick
-    arrived: Array  # [N+1, q] what arrived at this tick, NaN where nothing did
+    arrived: Array  # [N+1, q] what arrived at this tick, the newest of each channel; NaN where nothing did
+    brought: Array  # [N+1, S, q] what each of the packets that arrived brought, NaN where nothing
     target: Array  # [N+1, r] the set point of a closed loop
     sigma: dict[
         str, Array
@@ -43,7 +44,8 @@ def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shi
             x=_whole(actual(layout, p, k, state)),
             estimates={label: _whole(xhat) for label, xhat in estimates(layout, p, state).items()},
             u=_whole(held(p, k, state)),
-            arrived=_arrived(layout, p, k, state)[:, 0],
+            arrived=_newest(brought := _brought(layout, p, k, state))[:, 0],
+            brought=brought[..., 0],
             target=aims(layout, p, k),
             sigma={label: _whole(each) for label, each in sigmas(layout, p, k, state).items()}
             if layout.consistency
@@ -69,13 +71,21 @@ def _believed(layout: Layout, p: Problem, k: Array, state: State, many: int) -> 
     }
 
 
-def _arrived(layout: Layout, p: Problem, k: Array, state: State) -> Array:
-    """What arrives at tick k, the newest of each channel: [q, L], NaN where nothing does."""
-    plan, y = p.schedule, jnp.full((*p.noise_std.shape, layout.width), jnp.nan)
+def _brought(layout: Layout, p: Problem, k: Array, state: State) -> Array:
+    """What each packet brings that arrives at tick k: [S, q, L], NaN where nothing."""
+    plan, out = p.schedule, []
     for slot in range(plan.arrive.shape[1]):
         row = plan.arrive[k, slot] % layout.ring
         value = lanes.whole(jax.tree.map(lambda ring, row=row: ring[row], state.flight.values), layout.width)
-        y = jnp.where(plan.fresh[k, slot][:, None], value, y)
+        out.append(jnp.where(plan.fresh[k, slot][:, None], value, jnp.nan))
+    return jnp.stack(out)
+
+
+def _newest(brought: Array) -> Array:
+    """What arrives at a tick, the newest of each channel: [q, L], NaN where nothing does."""
+    y = brought[0]
+    for value in brought[1:]:
+        y = jnp.where(jnp.isnan(value), y, value)
     return y
 
 
@@ -114,7 +124,7 @@ def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Ar
         return Thinned(
             x=lanes.whole(actual(layout, p, k, state), many),
             estimates={o: lanes.whole(xhat, many) for o, xhat in estimates(layout, p, state).items()},
-            held=_arrived(layout, p, k, state),
+            held=_newest(_brought(layout, p, k, state)),
             target=aims(layout, p, k),
             **_believed(layout, p, k, state, many),
         )

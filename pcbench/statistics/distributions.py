@@ -49,3 +49,10 @@ def chi_square_exceeded(degrees: float, share: float) -> float:
     from scipy.special import chdtri
 
     return float(chdtri(degrees, share))
+
+
+def chi_square_share(degrees: float, x: float) -> float:
+    """Return with which probability a chi-square number of so many degrees of freedom exceeds x."""
+    from scipy.special import chdtrc
+
+    return float(chdtrc(degrees, x))

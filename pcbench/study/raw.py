@@ -9,7 +9,7 @@ from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS, parameters_of
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import STUDIES, Choices, Study, own, underscored
+from pcbench.study import STUDIES, Choices, Study, own, recorded_delays, underscored
 from pcbench.study import axes as axis
 from pcbench.study.labels import labelled
 from pcbench.study.lti_inputs import located
@@ -67,12 +67,20 @@ def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[s
     for table in ("lti", "scenario"):
         if isinstance(raw.get(table), dict):
             raw[table] = located(raw[table], folder)
+            raw[table] = recorded_delays.resolved(raw[table], f"{where}: {table}", folder, _tick(raw[table]))
     if isinstance(raw.get("axes"), dict):
         raw["axes"] = {
             k: v if isinstance(v, list) else [v]
             for k, v in underscored(raw["axes"], f"{where}: axes", "plant.").items()
         }
     return raw
+
+
+def _tick(table: dict[str, Any]) -> float:
+    """The tick of a table [s], as it says it or as that which it is based on has it."""
+    base = SCENARIOS.get(table["base"]) if isinstance(table.get("base"), str) else None
+    said = [table.get(key) for key in ("dt", "tick")]
+    return next((float(v) for v in said if isinstance(v, int | float) and v > 0), base.dt if base else 1e-3)
 
 
 def override(raw: dict[str, Any], change: str) -> None:

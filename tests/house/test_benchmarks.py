@@ -30,6 +30,7 @@ ROWS = {  # what each prints, and how often
         "reader, polars: ": 3,
     },
     "own_code": {"here, ": 2, "workers, ": 2},
+    "replay": {"replay: ": 1},
 }
 
 

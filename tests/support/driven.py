@@ -67,7 +67,7 @@ def _run(name, gains, traffic, u, h, xhat0):
             arrival = Arrival(value, fresh, jnp.full(q, k - when), jnp.zeros(q, int), notes[when], jnp.asarray(0))
             jump = lambda m: o.jump(gains, m, now(k, False), arrival)  # noqa: E731
             if o.innovation:
-                found = jnp.stack(o.innovation(gains, memory, now(k, False), arrival))
+                found = jnp.stack(o.innovation(gains, memory, now(k, False), arrival)[:2])
                 so_far = so_far + jnp.where(when >= 0, found, 0.0)
             return (lax.cond(when >= 0, jump, lambda m: m, memory), so_far), None
 

@@ -40,6 +40,15 @@ def recorder():
     return jax.jit(trace.record, static_argnums=0, compiler_options=options())
 
 
+@cache
+def stretches():
+    """Return `replaying.stretch.compiled()`, made in a hurry."""
+    from pcbench.replaying import stretch
+
+    begun = jax.jit(stretch.begun, static_argnums=(0, 2, 3), compiler_options=options())
+    return begun, jax.jit(stretch.run, static_argnums=0, compiler_options=options())
+
+
 @contextmanager
 def not_here():
     """Have the programs that a user has, until this is left."""

@@ -37,9 +37,14 @@ def covariance(
 
 def unjudged() -> Surprise:
     """Return the square of a sample of which nothing has been looked at."""
-    return Surprise(jnp.zeros(()), jnp.zeros(()))
+    return Surprise(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
 
 
 def judged(so_far: Surprise, nu: Float[Array, ""], s: Float[Array, ""], fresh: Bool[Array, ""]) -> Surprise:
     """Return the square with one more channel, whose innovation nu has the variance s; of one that is fresh."""
-    return Surprise(so_far.square + jnp.where(fresh, nu * nu / s, 0.0), so_far.degrees + jnp.where(fresh, 1.0, 0.0))
+    return Surprise(
+        square=so_far.square + jnp.where(fresh, nu * nu / s, 0.0),
+        degrees=so_far.degrees + jnp.where(fresh, 1.0, 0.0),
+        log_det=so_far.log_det + jnp.where(fresh, jnp.log(s), 0.0),
+        signed=so_far.signed + jnp.where(fresh, nu / jnp.sqrt(s), 0.0),
+    )

@@ -1,0 +1,96 @@
+"""What a person reads of recorded data: a row a channel, and what observers made of it."""
+
+from typing import Any
+
+import pandas as pd
+from rich.console import Console
+
+from pcbench.cli.screen.tables import Column, printed
+
+MILLI = 1e3
+NOTHING = 1e-9  # what is less is rounding
+
+
+def channels(table: pd.DataFrame, console: Console) -> None:
+    """Print what is in a log."""
+    rows = table.to_dict("records")
+    columns = [
+        Column("channel", [row["channel"] for row in rows], left=True),
+        Column("samples", [f"{row['samples']:,}" for row in rows]),
+        Column("lost", [f"{row['lost']:,}" for row in rows]),
+        Column("rate\n[1/s]", [_plain(row["rate"]) for row in rows]),
+        Column("delay [ms]\nmedian", [_plain(row["delay_median"], MILLI) for row in rows]),
+        Column("\n5 to 95 %", [_range(row) for row in rows]),
+        Column("\nlargest", [_plain(row["delay_most"], MILLI) for row in rows]),
+        Column("drift\n[ppm]", [_plain(row["drift_ppm"]) for row in rows], spare=1),
+    ]
+    printed(str(table.attrs["name"]), columns, console)
+    for row in rows:
+        for sentence in odd(row):
+            _print(f"{row['channel']}: {sentence}.", console)
+
+
+def odd(row: dict[Any, Any]) -> list[str]:
+    """Return what is odd about a channel, in words."""
+    out = []
+    if row["gaps"]:
+        length, where = row["longest_gap"], int(row["longest_gap_row"])
+        out.append(f"{row['gaps']} gaps of more than five intervals, the longest {length:.4g} s before row {where}")
+    if row["out_of_order"]:
+        out.append(f"{row['out_of_order']:,} samples stand behind one with a later stamp")
+    if row["doubled"]:
+        out.append(f"{row['doubled']:,} stamps stand there twice, the first in row {int(row['doubled_row'])}")
+    if row["jumps"]:
+        size, where = row["largest_jump"], int(row["largest_jump_row"])
+        out.append(f"the delay jumps {row['jumps']} times, by up to {size:.4g} s in row {where}")
+    return out
+
+
+def replayed(found: Any, folder: str, console: Console) -> None:
+    """Print what is known of observers on a log."""
+    if len(found.innovations):
+        rows = found.innovations.to_dict("records")
+        columns = [
+            Column("observer", [row["observer"] for row in rows], left=True),
+            Column("samples", [f"{row['samples']:,}" for row in rows]),
+            Column("NIS", [_plain(row["nis"]) for row in rows]),
+            Column("95 % if right", [f"{row['nis_low']:.3f} to {row['nis_high']:.3f}" for row in rows]),
+            Column("verdict", [row["verdict"] for row in rows], left=True),
+            Column("p white", [_plain(row["p_white"]) for row in rows]),
+            Column("log-likelihood\nof a number", [_plain(row["log_likelihood"]) for row in rows]),
+            Column("\nheld out", [_plain(row["log_likelihood_held_out"]) for row in rows]),
+        ]
+        printed(f"{found.summary['log']}: what arrived against what was expected of it", columns, console)
+    if len(found.metrics):
+        _wide(found.metrics[found.metrics.metric == "tail_rmse"], "value", "tail_rmse against truth", console)
+    if len(found.distances):
+        _wide(found.distances, "rms", "rms distance to the smoother that sees the whole log", console)
+    off = found.summary["largest_rounding"]
+    _print(
+        f"{found.summary['ticks'] + 1:,} ticks of {found.summary['dt']:g} s, times rounded by up to {off:.3g} s.",
+        console,
+    )
+    _print(f"Estimates tick by tick: {folder}/estimates.parquet", console)
+
+
+def _wide(table: pd.DataFrame, value: str, title: str, console: Console) -> None:
+    """Print a row an observer, a column a signal."""
+    signals = dict(zip(table.signal, table.unit, strict=True))
+    wide = table.pivot(index="observer", columns="signal", values=value)
+    columns = [Column("observer", list(wide.index), left=True)]
+    columns += [Column(f"{s}\n[{unit}]", [_plain(v) for v in wide[s]]) for s, unit in signals.items()]
+    printed(title, columns, console)
+
+
+def _range(row: dict[Any, Any]) -> str:
+    return f"{_plain(row['delay_p05'], MILLI)} to {_plain(row['delay_p95'], MILLI)}"
+
+
+def _plain(value: Any, scale: float = 1.0) -> str:
+    if value is None or value != value:
+        return "-"
+    return f"{value * scale:.4g}" if abs(value) > NOTHING else "0"
+
+
+def _print(text: str, console: Console) -> None:
+    console.print(text, highlight=False, markup=False, soft_wrap=True)

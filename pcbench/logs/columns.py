@@ -1,0 +1,55 @@
+"""Columns of CSV and Parquet files, a part at a time: pyarrow reads them."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from pyarrow import csv
+
+from pcbench.errors import UserError, said, unknown
+
+KINDS = (".parquet", ".csv")
+MANY = 1 << 16  # rows of a part
+BLOCK = 1 << 22  # bytes of a part of a CSV file
+
+
+def heads(path: Path) -> list[str]:
+    """Return the heads of a file's columns as they are written; raise UserError where it cannot be read."""
+    try:
+        if path.suffix.lower() == ".parquet":
+            return list(pq.read_schema(path).names)
+        with csv.open_csv(path) as file:
+            return list(file.schema.names)
+    except (OSError, pa.ArrowException) as error:
+        raise _unreadable(path, error) from None
+
+
+def parts(path: Path, names: Sequence[str], words: Sequence[str] = ()) -> Iterator[pa.RecordBatch]:
+    """Yield the columns `names` a part at a time; all but those of `words` are numbers. Errors name the file."""
+    try:
+        if path.suffix.lower() == ".parquet":
+            with pq.ParquetFile(path) as file:
+                yield from file.iter_batches(MANY, columns=list(names), use_threads=False)
+            return
+        types = {name: pa.string() if name in words else pa.float64() for name in names}
+        convert = csv.ConvertOptions(column_types=types, include_columns=list(names))
+        read = csv.ReadOptions(block_size=BLOCK, use_threads=False)
+        with csv.open_csv(path, read_options=read, convert_options=convert) as file:
+            yield from file
+    except (OSError, pa.ArrowException) as error:
+        raise _unreadable(path, error) from None
+
+
+def require(path: Path, there: Sequence[str], wanted: Sequence[str], where: str = "") -> None:
+    """Raise UserError for a column that a file lacks."""
+    for name in wanted:
+        if name not in there:
+            raise unknown(where or path.name, "column here", name, there)
+
+
+def _unreadable(path: Path, error: Exception) -> UserError:
+    return UserError(
+        f"{path}: {said(error)}; expected a {path.suffix.lower().removeprefix('.')} file of numbers under one line of heads; "
+        "mend the file."
+    )

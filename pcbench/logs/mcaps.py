@@ -1,0 +1,51 @@
+"""MCAP files, read by mcap: messages as JSON, or of ROS 2 where mcap-ros2-support is installed too."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from pcbench.errors import UserError, said
+from pcbench.logs.log import Floats
+from pcbench.logs.messages import parts, require_topic
+
+
+def fields(
+    path: Path, topic: str, wanted: list[str], times: set[str], unit: str | None, where: str
+) -> Iterator[dict[str, Floats]]:
+    """Yield parts of a topic's fields, [K] each; stamps in seconds."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            reader = make_reader(file)
+            summary = reader.get_summary()
+            if summary is not None:
+                require_topic(topic, {channel.topic for channel in summary.channels.values()}, where)
+            yield from parts(_messages(reader, topic, where), wanted, times, unit, where)
+    except McapError as error:
+        raise UserError(f"{where}: {path.name}: {said(error)}; expected a whole MCAP file; mend it.") from None
+
+
+def _messages(reader: Any, topic: str, where: str) -> Iterator[tuple[int, Any]]:
+    decoders: dict[int, Callable[[bytes], Any]] = {}
+    for schema, channel, message in reader.iter_messages(topics=[topic]):
+        if channel.id not in decoders:
+            decoders[channel.id] = _decoder(channel.message_encoding, schema, where)
+        yield message.log_time, decoders[channel.id](message.data)
+
+
+def _decoder(encoding: str, schema: Any, where: str) -> Callable[[bytes], Any]:
+    if encoding == "json":
+        return json.loads
+    if encoding == "cdr":
+        from mcap_ros2.decoder import DecoderFactory
+
+        found = DecoderFactory().decoder_for(encoding, schema)
+        if found is not None:
+            return found
+    raise UserError(
+        f"{where}: got messages encoded as {encoding}, expected json or cdr (of ROS 2); convert the file, or write its "
+        "numbers as CSV."
+    )

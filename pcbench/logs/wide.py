@@ -1,0 +1,29 @@
+"""CSV and Parquet of any shape: a column for each channel, or a file with one row a sample; fields are columns."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from pcbench.logs import columns, units
+from pcbench.logs.log import Floats
+
+
+def fields(
+    path: Path, topic: str, wanted: list[str], times: set[str], unit: str | None, where: str
+) -> Iterator[dict[str, Floats]]:
+    """Yield parts of columns, [K] each; times in seconds, of rows in which no column asked for is empty."""
+    columns.require(path, columns.heads(path), wanted, f"{where}: {path.name}")
+    for part in columns.parts(path, wanted):
+        found = {}
+        for name in wanted:
+            column = part.column(name)
+            if name in times:
+                found[name] = units.seconds(column, unit or units.parts(name)[1], f"{where}: {name}")
+            else:
+                found[name] = np.asarray(
+                    pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False), float
+                )
+        yield found

@@ -1,0 +1,44 @@
+"""Delays of a recorded log: over time, and how often each occurs."""
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from pcbench.errors import UserError
+from pcbench.logs.survey import Survey
+from pcbench.plots import scales
+from pcbench.plots.lines import keys_of
+from pcbench.plots.paper import PAPER, Paper, drawn_on
+from pcbench.plots.sheet import Panel, sheet
+
+BINS = 40
+DIGITS = 9  # of a second: what is less is rounding
+
+
+def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
+    """Return the delays of every channel of a log over time, and their histogram; `table` is what `pcbench.log` returns.
+
+    Of a long log an even selection of samples is drawn. Raises UserError where no sample ever arrived.
+    """
+    found: Survey = table.attrs["survey"]
+    kept = {name: seen.delays.kept.round(DIGITS) for name, seen in found.channels.items() if len(seen.delays.kept)}
+    if not kept:
+        raise UserError(
+            f"plots.delays: got a log {table.attrs['name']} in which nothing arrived, expected samples that did."
+        )
+    late = np.concatenate([each[:, 1] for each in kept.values()])
+    keys, y = keys_of(kept), scales.of(late)
+    edges = np.linspace(y.low, y.high, BINS + 1)
+    shares = {name: np.histogram(each[:, 1], edges)[0] / len(each) for name, each in kept.items()}
+    x = scales.linear(0.0, max(found.end - found.start, 1e-9))
+    panels = [
+        Panel(x, y, "time since the start [s]", "delay [s]"),
+        Panel(y, scales.of([0.0, *np.concatenate(list(shares.values()))]), "delay [s]", "share of samples"),
+    ]
+    figure, (over_time, often) = sheet(paper, "", panels, keys if len(keys) > 1 else [])
+    with drawn_on(paper):
+        for key in keys:
+            t, delay = kept[key.label].T
+            over_time.scatter(t - found.start, delay, s=2, color=key.style.colour, linewidths=0, rasterized=True)
+            often.stairs(shares[key.label], edges, color=key.style.colour, linewidth=1.2)
+    return figure

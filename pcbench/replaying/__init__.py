@@ -1,0 +1,1 @@
+"""Observers on recorded data: what was measured, when it arrived, through the functions and the order of a simulated run."""

@@ -1,0 +1,82 @@
+"""What a replay leaves in a folder: estimates tick by tick, written as they come, and what is known of each observer."""
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pcbench.dataset.columns import SCHEMA
+from pcbench.errors import UserError
+
+ESTIMATES = "estimates.parquet"
+SUMMARY = "replay.json"
+
+
+def fields(observers: dict[str, list[tuple[str, str]]], start: float, dt: float) -> pa.Schema:
+    """Return the columns of estimates: t and <observer>.<signal>, given (signal, unit) of each observer."""
+    about = {"unit": "s", "meaning": "time since the start of the log"}
+    out = [pa.field("t", pa.float64(), metadata=about)]
+    for observer, signals in observers.items():
+        for signal, unit in signals:
+            said = {"unit": unit, "meaning": "estimate, after the jump of the tick"}
+            out.append(pa.field(f"{observer}.{signal}", pa.float64(), metadata=said))
+    return pa.schema(out, metadata={"pcbench.schema": SCHEMA, "start": repr(start), "dt": repr(dt)})
+
+
+@contextmanager
+def writing(folder: Path) -> Iterator[Callable[[pa.Table], None]]:
+    """Write tables part by part into the file of estimates, which has its name once it is whole."""
+    writers: list[pq.ParquetWriter] = []
+    part = folder / f".{ESTIMATES}.part"
+
+    def write(found: pa.Table) -> None:
+        if not writers:
+            writers.append(pq.ParquetWriter(part, found.schema, compression="snappy", use_dictionary=False))
+        writers[0].write_table(found, row_group_size=len(found))
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            yield write
+        finally:
+            for writer in writers:
+                writer.close()
+        part.rename(folder / ESTIMATES)
+    except OSError as error:
+        raise UserError(f"--out {folder}: {error.strerror}, expected a folder to write to; give another.") from None
+
+
+def table(schema: pa.Schema, t: np.ndarray, estimates: list[np.ndarray]) -> pa.Table:
+    """Return some ticks of estimates [K, n] of each observer as a table."""
+    columns = [t, *(each[:, i] for each in estimates for i in range(each.shape[1]))]
+    return pa.Table.from_arrays([pa.array(np.ascontiguousarray(c)) for c in columns], schema=schema)
+
+
+def parts(folder: Path) -> Iterator[tuple[int, pa.Table]]:
+    """Yield the estimates of a folder part by part, with the tick at which each begins."""
+    first = 0
+    with pq.ParquetFile(folder / ESTIMATES) as file:
+        for i in range(file.num_row_groups):
+            found = file.read_row_group(i, use_threads=False)
+            yield first, found
+            first += len(found)
+
+
+def summarise(folder: Path, summary: dict[str, Any]) -> None:
+    """Write what else is known beside the estimates; NaN is null."""
+    (folder / SUMMARY).write_text(json.dumps(plain(summary), indent=2) + "\n")
+
+
+def plain(thing: Any) -> Any:
+    """Return a summary as JSON has it."""
+    if isinstance(thing, dict):
+        return {str(key): plain(each) for key, each in thing.items()}
+    if isinstance(thing, list | tuple):
+        return [plain(each) for each in thing]
+    number = thing.item() if isinstance(thing, np.generic) else thing
+    return None if isinstance(number, float) and not np.isfinite(number) else number

@@ -1,0 +1,87 @@
+"""What can be known of an observer without truth: whether samples are as far from what it expects as it says.
+
+    NIS            sum nu' S^-1 nu over how many numbers that is; chi-square if S is true (`statistics.consistency`)
+    whiteness      z_i = sum_j nu_j / sqrt(s_j) over the root of how many, of sample i:  r_h = sum z_i z_(i-h) / sum z_i^2,
+                   Q = T (T + 2) sum_h r_h^2 / (T - h), h = 1 .. H, chi-square with H degrees of freedom if they are white
+    log-likelihood of a number: -1/2 (log 2 pi + log s + nu^2 / s), in the mean over all, and over those held out
+
+z has the mean 0 by what the observer says, so none is taken off. Held out is the last part of a log: no sample of it has been
+used when it is expected, and none of it by who tuned on the part before.
+Source: Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65 (1978), (1.3), T samples.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.statistics.consistency import band, verdict
+from pcbench.statistics.distributions import chi_square_share
+
+LAGS = 20
+HELD_OUT = 0.3  # of the ticks of a log
+
+
+class Sums(NamedTuple):
+    """What is kept of one observer's innovations; two parts, before what is held out and in it."""
+
+    square: NDArray[np.float64] = np.zeros(2)
+    degrees: NDArray[np.float64] = np.zeros(2)
+    log_det: NDArray[np.float64] = np.zeros(2)
+    samples: int = 0
+    products: NDArray[np.float64] = np.zeros(LAGS + 1)  # sums of z_i z_(i-h), h = 0 .. LAGS
+    newest: NDArray[np.float64] = np.zeros(0)  # the last LAGS of z
+
+
+def add(sums: Sums, numbers: NDArray[np.float64], held_out: NDArray[np.bool_]) -> Sums:
+    """Return the sums with samples [K, 4] more: square, degrees, log_det and signed of each; held_out [K]."""
+    counts = numbers[:, 1] > 0
+    numbers, part = numbers[counts], held_out[counts].astype(int)
+    square, degrees, log_det = (np.bincount(part, numbers[:, i], 2)[:2] for i in range(3))
+    z = numbers[:, 3] / np.sqrt(numbers[:, 1])
+    every, old = np.concatenate([sums.newest, z]), len(sums.newest)
+    more = [every[max(old, h) :] @ every[max(old, h) - h : max(len(every) - h, 0)] for h in range(LAGS + 1)]
+    return Sums(
+        square=sums.square + square,
+        degrees=sums.degrees + degrees,
+        log_det=sums.log_det + log_det,
+        samples=sums.samples + len(z),
+        products=sums.products + np.array(more),
+        newest=every[-LAGS:],
+    )
+
+
+def judgement(sums: Sums) -> dict[str, float | str]:
+    """Return what the sums say, NaN where they say nothing."""
+    degrees = float(sums.degrees.sum())
+    nis = float(sums.square.sum()) / degrees if degrees else np.nan
+    within = band(degrees) if degrees else None
+    lags = min(LAGS, sums.samples // 5)
+    Q = ljung_box(sums, lags)
+    return {
+        "samples": sums.samples,
+        "nis": nis,
+        "nis_low": within.low if within else np.nan,
+        "nis_high": within.high if within else np.nan,
+        "verdict": verdict(nis, within) if within else "unknown",
+        "lags": lags,
+        "ljung_box": Q,
+        "p_white": chi_square_share(lags, Q) if np.isfinite(Q) else np.nan,
+        "log_likelihood": _mean(sums, slice(None)),
+        "log_likelihood_held_out": _mean(sums, slice(1, None)),
+    }
+
+
+def ljung_box(sums: Sums, lags: int) -> float:
+    """Return Q over so many lags, NaN of none."""
+    T = sums.samples
+    if lags < 1 or not sums.products[0] > 0:
+        return np.nan
+    r = sums.products[1 : lags + 1] / sums.products[0]
+    return float(T * (T + 2) * (r * r / (T - np.arange(1, lags + 1))).sum())
+
+
+def _mean(sums: Sums, parts: slice) -> float:
+    """The mean log-likelihood of a number."""
+    square, degrees, log_det = (float(a[parts].sum()) for a in (sums.square, sums.degrees, sums.log_det))
+    return -0.5 * (np.log(2 * np.pi) + (log_det + square) / degrees) if degrees else np.nan

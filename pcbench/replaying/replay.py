@@ -1,0 +1,218 @@
+"""Replay a log: observers run on what was measured, when it arrived, and what can be known of them without or with truth."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from pcbench.errors import UserError
+from pcbench.logs import reading
+from pcbench.logs.events import Clocked
+from pcbench.logs.log import Log, Table
+from pcbench.logs.survey import Survey, survey
+from pcbench.logs.ticks import better, ticks
+from pcbench.machine import process
+from pcbench.planning.padding import rounded
+from pcbench.plants import signals_of
+from pcbench.replaying import feed, folder, judging, scoring, smoother, stretch
+from pcbench.replaying.prepared import Prepared, prepared
+from pcbench.study import read
+from pcbench.study.cells import Cell
+from pcbench.study.raw import Described
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LENGTH = 1 << 16  # ticks of a part
+
+
+class Replayed(NamedTuple):
+    """What came of a log."""
+
+    innovations: "pd.DataFrame"  # a row each observer that says what it expects of samples
+    distances: "pd.DataFrame"  # rms of estimate less smoothed, by observer and signal; empty: no smoother
+    metrics: "pd.DataFrame"  # by observer and signal, as a study has them; empty: no truth
+    estimates: "pd.DataFrame | None"  # every tick; None where they stand in a folder
+    summary: dict[str, Any]  # the log, the tick, how far times were rounded, and sentences
+
+
+class Asked(NamedTuple):
+    """A log with what is to run on it."""
+
+    log: Log
+    found: Survey
+    cell: Cell
+    clock: Clocked
+    last: int  # tick
+    said: list[str]
+
+
+def replay(
+    log: str | Path,
+    plant: Described,
+    observers: str | list[str],
+    *,
+    out: str | Path | None = None,
+    delay: float | None = None,
+    start: float | None = None,
+    seed: int = 0,
+    overrides: list[str] | None = None,
+) -> Replayed:
+    """Run observers of a plant on a log, and return what can be known of them; with `out`, a folder, estimates stand there.
+
+    `log` is a folder or file of tables, or a TOML that says what of a bag is which channel (`pcbench.logs`); `plant` a study of
+    one scenario and one cell, whose outputs are the log's channels in their order. `delay` [s] stands for arrivals that the log
+    does not have, `start` [s] is the log's time of tick 0, by default its first. `seed` is for observers that draw numbers.
+    Raises UserError, with the row, for whatever the user can mend.
+    """
+    names = [observers] if isinstance(observers, str) else list(observers)
+    with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
+        a = asked(log, plant, names, delay=delay, start=start, overrides=overrides)
+        length = min(LENGTH, max(rounded(a.last + 1), 2))
+        room = feed.room(a.log, a.found, a.clock, length, a.last)
+        p = prepared(a.cell, room, a.last, a.log.name)
+        into = Path(spare if out is None else out)
+        sums, score, smoothed = _run(a, p, room.slots, length, into, seed)
+        return _results(a, p, sums, score, smoothed, into, out is None)
+
+
+def asked(
+    log: str | Path,
+    plant: Described,
+    observers: list[str],
+    *,
+    delay: float | None = None,
+    start: float | None = None,
+    overrides: list[str] | None = None,
+) -> Asked:
+    """Return a log with the cell that is to run on it, in ticks; raise UserError where they do not fit."""
+    _, cell = read.one_cell(plant, observers, overrides or [])
+    opened = reading.opened(log, delay)
+    found, s, said = survey(opened), cell.scenario, []
+    if len(opened.channels) != len(s.sampling.delay):
+        raise UserError(
+            f"{opened.name}: got the channels {', '.join(opened.channels)}, expected one for each of the "
+            f"{len(s.sampling.delay)} outputs of {s.name}; take another plant, or say in a TOML which are meant."
+        )
+    ends = [table_ends(table) for table in (opened.inputs, opened.truth) if table]
+    begin = min([found.start, *(first for first, _ in ends)]) if start is None else start
+    end = max([found.end, *(last for _, last in ends)])
+    last, _ = ticks(np.array([end]), begin, s.dt)
+    if last[0] < 1:
+        raise UserError(
+            f"{opened.name}: got nothing after {begin:g} s, expected samples there; give an earlier --start."
+        )
+    if opened.inputs is None:
+        said.append(f"{opened.name} has no inputs: they are taken to be 0.")
+    if start is not None and found.start < start:
+        said.append(f"what was sampled before {start:g} s is left out.")
+    return Asked(opened, found, cell, Clocked(begin, s.dt), int(last[0]), said)
+
+
+def table_ends(table: Table) -> tuple[float, float]:
+    """Return the first and the last time [s] of inputs or truth; of an empty table none that counts."""
+    first, last = np.inf, -np.inf
+    for rows in table.read():
+        first, last = (min(first, rows.t.min()), max(last, rows.t.max())) if len(rows.t) else (first, last)
+    return float(first), float(last)
+
+
+def rounding(a: Asked) -> dict[str, Any]:
+    """Return the largest rounding of a stamp or arrival [s], and a dt [s] that makes it small, where it is not."""
+    grid = a.found.grid + (a.found.start - a.clock.start)
+    interval = min(s.intervals.quantiles((0.5,))[0] for s in a.found.channels.values())
+    _, off = ticks(grid, 0.0, a.clock.dt)
+    return {"dt": a.clock.dt, "largest_rounding": off, "better_dt": better(grid, a.clock.dt, interval)}
+
+
+def _run(
+    a: Asked, p: Prepared, slots: int, length: int, into: Path, seed: int
+) -> tuple[dict[str, judging.Sums], Any, np.ndarray | None]:
+    """Run all parts of a log; write estimates, return sums of innovations, the score against truth and the smoothed states."""
+    scored = a.log.truth is not None
+    signals = signals_of(a.cell.scenario)
+    many = len(signals) if scored else 0
+    if scored and a.log.truth is not None:
+        feed.require_columns(a.log.truth, [name for name, _ in signals], f"{a.log.name}: truth")
+    if a.log.inputs is not None and len(a.log.inputs.names) != p.m:
+        raise UserError(
+            f"{a.log.name}: inputs: got the columns {', '.join(a.log.inputs.names)}, expected one for each of the plant's "
+            f"{p.m} inputs, in their order; mend the table."
+        )
+    begin, go = stretch.compiled()
+    state, score = begin(p.layout, p.problem, slots, scored, np.asarray(seed))
+    tail, out_from = a.cell.times.tail, int((1 - judging.HELD_OUT) * a.last)
+    sums = {label: judging.Sums() for label, o in p.layout.observers if o.innovation}
+    model = smoother.model_of(p.setting, p.problem.xhat0)
+    enough = model is not None and smoother.numbers_kept(model, a.last + 1) <= smoother.MOST
+    y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
+    schema = folder.fields({o: list(signals[:many]) for o, many in p.sizes.items()}, a.clock.start, a.clock.dt)
+
+    def computed() -> Iterator[tuple[feed.Part, stretch.Read]]:
+        """Each part with what was seen in it, handed on while the next is computed."""
+        nonlocal state, score
+        ends, before = np.array([tail, a.last]), None
+        for part in feed.parts(a.log, a.found, a.clock, length, a.last, slots, p.back, p.m, many):
+            inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
+            here, problem = part.first + np.arange(length), p.problem._replace(inputs=inputs)
+            state, score, seen = go(p.layout, problem, state, score, here, part.window, part.truth, ends)
+            if before is not None:
+                yield before
+            before = part, seen
+        if before is not None:
+            yield before
+
+    with folder.writing(into) as write:
+        for part, seen in computed():
+            here = part.first + np.arange(length)
+            kept = min(length, a.last + 1 - part.first)
+            found = [np.asarray(seen.estimates[label])[:kept] for label, _ in p.layout.observers]
+            write(folder.table(schema, here[:kept] * a.clock.dt, found))
+            for label, numbers in seen.surprise.items():
+                flat = np.asarray(numbers).reshape(-1, stretch.JUDGED)
+                sums[label] = judging.add(sums[label], flat, np.repeat(here >= out_from, slots))
+            if enough:
+                u[part.first : part.first + kept] = part.inputs[p.back :][:kept]
+                k, slot, channel = np.nonzero(part.window.fresh)
+                y[part.window.taken[k, slot], channel] = part.window.value[k, slot, channel]
+    return sums, score, np.asarray(smoother.compiled()(model, u, y)) if enough else None
+
+
+def _results(
+    a: Asked, p: Prepared, sums: dict[str, judging.Sums], score: Any, smoothed: Any, into: Path, loose: bool
+) -> Replayed:
+    """Make tables of what a run left."""
+    import pandas as pd
+
+    signals = signals_of(a.cell.scenario)
+    innovations = pd.DataFrame([{"observer": label, **judging.judgement(each)} for label, each in sums.items()])
+    distances = scoring.distances(into, smoothed, list(a.cell.options), signals)
+    if smoothed is None:
+        a.said.append(
+            "distances to a smoother are left out: it needs a linear model without unknown inputs, and a shorter log."
+        )
+    metrics = scoring.metrics_table(score, signals, a.clock.dt, a.cell.times.tail) if score else pd.DataFrame()
+    round_ = rounding(a)
+    if round_["better_dt"] is not None:
+        a.said.append(
+            f"times are rounded by up to {round_['largest_rounding']:.3g} s at dt = {a.clock.dt:g} s; with dt = "
+            f"{round_['better_dt']:g} s they hardly would be."
+        )
+    summary = {
+        "log": a.log.name,
+        "plant": a.cell.scenario.name,
+        "rows": a.found.rows,
+        "start": a.clock.start,
+        "ticks": a.last,
+        **round_,
+        "certificates": {label: c.status for label, c in p.certificates.items()},
+        "said": a.said,
+        "innovations": innovations.to_dict("records"),
+        "distances": distances.to_dict("records"),
+        "metrics": metrics.to_dict("records"),
+    }
+    folder.summarise(into, summary)
+    estimates = pd.concat([t.to_pandas() for _, t in folder.parts(into)], ignore_index=True) if loose else None
+    return Replayed(innovations, distances, metrics, estimates, folder.plain(summary))

@@ -1,0 +1,52 @@
+"""The commands for recorded data: what they print, what they leave, and that a mistake is one sentence with exit code 2."""
+
+import json
+
+import numpy as np
+import pytest
+import tomli_w
+from commands import call
+from logged import MOTOR, plain, rows
+
+import pcbench
+from pcbench import plots
+
+
+@pytest.fixture
+def here(tmp_path):
+    """A log with one sample twice and a gap, and a plant."""
+    columns = {name: list(values) for name, values in plain().items()}
+    columns["sampled"][20:] = [t + 1.0 for t in columns["sampled"][20:]]
+    columns["arrived"][20:] = [t + 1.0 for t in columns["arrived"][20:]]
+    rows(tmp_path / "flight", columns, {"t": [0.0, 1.0], "u1": [0.5, -0.5]})
+    (tmp_path / "motor.toml").write_text(tomli_w.dumps(MOTOR))
+    return tmp_path
+
+
+def test_log_says_what_is_in_a_log_and_draws_it(here):
+    done = call("log", "flight", "--out", "late.svg", cwd=here)
+    assert done.returncode == 0, done.stderr
+    assert "y1: 1 gaps of more than five intervals, the longest 1.05 s before row 21." in done.stdout
+    assert (here / "late.svg").read_text().count("<svg") == 1
+    (row,) = json.loads(call("log", "flight", "--json", cwd=here).stdout)["channels"]
+    assert (row["samples"], row["gaps"], row["drift_ppm"]) == (40, 1, pytest.approx(0, abs=1e-3))
+
+
+def test_replay_leaves_a_folder_and_a_mistake_is_one_sentence(here):
+    words = ["replay", "flight", "--plant", "motor.toml", "--observers", "dkf", "--out", "out"]
+    done = call(*words, "--json", cwd=here)
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert (said["ticks"], said["rows"], said["innovations"][0]["samples"]) == (305, 40, 40)
+    assert {p.name for p in (here / "out").iterdir()} == {"estimates.parquet", "replay.json"}
+    wrong = call(*words[:1], "none", *words[2:], cwd=here)
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
+    assert "no such file or folder" in wrong.stderr
+
+
+def test_the_picture_has_every_arrival_and_all_shares(here):
+    figure = plots.delays(pcbench.log(here / "flight"))
+    points, shares = figure.axes[0].collections[0].get_offsets(), figure.axes[1].patches[0].get_data().values
+    assert len(points) == 40
+    np.testing.assert_allclose(points[:, 1], 0.1, atol=1e-9)
+    assert shares.sum() == pytest.approx(1.0)

@@ -1,0 +1,107 @@
+"""What is wrong with a log is one sentence that names the file and the row."""
+
+import numpy as np
+import pytest
+from logged import MOTOR, plain, rows
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.logs import reading
+from pcbench.logs.survey import survey
+
+
+def spoilt(column, row, value):
+    """The plain log with one entry changed; rows count from 1."""
+    out = plain()
+    out[column] = list(out[column])
+    out[column][row - 1] = value
+    return out
+
+
+def without(column):
+    return {name: v for name, v in plain().items() if name != column}
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        (spoilt("arrived", 7, 0.1), "row 7 of channel y1: got a sample that arrived 0.2 s before it was sampled"),
+        (spoilt("value", 5, np.nan), "row 5 of channel y1: got the value nan, expected a finite number"),
+        (spoilt("value", 5, np.inf), "row 5 of channel y1: got the value inf"),
+        (spoilt("sampled", 9, np.nan), "row 9 of channel y1: got a sample without a time"),
+        (without("value"), "'value' is no column here"),
+        (without("channel"), "'channel' is no column here"),
+        (without("arrived"), "got no column 'arrived'"),
+        (plain() | {"sampled": plain()["sampled"] * 1e9 + 1.7e18}, "got 1.7e+18 without a unit, expected seconds"),
+    ],
+)
+def test_a_bad_row_is_named(tmp_path, kind, columns, sentence):
+    with pytest.raises(UserError) as caught:
+        survey(reading.opened(rows(tmp_path / "log", columns, kind=kind)))
+    assert sentence in str(caught.value)
+    assert str(caught.value).count(". ") == 0
+
+
+def test_a_word_among_numbers_is_quoted(tmp_path):
+    folder = rows(tmp_path / "log", spoilt("value", 3, "much"))
+    with pytest.raises(UserError, match="'much'"):
+        survey(reading.opened(folder))
+
+
+@pytest.mark.parametrize(("head", "scale"), [("sampled [ms]", 1e3), ("sampled [ns]", 1e9), ("sampled", 1.0)])
+def test_a_head_says_the_unit_of_time(tmp_path, head, scale):
+    columns = plain()
+    columns[head] = columns.pop("sampled") * scale
+    found = survey(reading.opened(rows(tmp_path / "log", columns)))
+    assert found.channels["y1"].delays.mean == pytest.approx(0.1, abs=1e-9)
+
+
+def test_a_stated_delay_stands_for_arrivals(tmp_path):
+    folder = rows(tmp_path / "log", without("arrived"))
+    assert survey(reading.opened(folder, 0.25)).channels["y1"].delays.mean == pytest.approx(0.25)
+    with pytest.raises(UserError, match="expected 0 s or more"):
+        reading.opened(folder, -1.0)
+    with pytest.raises(UserError, match="expected one of them"):
+        reading.opened(rows(tmp_path / "other", plain()), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "sentence"),
+    [
+        ({"t": [0.0, 0.2, 0.1], "u1": [1.0, 2.0, 3.0]}, "row 3: got the time 0.1 s after 0.2 s, expected later times"),
+        ({"t": [0.0, 0.2, 0.2], "u1": [1.0, 2.0, 3.0]}, "row 3: got the time 0.2 s after 0.2 s"),
+        ({"t": [0.0, 0.2], "u1": [1.0, np.nan]}, "row 2: got nan as u1, expected a finite number"),
+        ({"t": [0.0, 0.2], "u1": [1.0, 2.0], "u2": [0.0, 1.0]}, "expected one for each of the plant's 1 inputs"),
+        ({"t": [0.0, 0.2]}, "got the column t alone"),
+    ],
+)
+def test_a_bad_row_of_inputs_is_named(tmp_path, inputs, sentence):
+    folder = rows(tmp_path / "log", plain(), inputs)
+    with pytest.raises(UserError) as caught:
+        pcbench.replay(folder, MOTOR, "open-loop")
+    assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        (spoilt("sampled", 9, 0.301), "got a sample on the same tick"),
+        (plain() | {"sampled": plain()["sampled"] * 200, "arrived": plain()["sampled"] * 200}, "without a sample"),
+        (plain() | {"channel": ["y1", "y2"] * 20}, "got the channels y1, y2, expected one for each of the 1 outputs"),
+    ],
+)
+def test_a_log_that_does_not_fit_a_plant_is_one_sentence(tmp_path, columns, sentence):
+    with pytest.raises(UserError) as caught:
+        pcbench.replay(rows(tmp_path / "log", columns), MOTOR, "open-loop")
+    assert sentence in str(caught.value)
+
+
+def test_what_is_no_log_is_one_sentence(tmp_path):
+    with pytest.raises(UserError, match="no such file"):
+        reading.opened(tmp_path / "none")
+    with pytest.raises(UserError, match=r"a folder without measurements\.parquet"):
+        reading.opened(tmp_path)
+    (tmp_path / "flight.bag").write_bytes(b"")
+    with pytest.raises(UserError, match="expected a TOML that says which"):
+        reading.opened(tmp_path / "flight.bag")

@@ -1,0 +1,133 @@
+"""A run written as a log and read again gives the same estimates, bit for bit, in every kind of table; and the same errors."""
+
+import numpy as np
+import pytest
+from logged import MOTOR
+
+import pcbench
+from pcbench.logs import runs, tables, writing
+from pcbench.logs.log import Batch
+from pcbench.replaying import replay as replaying
+
+OBSERVERS = ["pccebo", "dkf"]
+WILD = MOTOR | {"lti": MOTOR["lti"] | {"delay_jitter": 0.15, "loss": 0.2, "jitter": 0.02}}
+
+
+@pytest.fixture(scope="module")
+def traced(tmp_path_factory):
+    """Runs of the motor, on time and late, lost and overtaking: the frame and the folder of its log."""
+    out = {}
+    for name, study in (("plain", MOTOR), ("wild", WILD)):
+        folder = tmp_path_factory.mktemp(name)
+        out[name] = study, pcbench.trace(study, OBSERVERS, seed=3, log=folder), folder
+    return out
+
+
+def as_csv(folder, into):
+    """The same log in the other kind of table."""
+    log = tables.opened(folder)
+    batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
+    (inputs,) = log.inputs.read()
+    (truth,) = log.truth.read()
+    writing.write(
+        into, batch, log.channels, (inputs.t, inputs.values), (log.truth.names, truth.t, truth.values), ".csv"
+    )
+    return into
+
+
+def same(found, frame):
+    """To rounding: programs made in a hurry differ in the last digits, the slow test asks for bits."""
+    for column in [c for c in frame.columns if "." in c]:
+        size = np.abs(frame[column]).max()
+        np.testing.assert_allclose(found[column], frame[column], rtol=0, atol=1e-14 * size, err_msg=column)
+
+
+@pytest.mark.parametrize("kind", ["parquet", "csv"])
+@pytest.mark.parametrize("name", ["plain", "wild"])
+def test_estimates_are_those_of_the_run(traced, name, kind, tmp_path):
+    study, frame, folder = traced[name]
+    log = folder if kind == "parquet" else as_csv(folder, tmp_path / "log")
+    same(pcbench.replay(log, study, OBSERVERS).estimates, frame)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["parquet", "csv"])
+@pytest.mark.parametrize("name", ["plain", "wild"])
+def test_estimates_are_those_of_the_run_bit_for_bit(traced, name, kind, tmp_path):
+    study, frame, folder = traced[name]
+    log = folder if kind == "parquet" else as_csv(folder, tmp_path / "log")
+    found = pcbench.replay(log, study, OBSERVERS).estimates
+    columns = [c for c in frame.columns if "." in c]
+    assert list(found.columns) == ["t", *columns]
+    for column in columns:
+        np.testing.assert_array_equal(found[column], frame[column], err_msg=column)
+
+
+@pytest.mark.slow
+def test_parts_change_no_bit(traced, monkeypatch):
+    study, frame, folder = traced["wild"]
+    monkeypatch.setattr(replaying, "LENGTH", 64)
+    found = pcbench.replay(folder, study, OBSERVERS)
+    for column in [c for c in frame.columns if "." in c]:
+        np.testing.assert_array_equal(found.estimates[column], frame[column], err_msg=column)
+
+
+def test_a_slip_of_one_tick_is_seen(traced, tmp_path):
+    study, frame, folder = traced["plain"]
+    log = tables.opened(folder)
+    batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
+    (inputs,) = log.inputs.read()
+    writing.write(tmp_path, batch._replace(arrived=batch.arrived + 0.01), log.channels, (inputs.t, inputs.values))
+    found = pcbench.replay(tmp_path, study, OBSERVERS).estimates
+    assert not np.array_equal(found["dkf.angle"][: len(frame)], frame["dkf.angle"][: len(found)])
+
+
+@pytest.mark.slow
+def test_errors_against_truth_are_those_of_the_study(traced):
+    study, _, folder = traced["plain"]
+    found = pcbench.replay(folder, study, OBSERVERS).metrics.set_index(["observer", "signal", "metric"]).value
+    run = pcbench.run(study, observers=OBSERVERS, seeds=1, first_seed=3).runs
+    for row in run.to_dict("records"):
+        for metric in ("mae", "rmse", "mse", "peak", "final", "settling_time", "tail_mae", "tail_rmse", "tail_peak"):
+            assert found[row["observer"], row["signal"], metric] == pytest.approx(row[metric], rel=1e-9, abs=1e-12), (
+                metric
+            )
+
+
+def test_truth_at_some_ticks_is_scored_there(traced, tmp_path):
+    study, frame, folder = traced["plain"]
+    log = tables.opened(folder)
+    batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
+    (inputs,), (truth,) = log.inputs.read(), log.truth.read()
+    some = slice(5, None, 7)
+    known = log.truth.names, truth.t[some], truth.values[some]
+    writing.write(tmp_path, batch, log.channels, (inputs.t, inputs.values), known)
+    found = pcbench.replay(tmp_path, study, OBSERVERS).metrics.set_index(["observer", "signal", "metric"]).value
+    e = (frame["angle"] - frame["dkf.angle"]).to_numpy()[: len(frame) - 1][some]
+    assert found["dkf", "angle", "mae"] == pytest.approx(np.abs(e).mean(), rel=1e-10)
+    assert found["dkf", "angle", "final"] == pytest.approx(e[-1], rel=1e-10)
+
+
+def test_what_never_arrived_stands_in_the_log_without_an_arrival(traced):
+    _, frame, folder = traced["wild"]
+    (batch,) = tables.opened(folder).measurements()
+    lost = np.isnan(batch.arrived)
+    assert 0 < lost.sum() < len(lost)
+    assert (np.isnan(batch.value) <= lost).all()
+    assert batch.arrived[~lost].max() <= frame.t.iloc[-1]
+    assert runs.write_run.__doc__
+
+
+def test_a_folder_has_estimates_with_units_and_what_is_known(traced, tmp_path):
+    import pyarrow.parquet as pq
+
+    study, frame, folder = traced["plain"]
+    found = pcbench.replay(folder, study, OBSERVERS, out=tmp_path / "out")
+    assert found.estimates is None
+    table = pq.read_table(tmp_path / "out" / "estimates.parquet")
+    assert len(table) == len(frame)
+    assert table.schema.field("dkf.rate").metadata[b"unit"] == b"rad/s"
+    assert (tmp_path / "out" / "replay.json").is_file()
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["estimates.parquet", "replay.json"]
+    assert found.summary["largest_rounding"] < 1e-12
+    assert found.summary["better_dt"] is None
