@@ -1,5 +1,6 @@
 """`pcbench export`: the files of one observer of one cell, and what comes of compiling and replaying them."""
 
+import re
 import shutil
 import subprocess
 import tempfile
@@ -23,6 +24,17 @@ from pcbench.study.read import one_cell
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2")
 PATIENCE = 300  # seconds for a compiler, or a replay
+
+
+SAID = re.compile(r"^(.*): differs by (\S+) rms, (\S+) at most; error (\S+) rms$", re.M)
+
+
+class Line(NamedTuple):
+    """What a replay says of one signal, in the signal's unit."""
+
+    differs: float  # rms, from the simulation
+    most: float  # at one tick
+    error: float  # rms, from what is true
 
 
 class Exported(NamedTuple):
@@ -55,12 +67,13 @@ def _exported(p: padding.Plan, root_seed: int, seed: int) -> Exported:
     ((name, o),), label = p.layout.observers, p.labels[0]
     rows, problem = _rows(p), jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
     gains = problem.gains[name]
-    v = vector.vector(p, root_seed, seed, rows)
-    note = jax.eval_shape(lambda: o.note(gains, o.init(gains, problem.xhat0), present(_open(problem, v), jnp.asarray(0), False)))
-    m, q, noted = v.inputs.shape[1], len(problem.noise_std), note.shape[0]
+    m, q = setting(p.cell).model.B.shape[1], len(problem.noise_std)
+    still = problem._replace(inputs=jnp.zeros((1, m)))
+    note = jax.eval_shape(lambda: o.note(gains, o.init(gains, problem.xhat0), present(still, jnp.asarray(0), False)))
+    noted = note.shape[0]
     shapes = functions.Shapes(len(problem.x0), m, q, noted, rows)
     s = functions.source(library.identifier(label), o, gains, problem.xhat0, shapes)
-    signals = signals_of(p.cell.scenario)[: s.estimates]
+    v, signals = vector.vector(p, root_seed, seed, rows), signals_of(p.cell.scenario)[: s.estimates]
     about = About(library.identifier(label), label, p.cell.scenario.name, p.cell.scenario.dt, signals, m, q, rows)
     found = numbers.described(about, p, gains)
     files: dict[str, str | bytes] = {
@@ -73,11 +86,6 @@ def _exported(p: padding.Plan, root_seed: int, seed: int) -> Exported:
         "gains.mat": numbers.as_mat(found),
     }
     return Exported(about, files, np.abs(v.expected).max(0))
-
-
-def _open(problem: Any, v: vector.Vector) -> Any:
-    """The numbers of a cell with the inputs of a run, as of an open loop: of which a shape is asked."""
-    return problem._replace(inputs=jnp.asarray(v.inputs))
 
 
 def _rows(p: padding.Plan) -> int:
@@ -126,3 +134,8 @@ def replayed(found: Exported, single: bool = False, arguments: tuple[str, ...] =
             raise UserError(f"{cc}: refused {files[0]} ({line}), expected it to compile as C99; look at that line.")
         ran = subprocess.run([f"{folder}/replay", *arguments], capture_output=True, text=True, timeout=PATIENCE)
         return ran.stdout
+
+
+def said(printed: str) -> dict[str, Line]:
+    """Return what a replay has printed, by signal."""
+    return {name: Line(float(a), float(b), float(c)) for name, a, b, c in SAID.findall(printed)}

@@ -15,10 +15,10 @@ PRELUDE = """#include <math.h>
 #define real {label}_real
 #ifdef OBSERVER_FLOAT
 #define R(x) x##f
-#define F(f) f##f
+#define F(name) name##f
 #else
 #define R(x) x
-#define F(f) f
+#define F(name) name
 #endif
 #ifdef OBSERVER_COUNT
 long {label}_products = 0;

@@ -1,6 +1,6 @@
 """From a program of jax to lines of C: equation by equation, loops as loops.
 
-What only moves numbers is done here and leaves no line; what nothing reads is left out. A loop's state stands in arrays of its
+What only moves numbers is done here and leaves no line; what nothing reads the compiler leaves out. A loop's state stands in arrays of its
 own, which are written anew at the end of each round.
 """
 
@@ -59,19 +59,9 @@ def _walk(w: Writer, jaxpr: Any, consts: list[Entries], args: list[Entries]) -> 
     def read(v: Any) -> Entries:
         return known(np.asarray(v.val, v.aval.dtype)) if isinstance(v, primitives.Literal) else env[v]
 
-    for eqn in _needed(jaxpr):
+    for eqn in jaxpr.eqns:
         env.update(zip(eqn.outvars, _step(w, eqn, [*map(read, eqn.invars)]), strict=True))
     return [*map(read, jaxpr.outvars)]
-
-
-def _needed(jaxpr: Any) -> list[Any]:
-    """The equations whose results are read."""
-    wanted, kept = {v for v in jaxpr.outvars if not isinstance(v, primitives.Literal)}, []
-    for eqn in reversed(jaxpr.eqns):
-        if any(v in wanted for v in eqn.outvars):
-            kept.append(eqn)
-            wanted.update(v for v in eqn.invars if not isinstance(v, primitives.Literal))
-    return kept[::-1]
 
 
 def _step(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:

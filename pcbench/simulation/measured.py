@@ -41,7 +41,7 @@ def measured(layout: Layout, many: int, p: Problem, root_seed: Array, seeds: Arr
 
     clean = lax.map(at, (jnp.arange(len(x)), x))
     each = lax.map(lambda i: noise(list(range(q)), [i for _ in range(q)]), jnp.arange(many))
-    return Measured(clean, p.noise_std[:, None] * each)
+    return Measured(clean, p.noise_std[None, :, None] * each)
 
 
 @cache
