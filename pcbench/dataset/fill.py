@@ -124,10 +124,11 @@ def _simulated(owned: Owned, todo: Gaps) -> None:
     for cell in owned.cells:
         for label in todo.get(cell.key, {}):
             if cell.entry(label).elsewhere:
+                many = runs_in({cell.key: {label: todo[cell.key][label]}})
                 raise UserError(
-                    f"{cell.scenario.name}: got no estimates of {label} for {runs_in({cell.key: {label: todo[cell.key][label]}})} "
-                    "runs, expected them scored, as it lives elsewhere; write their draws with pcbench draws, estimate them, and "
-                    "give them to pcbench score, or leave it out."
+                    f"{cell.scenario.name}: got no estimates of {label} for {many} runs, expected them scored, as it lives "
+                    "elsewhere; write their draws with pcbench draws, estimate them, and give "
+                    "them to pcbench score, or leave it out."
                 )
 
 

@@ -129,7 +129,7 @@ def fold(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
         if not each:
             out[i] = none[()]
         elif how in ("LARGER", "SMALLER"):
-            out[i] = reduce(lambda x, y: w.let(kind, f"{how}({written(x)}, {y})"), each[1:], flat[i][0])  # noqa: B023
+            out[i] = reduce(lambda x, y: w.let(kind, f"{how}({written(x)}, {y})"), each[1:], flat[i][0])
         else:
             out[i] = w.let(kind, f" {how} ".join(each)) if len(each) > 1 else flat[i][0]
     return out
@@ -138,7 +138,9 @@ def fold(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
 def _nothing(eqn: Any) -> Any:
     """What a fold of no entry is."""
     v = eqn.invars[0].aval
-    return np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0] if v.size == 0 else 0
+    return (
+        np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0] if v.size == 0 else 0
+    )
 
 
 def running_sum(w: Writer, eqn: Any, args: list[Entries]) -> Entries:

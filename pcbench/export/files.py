@@ -5,7 +5,7 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -105,7 +105,9 @@ def write(found: Exported, out: str | Path) -> list[Path]:
             made.append(folder / name)
             made[-1].write_bytes(content if isinstance(content, bytes) else content.encode())
     except OSError as error:
-        raise UserError(f"{out}: cannot be written ({error.strerror}), expected a folder; give another one with --out.") from None
+        raise UserError(
+            f"{out}: cannot be written ({error.strerror}), expected a folder; give another one with --out."
+        ) from None
     return made
 
 

@@ -1,10 +1,10 @@
 """The functions of an observer in C, from those of the protocol: what each is given, and what it leaves.
 
-What a function knows of the present is the struct `now`. The inputs of the past stand there in a ring, from which `past_u` reads
-what was applied so many ticks ago: 0 before tick 0, and NaN beyond the ring.
+What a function knows of the present is the struct `now`. The inputs of the past stand there in a ring, from which `past_u`
+reads what was applied so many ticks ago: 0 before tick 0 unless `now` was begun otherwise, and NaN beyond the ring.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -49,7 +49,7 @@ class Source(NamedTuple):
     estimates: int
 
 
-def present(t: Array, tick: Array, dt: Array, u: Array, past: Array, decided: bool) -> Now:
+def present(t: Array, tick: Array, dt: Array, u: Array, past: Array, *, decided: bool) -> Now:
     """Return the present of a tick, whose own input is `decided`, as it is in `flow`, or not yet."""
     rows = past.shape[0]
 
@@ -63,77 +63,107 @@ def present(t: Array, tick: Array, dt: Array, u: Array, past: Array, decided: bo
 
 def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> Source:
     """Return an observer in C; raise UserError, naming the function and the primitive, where it cannot be written."""
-    n, m, q, r, rows = shapes
     memory = jax.eval_shape(o.init, gains, xhat0)
-    whole, number, flag = jax.ShapeDtypeStruct((), int), jax.ShapeDtypeStruct((), float), bool
-    now = [number, whole, number, jax.ShapeDtypeStruct((m,), float), jax.ShapeDtypeStruct((rows, m), float)]
-    ints = jax.ShapeDtypeStruct((q,), int)
-    arrival = Arrival(
-        value=jax.ShapeDtypeStruct((q,), float),
-        fresh=jax.ShapeDtypeStruct((q,), flag),
-        age=ints,
-        index=ints,
-        note=jax.ShapeDtypeStruct((r,), float),
-        since=whole,
-    )
+    now, arrival, flags = _given(shapes)
     there = {
         "g": structs.fields(gains, "gain"),
         "m": structs.fields(memory, "value"),
-        "now": [Field(name, kind_of(a.dtype), a.shape) for name, a in zip(("t", "tick", "dt", "u", "past"), now, strict=True)],
-        "a": [Field(name, kind_of(a.dtype), a.shape) for name, a in arrival._asdict().items()],
+        "now": _named(("t", "tick", "dt", "u", "past"), now),
+        "a": _named(Arrival._fields, arrival),
     }
-    P = f"const {label}_gains *g"
-    M, C, N = f"{label}_memory *m", f"const {label}_memory *m", f"const {label}_now *now"
-    vectors = {"xhat0": ("real", (n,)), "fresh": ("bool", (q,))}
-    looks: list[bool] = []
-
-    def made(name: str, head: str, given: str, f: Callable[..., Any], out: str, *shapes: Any) -> Function:
-        w, args = Writer(), []
-        for each in given.split():
-            args += structs.entries(each, there[each]) if each in there else [stored(each, vectors[each][1])]
-        closed = jax.make_jaxpr(f)(*shapes)
+    vectors = {"xhat0": _named(("xhat0",), [xhat0]), "fresh": _named(("fresh",), [flags])}
+    out = []
+    for name, (f, args, changes) in _asked(o, shapes.noted).items():
+        values = {"g": gains, "m": memory, "now": now, "a": arrival, "xhat0": xhat0, "fresh": flags}
+        closed = jax.make_jaxpr(f)(*(values[each] for each in args))
+        entries = [
+            entry
+            for each in args
+            for entry in (
+                structs.entries(each, there[each]) if each in there else [stored(each, vectors[each][0].shape)]
+            )
+        ]
+        into = structs.entries("m", there["m"]) if changes == "m" else None
         try:
-            left = program.write(w, closed, args)
+            lines = _lines(closed, entries, into, changes)
         except program.Hindered as hindered:
+            if name == "covariance":
+                continue
             raise UserError(
                 f"{label}: {name} needs {hindered}, which cannot be written in C here, expected primitives that can; export "
                 "another observer, or write this one by hand from its gains."
             ) from None
-        into = structs.entries("m", there["m"]) if out == "m" else [stored(out, left[0].shape)]
-        kinds = [kind_of(v.aval.dtype) for v in closed.jaxpr.outvars]
-        program.assign(w, [*zip(kinds, into, left, strict=True)])
-        w.count()
-        looks.append(any("now->past[" in line for line in w.lines))
-        return Function(name, head, w.lines)
-
-    decided = lambda now: present(*now, decided=True)  # noqa: E731
-    undecided = lambda now: present(*now, decided=False)  # noqa: E731
-    functions = [
-        made("init", f"{P}, const real xhat0[{n}], {M}", "g xhat0", o.init, "m", gains, xhat0),
-        made("flow", f"{P}, {M}, {N}", "g m now", lambda g, m, now: o.flow(g, m, decided(now)), "m", gains, memory, now),
-        made("estimate", f"{P}, {C}, real *xhat", "g m", lambda g, m: jnp.asarray(o.estimate(g, m)), "xhat", gains, memory),
-        made(
-            "jump", f"{P}, {M}, {N}, const {label}_arrival *a", "g m now a",
-            lambda g, m, now, a: o.jump(g, m, undecided(now), a), "m", gains, memory, now, arrival,
-        ),
-    ]  # fmt: skip
-    if r:
-        f = lambda g, m, now: jnp.asarray(o.note(g, m, undecided(now)))  # noqa: E731
-        functions.insert(1, made("note", f"{P}, {C}, {N}, real *note", "g m now", f, "note", gains, memory, now))
-    if told := o.sampled:
-        f = lambda g, m, now, fresh: told(g, m, undecided(now), fresh)  # noqa: E731
-        flags = jax.ShapeDtypeStruct((q,), flag)
-        functions.insert(
-            -1, made("sampled", f"{P}, {M}, {N}, const bool *fresh", "g m now fresh", f, "m", gains, memory, now, flags)
-        )
-    if spread := o.covariance:
-        f = lambda g, m, now: jnp.asarray(spread(g, m, undecided(now)))  # noqa: E731
-        try:
-            functions.append(made("covariance", f"{P}, {C}, {N}, real *P", "g m now", f, "P", gains, memory, now))
-        except UserError:
-            pass
+        out.append(Function(name, _head(label, args, changes), lines))
     estimates = jax.eval_shape(lambda g, m: jnp.asarray(o.estimate(g, m)), gains, memory).shape[0]
-    return Source(*there.values(), functions, any(looks), estimates)  # type: ignore[arg-type]
+    looks = any("now->past[" in line for f in out for line in f.lines)
+    return Source(there["g"], there["m"], there["now"], there["a"], out, looks, estimates)
+
+
+def _given(shapes: Shapes) -> tuple[list[Any], Arrival, Any]:
+    """What functions are given besides gains and memory: of which kinds and shapes."""
+
+    def kind(dtype: type, *shape: int) -> Any:
+        return jax.ShapeDtypeStruct(shape, dtype)
+
+    _, m, q, r, rows = shapes
+    now = [kind(float), kind(int), kind(float), kind(float, m), kind(float, rows, m)]
+    arrival = Arrival(
+        value=kind(float, q),
+        fresh=kind(bool, q),
+        age=kind(int, q),
+        index=kind(int, q),
+        note=kind(float, r),
+        since=kind(int),
+    )
+    return now, arrival, kind(bool, q)
+
+
+def _named(names: Iterable[str], kinds: Iterable[Any]) -> list[Field]:
+    return [Field(name, kind_of(a.dtype), tuple(a.shape)) for name, a in zip(names, kinds, strict=True)]
+
+
+def _asked(o: Observer, noted: int) -> dict[str, tuple[Callable[..., Any], tuple[str, ...], str]]:
+    """The functions that an observer has: what each computes, of what, and what that changes; in the order of a tick."""
+
+    def undecided(now: Any) -> Now:
+        return present(*now, decided=False)
+
+    out: dict[str, tuple[Callable[..., Any], tuple[str, ...], str]] = {"init": (o.init, ("g", "xhat0"), "m")}
+    if noted:
+        out["note"] = (lambda g, m, now: jnp.asarray(o.note(g, m, undecided(now))), ("g", "m", "now"), "note")
+    if told := o.sampled:
+        out["sampled"] = (lambda g, m, now, fresh: told(g, m, undecided(now), fresh), ("g", "m", "now", "fresh"), "m")
+    out["jump"] = (lambda g, m, now, a: o.jump(g, m, undecided(now), a), ("g", "m", "now", "a"), "m")
+    out["estimate"] = (lambda g, m: jnp.asarray(o.estimate(g, m)), ("g", "m"), "xhat")
+    if spread := o.covariance:
+        out["covariance"] = (lambda g, m, now: jnp.asarray(spread(g, m, undecided(now))), ("g", "m", "now"), "P")
+    out["flow"] = (lambda g, m, now: o.flow(g, m, present(*now, decided=True)), ("g", "m", "now"), "m")
+    return out
+
+
+def _lines(closed: Any, entries: list[Any], into: list[Any] | None, changes: str) -> list[str]:
+    """The lines of a function that writes what a program makes `into` a struct, or into an array called `changes`."""
+    w = Writer()
+    left = program.write(w, closed, entries)
+    kinds = [kind_of(v.aval.dtype) for v in closed.jaxpr.outvars]
+    program.assign(w, [*zip(kinds, into or [stored(changes, left[0].shape)], left, strict=True)])
+    w.count()
+    return w.lines
+
+
+def _head(label: str, args: tuple[str, ...], changes: str) -> str:
+    """The arguments of a function in C."""
+    const = "" if changes == "m" else "const "
+    said = {
+        "g": f"const {label}_gains *g",
+        "m": f"{const}{label}_memory *m",
+        "now": f"const {label}_now *now",
+        "a": f"const {label}_arrival *a",
+        "xhat0": "const real *xhat0",
+        "fresh": "const bool *fresh",
+    }
+    made = [said["m"]] if changes == "m" and "m" not in args else [f"real *{changes}"] if changes != "m" else []
+    return ", ".join([*(said[each] for each in args), *made])
 
 
 def numbers(tree: Any) -> list[np.ndarray]:

@@ -106,7 +106,11 @@ def header(about: About, s: Source) -> str:
     arrival = [each._replace(says=says) for each, says in zip(s.arrival, said, strict=True)]
     signals = ", ".join(f"{name} [{unit}]" for name, unit in about.signals)
     order = ORDER.format(label=label, sampled=SAMPLED.format(label=label) if _has(s, "sampled") else "")
-    order = order if _has(s, "note") else order.replace(f"{label}_note (keep what it writes with the sample)", "nothing to note")
+    order = (
+        order
+        if _has(s, "note")
+        else order.replace(f"{label}_note (keep what it writes with the sample)", "nothing to note")
+    )
     past = PAST.format(rows=about.rows, inputs=about.inputs) if s.looks_back else ""
     lines = [
         f"/* {about.observer}, as {about.scenario} has it: made by pcbench.",

@@ -2,15 +2,15 @@
 
 import io
 import json
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from pcbench.dynamics import linear
 from pcbench.export import functions, structs
 from pcbench.export.library import About
-from pcbench.planning.padding import Plan
 from pcbench.planning.design_setting import setting
+from pcbench.planning.padding import Plan
 
 
 def described(about: About, p: Plan, gains: Any) -> dict[str, Any]:
@@ -45,7 +45,7 @@ def as_mat(found: dict[str, Any]) -> bytes:
     from scipy.io import savemat
 
     out = io.BytesIO()
-    savemat(out, _whole(found), long_field_names=True)
+    savemat(cast(Any, out), _whole(found), long_field_names=True)
     return out.getvalue()
 
 

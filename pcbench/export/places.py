@@ -30,11 +30,10 @@ def dynamic_update_slice(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
         out = operand.copy()
         out[tuple(slice(int(s), int(s) + n) for s, n in zip(starts, update.shape, strict=True))] = update
         return out
-    out = _copied(w, eqn, operand)
-    first = _offset(w, operand.shape, starts)
+    name, first = _copied(w, eqn, operand), _offset(w, operand.shape, starts)
     for i in np.ndindex(update.shape):
-        w.say(f"{stored(out, (1,), first, _flat(operand.shape, i))[0].text} = {written(update[i])};")
-    return stored(out, operand.shape)
+        w.say(f"{stored(name, (1,), first, _flat(operand.shape, i))[0].text} = {written(update[i])};")
+    return stored(name, operand.shape)
 
 
 def gather(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
@@ -52,7 +51,7 @@ def gather(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
         for own, theirs in zip(d.operand_batching_dims, d.start_indices_batching_dims, strict=True):
             starts[own] = np.int64(b[theirs])
         limits = [n - s for n, s in zip(operand.shape, sizes, strict=True)]
-        there = _is_inside(w, starts, limits) if mode in FILL else True
+        there = _is_inside(w, starts, limits) if mode in FILL else ""
         starts = [_inside(w, s, limit) for s, limit in zip(starts, limits, strict=True)]
         shape = tuple(sizes[i] for i in windowed)
         window = np.zeros((*shape, operand.ndim), int)
@@ -62,7 +61,7 @@ def gather(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
         at: list[Any] = [slice(None)] * len(aval.shape)
         for axis, i in zip(batch, b, strict=True):
             at[axis] = i
-        found = found if there is True else _or_else(w, eqn, found, there)
+        found = _or_else(w, eqn, found, there) if there else found
         out[tuple(at)] = found if found.ndim else found[()]
     return out
 
@@ -136,7 +135,7 @@ def _inside(w: Writer, start: Any, most: int) -> Any:
     return np.clip(np.int64(start), 0, most)
 
 
-def _is_inside(w: Writer, starts: list[Any], limits: list[int]) -> Any:
+def _is_inside(w: Writer, starts: list[Any], limits: list[int]) -> str:
     """Whether indices are in 0 .. limits: a condition in C."""
     each = [f"{written(s)} >= 0 && {written(s)} <= {limit}" for s, limit in zip(starts, limits, strict=True)]
     return w.let("bool", " && ".join(each)).text
@@ -163,5 +162,3 @@ def _offset(w: Writer, shape: tuple[int, ...], starts: list[Any], base: str = ""
     terms = [f"{written(s)} * {stride}" for s, stride in zip(starts, strides, strict=True) if isinstance(s, Term) or s]
     text = " + ".join([*([base] if base else []), *terms])
     return w.let("int64_t", text).text if text else ""
-
-

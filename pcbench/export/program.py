@@ -1,7 +1,7 @@
 """From a program of jax to lines of C: equation by equation, loops as loops.
 
-What only moves numbers is done here and leaves no line; what nothing reads the compiler leaves out. A loop's state stands in arrays of its
-own, which are written anew at the end of each round.
+What only moves numbers is done here and leaves no line; what nothing reads the compiler leaves out. A loop's state stands in
+arrays of its own, which are written anew at the end of each round.
 """
 
 from collections.abc import Callable
@@ -57,7 +57,7 @@ def _walk(w: Writer, jaxpr: Any, consts: list[Entries], args: list[Entries]) -> 
     env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
 
     def read(v: Any) -> Entries:
-        return known(np.asarray(v.val, v.aval.dtype)) if isinstance(v, primitives.Literal) else env[v]
+        return known(np.asarray(v.val)) if isinstance(v, primitives.Literal) else env[v]
 
     for eqn in jaxpr.eqns:
         env.update(zip(eqn.outvars, _step(w, eqn, [*map(read, eqn.invars)]), strict=True))

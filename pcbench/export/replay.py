@@ -133,7 +133,12 @@ def header(about: About, v: Vector, noted: int, ring: int) -> str:
         "TICKS": len(v.expected), "EVENTS": len(v.events), "SIGNALS": s, "INPUTS": m, "OUTPUTS": q, "BEFORE": len(v.before),
         "NOTED": max(noted, 1), "RING": max(ring, 1),
     }  # fmt: skip
-    lines = [f"/* A run of {about.scenario} with {about.observer}. */", "#include <stdbool.h>", "#include <stdint.h>", ""]
+    lines = [
+        f"/* A run of {about.scenario} with {about.observer}. */",
+        "#include <stdbool.h>",
+        "#include <stdint.h>",
+        "",
+    ]
     lines += [f"#define {name} {value}" for name, value in sizes.items()]
     lines += [
         "",

@@ -10,8 +10,10 @@ import numpy as np
 
 from pcbench.export.terms import Entries, Term, kind_of, known, scalar, stored, written
 
-RESERVED = set("auto break case char const continue default do double else enum extern float for goto if int long".split())
-RESERVED |= set("register return short signed sizeof static struct switch union unsigned void volatile while real".split())
+RESERVED = frozenset(
+    """auto break case char const continue default do double else enum extern float for goto if int long register return
+    short signed sizeof static struct switch union unsigned void volatile while real""".split()  # noqa: SIM905
+)
 
 
 class Field(NamedTuple):

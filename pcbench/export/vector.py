@@ -26,7 +26,7 @@ class Event(NamedTuple):
     value: Floats  # [q] 0 where not fresh
     fresh: NDArray[np.bool_]  # [q] that arrive, or are sampled
     age: NDArray[np.int64]  # [q]
-    index: NDArray[np.int64]  # [q]
+    index: NDArray[np.int64]  # type: ignore[assignment]  # [q]
     since: int
 
 

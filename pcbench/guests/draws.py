@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench.dataset import ownership, store
+from pcbench.dynamics import linear
 from pcbench.guests import runs
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
@@ -19,7 +20,6 @@ from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.simulation.schedule.shared import NEVER
 from pcbench.study.cells import Grid
-from pcbench.dynamics import linear
 
 FOLDER = "draws"
 SAMPLES = {
@@ -30,7 +30,11 @@ SAMPLES = {
     "sample": (pa.int64(), "", "which sample of its channel, from 0"),
     "sampled_tick": (pa.int64(), "", "tick at which it is taken; below 0: before the run, of the state at 0"),
     "sampled": (pa.float64(), "s", "the same in seconds"),
-    "arrived_tick": (pa.int64(), "", "tick at which it arrives, before the estimate of that tick; null: never within the run"),
+    "arrived_tick": (
+        pa.int64(),
+        "",
+        "tick at which it arrives, before that tick's estimate; null: never within the run",
+    ),
     "arrived": (pa.float64(), "s", "the same in seconds"),
     "value": (pa.float64(), "unit of the output", "what was measured, noise included"),
 }
@@ -44,14 +48,14 @@ Written by `pcbench draws`. Ticks are whole numbers; a tick's length `dt`, the m
 |---|---|---|
 {rows}
 
-`inputs.parquet` has the inputs: scenario, cell, tick, t [s], u1, u2, ..., each held from its tick to the next. `starts.parquet` has
-xhat(0): scenario, cell, seed, and a column for each state in the cell's order, x1, x2, ...
+`inputs.parquet` has the inputs: scenario, cell, tick, t [s], u1, u2, ..., each held from its tick to the next.
+`starts.parquet` has xhat(0): scenario, cell, seed, and a column for each state in the cell's order, x1, x2, ...
 
-At tick k a run goes: samples are taken, samples arrive (the oldest first), **the estimate of tick k is read**, the input u_k is
-held over the tick. So the estimate of tick k may use what has arrived up to tick k and inputs up to tick k - 1.
+At tick k a run goes: samples are taken, samples arrive (the oldest first), **the estimate of tick k is read**, the input
+u_k is held over the tick. So the estimate of tick k may use what has arrived up to tick k and inputs up to tick k - 1.
 
-Leave a Parquet or CSV file with a row for each tick 0 .. N - 1 of each run (N is `ticks` in `cells.json`): columns scenario, cell,
-seed, tick, and one for each signal by its name. Then: `pcbench score DIR estimates.parquet --name my-observer`.
+Leave a Parquet or CSV file with a row for each tick 0 .. N - 1 of each run (N is `ticks` in `cells.json`): columns scenario,
+cell, seed, tick, and one for each signal by its name. Then: `pcbench score DIR estimates.parquet --name my-observer`.
 """
 
 
@@ -72,7 +76,9 @@ def write(grid: Grid, out: str | Path, progress: Progress = SILENT) -> store.Tar
                 samples.append(_samples(p, run))
                 starts.append(_keys(p, 1, seed=run.seed) | {f"x{i + 1}": [v] for i, v in enumerate(run.xhat0.tolist())})
                 progress.step(1)
-        schema = pa.schema([pa.field(n, kind, metadata={"unit": u, "meaning": m}) for n, (kind, u, m) in SAMPLES.items()])
+        schema = pa.schema(
+            [pa.field(n, kind, metadata={"unit": u, "meaning": m}) for n, (kind, u, m) in SAMPLES.items()]
+        )
         every = {name: np.concatenate([np.asarray(each[name]) for each in samples]) for name in SAMPLES}
         columns = [pa.array(every[name], SAMPLES[name][0], from_pandas=True) for name in SAMPLES]
         store.put_table(target, f"{FOLDER}/samples.parquet", pa.Table.from_arrays(columns, schema=schema))
@@ -107,7 +113,11 @@ def _samples(p: Plan, run: runs.Run) -> dict[str, Any]:
 def _inputs(p: Plan) -> dict[str, Any]:
     u = np.asarray(p.problem.inputs)
     ticks = np.arange(len(u))
-    return _keys(p, len(u)) | {"tick": ticks, "t": ticks * p.cell.scenario.dt} | {f"u{i + 1}": c for i, c in enumerate(u.T)}
+    return (
+        _keys(p, len(u))
+        | {"tick": ticks, "t": ticks * p.cell.scenario.dt}
+        | {f"u{i + 1}": c for i, c in enumerate(u.T)}
+    )
 
 
 def _joined(parts: list[dict[str, Any]]) -> pa.Table:
@@ -118,11 +128,18 @@ def _cell(p: Plan) -> dict[str, Any]:
     """What a program should know of a cell: what observers of pcbench are told too."""
     known, s = setting(p.cell), p.cell.scenario
     Phi, Gamma = linear.one_tick(known.model, known.dt)
-    model = {"A": known.model.A, "B": known.model.B, "C": known.model.C, "D": known.model.feedthrough, "Phi": Phi, "Gamma": Gamma}
+    model = {
+        "A": known.model.A,
+        "B": known.model.B,
+        "C": known.model.C,
+        "D": known.model.feedthrough,
+        "Phi": Phi,
+        "Gamma": Gamma,
+    }
     return {
         "scenario": s.name,
         "cell": p.cell.number,
-        "axes": {name: value for name, value in p.cell.values.items()},
+        "axes": dict(p.cell.values),
         "dt": s.dt,
         "ticks": p.cell.times.ticks,
         "signals": [{"name": name, "unit": unit} for name, unit in signals_of(s)],

@@ -22,21 +22,28 @@ def read(file: str | Path) -> pd.DataFrame:
         return pd.read_parquet(path, partitioning=None)
     except (OSError, ValueError, pd.errors.ParserError) as error:
         raise UserError(
-            f"{short(str(file))}: cannot be read ({short(str(error).splitlines()[0])}), expected a Parquet file, or a .csv; give one."
+            f"{short(str(file))}: cannot be read ({short(str(error).splitlines()[0])}), expected a Parquet file, or a .csv; "
+            "give one."
         ) from None
 
 
-def sorted_(table: pd.DataFrame, where: str, signals: list[str], only: tuple[str, int] | None) -> dict[tuple[str, int], Any]:
+def sorted_(
+    table: pd.DataFrame, where: str, signals: list[str], only: tuple[str, int] | None
+) -> dict[tuple[str, int], Any]:
     """Return the rows of each cell, in the order of seeds and ticks; of a study of `only` one cell its names may be left out.
 
     Raises UserError for a column that is missing or holds no numbers.
     """
     if only:
-        table = table.assign(**{k: v for k, v in zip(KEYS[:2], only, strict=True) if k not in table})
+        table = table.copy()
+        table["scenario"] = table.get("scenario", only[0])
+        table["cell"] = table.get("cell", only[1])
     for name in KEYS:
         if name not in table:
-            raise unknown(where, "column of it", name, table.columns.astype(str)) if len(table.columns) else UserError(
-                f"{where}: got no columns, expected {', '.join(KEYS)} and the signals; write them."
+            raise (
+                unknown(where, "column of it", name, table.columns.astype(str))
+                if len(table.columns)
+                else UserError(f"{where}: got no columns, expected {', '.join(KEYS)} and the signals; write them.")
             )
     if not set(signals) & set(table.columns):
         raise UserError(
@@ -47,7 +54,8 @@ def sorted_(table: pd.DataFrame, where: str, signals: list[str], only: tuple[str
         if not pd.api.types.is_numeric_dtype(table[name]):
             raise UserError(f"{where}: column {name} got {table[name].dtype}, expected numbers; write them as such.")
     ordered = table.sort_values(list(KEYS), kind="stable")
-    return {(str(s), int(c)): rows for (s, c), rows in ordered.groupby(["scenario", "cell"], sort=False)}
+    groups: Any = ordered.groupby(["scenario", "cell"], sort=False)
+    return {(str(s), int(c)): rows for (s, c), rows in groups}
 
 
 def of_cell(rows: Any, where: str, signals: list[str], seeds: NDArray[np.int64], ticks: int) -> Floats:
@@ -72,8 +80,8 @@ def of_cell(rows: Any, where: str, signals: list[str], seeds: NDArray[np.int64],
     wrong = counts[(counts["size"] != ticks) | (counts["nunique"] != ticks) | (counts["min"] != 0)]
     if len(wrong):
         raise UserError(
-            f"{where}: got {int(wrong['size'].iloc[0]):,} ticks of seed {wrong.index[0]}, expected each of 0 .. {ticks - 1:,} once; "
-            "leave a row for every tick."
+            f"{where}: got {int(wrong['size'].iloc[0]):,} ticks of seed {wrong.index[0]}, expected each of 0 .. {ticks - 1:,} "
+            "once; leave a row for every tick."
         )
     mine = there[there.seed.isin(seeds)]
     found: Floats = mine[names].to_numpy(float).reshape(len(seeds), ticks, len(names))

@@ -27,5 +27,7 @@ def run(folder: str | Path, reference: str, name: str, progress: Progress = SILE
         done = subprocess.run(words, capture_output=True, text=True, env=dict(os.environ))
         if done.returncode:
             last = (done.stderr.strip().splitlines() or ["it ended without a word"])[-1]
-            raise UserError(last if done.returncode == 2 else f"guest {reference}: ended with {last}, expected estimates; mend it.")
+            raise UserError(
+                last if done.returncode == 2 else f"guest {reference}: ended with {last}, expected estimates; mend it."
+            )
         return score.score(folder, out, name, progress, say)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -38,7 +39,9 @@ def planned(cell: Cell) -> Plan:
             "cannot be written before it estimates; export the controller's scenario with an input instead."
         )
     if s.sampling.continuous:
-        raise UserError(f"{s.name}: got continuous measurement, expected samples; take a scenario with a sampling period.")
+        raise UserError(
+            f"{s.name}: got continuous measurement, expected samples; take a scenario with a sampling period."
+        )
     (p,) = padding.fit(list(planning.drafts([cell], ())))
     return p
 
@@ -50,7 +53,7 @@ def runs(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
 
 
 def _some(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
-    clocks, ticks, n, q = p.cell.times.clocks, p.cell.times.ticks, len(p.problem.x0), len(p.problem.noise_std)
+    ticks, n, q = p.cell.times.ticks, len(p.problem.x0), len(p.problem.noise_std)
     nothing = shared.schedule([], ticks, q)
     still, root = p.problem._replace(schedule=nothing), np.asarray(root_seed)
     alone = jax.jit(trace.record_some, static_argnums=(0, 1, 2))
@@ -65,9 +68,10 @@ def _some(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
         yield Run(int(seed), x[..., i], first[:, i], mine, np.array(values))
 
 
-def _starts(layout: Any, problem: Any, root: Any, seeds: NDArray[np.int64]) -> Floats:
-    found = start.first_estimate(layout._replace(width=len(seeds)), jax.tree.map(jax.numpy.asarray, problem), root, seeds)
-    return np.asarray(lanes.whole(found if lanes.is_lanes(found) else jax.numpy.asarray(found), len(seeds)))
+def _starts(layout: Any, problem: Any, root: Any, seeds: Any) -> Floats:
+    ready, width = jax.tree.map(jnp.asarray, problem), len(seeds)
+    found = start.first_estimate(layout._replace(width=width), ready, root, jnp.asarray(seeds))
+    return np.asarray(lanes.whole(found, width))
 
 
 def _samples(p: Plan, root_seed: int, seed: int) -> list[shared.Sample]:

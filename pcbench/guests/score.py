@@ -28,11 +28,13 @@ from pcbench.study.labels import LABEL
 from pcbench.synthesis.certificate import uncertified
 
 TRUSTED = (
-    "that an estimate uses only what had arrived by its tick cannot be checked of estimates made elsewhere, and is trusted."
+    "that estimates use only what had arrived by their tick cannot be checked of such made elsewhere, and is trusted."
 )
 
 
-def score(folder: str | Path, file: str | Path, name: str, progress: Progress = SILENT, say: Say | None = None) -> Result:
+def score(
+    folder: str | Path, file: str | Path, name: str, progress: Progress = SILENT, say: Say | None = None
+) -> Result:
     """Add estimates to a study's tables as the observer `name`; the study's other observers are run where they are missing.
 
     Raises UserError for a name that is taken, for runs that are missing, and for ticks that are not all there.
@@ -70,11 +72,15 @@ def grown(target: store.Target, name: str) -> Grid:
     _named(name)
     said = store.text(target, ownership.TEXT)
     if said is None:
-        raise UserError(f"{target.name}: holds no study, expected a folder that pcbench draws has written; name that one.")
+        raise UserError(
+            f"{target.name}: holds no study, expected a folder that pcbench draws has written; name that one."
+        )
     there = tomllib.loads(said.decode())
     raw = {k: v for k, v in there.items() if k != "resolved"}
     taken = dict(raw.get("use", {}))
-    labels = list(raw.get("observers") or dict.fromkeys(o for names in there["resolved"]["observers"].values() for o in names))
+    labels = list(
+        raw.get("observers") or dict.fromkeys(o for names in there["resolved"]["observers"].values() for o in names)
+    )
     if name in labels and taken.get(name) != REFERENCE:
         raise UserError(f"--name: got '{name}', which the study has as an observer of its own; give another name.")
     raw["use"] = taken | {name: REFERENCE}
@@ -112,9 +118,7 @@ def _results(p: Plan, root_seed: int, seeds: Seeds, given: Any, progress: Progre
 
 def _marked(p: Plan, name: str) -> Plan:
     """The plan as if it had the guest among its observers."""
-    return p._replace(
-        certificates={name: uncertified(ONE_AT_A_TIME)}, carries_input={name: None}, labels=(name,)
-    )
+    return p._replace(certificates={name: uncertified(ONE_AT_A_TIME)}, carries_input={name: None}, labels=(name,))
 
 
 def _without(target: store.Target, name: str) -> None:

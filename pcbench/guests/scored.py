@@ -20,7 +20,7 @@ def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Any]:
     with np.errstate(invalid="ignore", over="ignore"):
         streams = [_stream(e[a:b]) for a, b in np.asarray(p.problem.windows)]
         watch = _watch(e, p)
-    whole = Stream(*(np.stack(each) for each in zip(*streams, strict=True)))
+    whole: Any = Stream._make(np.stack(each) for each in zip(*streams, strict=True))
     falls = bool((p.problem.jumps < n).any())
     return metrics.read(whole, watch, e[-1], n, tail, dt, falls)  # type: ignore[arg-type]
 
@@ -31,9 +31,11 @@ def _stream(e: Floats) -> Stream:
 
 
 def _watch(e: Floats, p: Plan) -> Watch:
+    after: Any
     many, ticks = e.shape[1], np.arange(len(e))[:, None, None]
     size, band, bound = np.abs(e), *(np.asarray(a)[:many, None] for a in (p.problem.band, p.problem.bound))
-    outside, bad = size > band, ~(size <= bound).all(1)  # [N, s, runs], [N, runs]
+    outside = size > band  # [N, s, runs]
+    bad: Any = np.logical_not((size <= bound).all(1))  # [N, runs]
     unsettled = np.where(outside, ticks + 1, 0).max(0)
     first = np.where(bad.any(0), bad.argmax(0), -1)
     jumps = np.asarray(p.problem.jumps)

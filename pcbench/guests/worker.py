@@ -1,10 +1,10 @@
-"""A guest's own process: it is made anew for each run, and given tick by tick what has arrived. It sees the draws, nothing else.
+"""A guest's own process: made anew for each run, and given tick by tick what has arrived. It sees the draws, nothing else.
 
     python -m pcbench.guests.worker DIR MODULE:NAME OUT.parquet
 
-NAME is a function or a class: `make(cell, xhat0)` returns an object whose `step(t, u, arrivals)` returns xhat at t: `cell` is an
-entry of cells.json, `u` [m] the input held since the tick before (zeros at the first), and `arrivals` what has come at this tick,
-the oldest sample first. Mistakes of the guest's end in one sentence and exit code 2.
+NAME is a function or a class: `make(cell, xhat0)` returns an object whose `step(t, u, arrivals)` returns xhat at t: `cell` is
+an entry of cells.json, `u` [m] the input held since the tick before (zeros at the first), and `arrivals` what has come at this
+tick, the oldest sample first. Mistakes of the guest's end in one sentence and exit code 2.
 """
 
 import json
@@ -36,7 +36,9 @@ def main(folder: str, reference: str, out: str) -> None:
     """Run a guest on all runs of some draws, one after another, and leave its estimates."""
     draws = Path(folder) / "draws"
     cells = json.loads((draws / "cells.json").read_text())
-    tables = {name: pd.read_parquet(draws / f"{name}.parquet", partitioning=None) for name in ("samples", "inputs", "starts")}
+    tables = {
+        name: pd.read_parquet(draws / f"{name}.parquet", partitioning=None) for name in ("samples", "inputs", "starts")
+    }
     make = maker(reference)
     parts = [part for cell in cells for part in of_cell(make, cell, tables, reference)]
     pd.concat(parts, ignore_index=True).to_parquet(out, index=False)
@@ -49,14 +51,19 @@ def maker(reference: str) -> Callable[..., Any]:
     module, name = own.split(reference, where)
     found = getattr(own.module_of(code, where, Path(module).resolve().parent if code.files else None), name, None)
     if not callable(found):
-        raise UserError(f"{where}: got no function '{name}' in {short(module)}, expected make(cell, xhat0); write it there.")
+        raise UserError(
+            f"{where}: got no function '{name}' in {short(module)}, expected make(cell, xhat0); write it there."
+        )
     return found
 
 
-def of_cell(make: Callable[..., Any], cell: dict[str, Any], tables: dict[str, Any], where: str) -> Iterator[pd.DataFrame]:
+def of_cell(
+    make: Callable[..., Any], cell: dict[str, Any], tables: dict[str, Any], where: str
+) -> Iterator[pd.DataFrame]:
     """Yield the estimates of each run of a cell."""
     mine = {
-        name: table[(table.scenario == cell["scenario"]) & (table.cell == cell["cell"])] for name, table in tables.items()
+        name: table[(table.scenario == cell["scenario"]) & (table.cell == cell["cell"])]
+        for name, table in tables.items()
     }
     inputs = mine["inputs"].sort_values("tick").filter(regex=r"^u\d+$").dropna(axis=1).to_numpy(float)
     samples = dict(iter(mine["samples"].dropna(subset=["arrived_tick"]).groupby("seed")))
@@ -83,7 +90,12 @@ def arrivals(samples: Any, q: int) -> dict[int, list[Arrived]]:
 
 
 def of_run(
-    make: Callable[..., Any], cell: dict[str, Any], xhat0: Floats, inputs: Floats, coming: dict[int, list[Arrived]], where: str
+    make: Callable[..., Any],
+    cell: dict[str, Any],
+    xhat0: Floats,
+    inputs: Floats,
+    coming: dict[int, list[Arrived]],
+    where: str,
 ) -> Floats:
     """Return a guest's estimates at ticks 0 .. N-1 of one run, [N, s]; raise UserError for what it raises, or returns amiss."""
     out, most = [], len(cell["signals"])
@@ -93,12 +105,16 @@ def of_run(
             u = inputs[k - 1] if k else np.zeros(inputs.shape[1])
             xhat = np.asarray(guest.step(k * cell["dt"], u.copy(), coming.get(k, [])), float).ravel()
             if len(xhat) not in (len(xhat0), most):
-                raise UserError(f"{where}: step returned {len(xhat)} numbers, expected {len(xhat0)}, one for each state; return those.")
+                raise UserError(
+                    f"{where}: step returned {len(xhat)} numbers, expected {len(xhat0)}, one for each state; return those."
+                )
             out.append(xhat)
     except UserError:
         raise
     except Exception as error:
-        raise UserError(f"{where}: got {raised(error)}, expected step(t, u, arrivals) to return xhat; mend that line.") from None
+        raise UserError(
+            f"{where}: got {raised(error)}, expected step(t, u, arrivals) to return xhat; mend that line."
+        ) from None
     return np.array(out)
 
 

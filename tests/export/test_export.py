@@ -78,7 +78,10 @@ def test_a_command_leaves_files_that_compile_as_its_line_says(tmp_path):
 
 def test_gains_and_model_are_the_designs_in_json_and_mat():
     found = exports.of("dkf", True)
-    told, mat = json.loads(found.files["gains.json"]), loadmat(io.BytesIO(found.files["gains.mat"]), simplify_cells=True)
+    told, mat = (
+        json.loads(found.files["gains.json"]),
+        loadmat(io.BytesIO(found.files["gains.mat"]), simplify_cells=True),
+    )
     gains = pcbench.design(dict(exports.WILD), "dkf").gains
     np.testing.assert_array_equal(told["gains"]["P0"], gains.P0)
     np.testing.assert_array_equal(mat["gains"]["motion_powers"], gains.motion.powers)
@@ -136,7 +139,11 @@ def test_a_program_of_jax_is_the_same_in_c(f, tmp_path):
     from pcbench.export.library import PRELUDE
 
     lines = "\n".join(w.lines)
-    text = f"""#include <stdio.h>\n#include <stdint.h>\n#include <stdbool.h>\ntypedef double t_real;\n{PRELUDE.format(label="t")}
+    text = f"""#include <stdio.h>
+#include <stdint.h>
+#include <stdbool.h>
+typedef double t_real;
+{PRELUDE.format(label="t")}
 int main(void) {{
     static const real x0[4] = {{{", ".join(map(repr, x.tolist()))}}};
     real out[{size}];
@@ -145,6 +152,8 @@ int main(void) {{
 }}
 """
     (tmp_path / "f.c").write_text(text)
-    subprocess.run([files.compiler(), "-std=c99", "f.c", "-o", "f", "-lm"], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run(
+        [files.compiler(), "-std=c99", "f.c", "-o", "f", "-lm"], cwd=tmp_path, check=True, capture_output=True
+    )
     printed = subprocess.run([tmp_path / "f"], capture_output=True, text=True, check=True).stdout
     np.testing.assert_allclose([float(v) for v in printed.split()], np.ravel(f(jnp.asarray(x))), rtol=1e-14, atol=1e-15)

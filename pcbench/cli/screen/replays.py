@@ -9,7 +9,7 @@ from pcbench.cli.screen.tables import Column, printed
 
 
 def table(found: Any, double: dict[str, Any], single: dict[str, Any], console: Console) -> None:
-    """Print how far C is from the simulation in double and in single precision, and how far its estimates are from the truth."""
+    """Print how far C is from the simulation, in double and in single precision, and its errors."""
     about = found.about
     signals = [(name, unit) for name, unit in about.signals if name in double]
     columns = [
