@@ -145,19 +145,19 @@ def _nothing(eqn: Any) -> Any:
 
 def running_sum(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write sums of the first entries along an axis."""
-    axis, kind = eqn.params["axis"], kind_of(eqn.outvars[0].aval.dtype)
+    axis, kind = primitives.param(eqn, "axis"), kind_of(eqn.outvars[0].aval.dtype)
     a = np.moveaxis(args[0], axis, 0)
-    a = a[::-1] if eqn.params["reverse"] else a
+    a = a[::-1] if primitives.param(eqn, "reverse") else a
     out = a.copy()
     for k in range(1, len(a)):
         for i in np.ndindex(a.shape[1:]):
             out[k, *i] = w.let(kind, f"{written(out[k - 1, *i])} + {written(a[k, *i])}")
-    return np.moveaxis(out[::-1] if eqn.params["reverse"] else out, 0, axis)
+    return np.moveaxis(out[::-1] if primitives.param(eqn, "reverse") else out, 0, axis)
 
 
 def extreme(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write the place of the largest (smallest) entry along an axis, the first of equals; of numbers, none of them NaN."""
-    (axis,), sign = eqn.params["axes"], ">" if eqn.primitive.name == "argmax" else "<"
+    (axis,), sign = primitives.param(eqn, "axes"), ">" if eqn.primitive.name == "argmax" else "<"
     kind, a = kind_of(eqn.outvars[0].aval.dtype), np.moveaxis(args[0], axis, -1)
     out = np.empty(a.shape[:-1], object)
     for i in np.ndindex(out.shape):

@@ -74,7 +74,16 @@ def _exported(p: padding.Plan, root_seed: int, seed: int) -> Exported:
     shapes = functions.Shapes(len(problem.x0), m, q, noted, rows)
     s = functions.source(library.identifier(label), o, gains, problem.xhat0, shapes)
     v, signals = vector.vector(p, root_seed, seed, rows), signals_of(p.cell.scenario)[: s.estimates]
-    about = About(library.identifier(label), label, p.cell.scenario.name, p.cell.scenario.dt, signals, m, q, rows)
+    about = About(
+        label=library.identifier(label),
+        observer=label,
+        scenario=p.cell.scenario.name,
+        dt=p.cell.scenario.dt,
+        signals=signals,
+        inputs=m,
+        outputs=q,
+        rows=rows,
+    )
     found = numbers.described(about, p, gains)
     files: dict[str, str | bytes] = {
         f"{about.label}.h": library.header(about, s),

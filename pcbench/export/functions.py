@@ -96,7 +96,15 @@ def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> S
         out.append(Function(name, _head(label, args, changes), lines))
     estimates = jax.eval_shape(lambda g, m: jnp.asarray(o.estimate(g, m)), gains, memory).shape[0]
     looks = any("now->past[" in line for f in out for line in f.lines)
-    return Source(there["g"], there["m"], there["now"], there["a"], out, looks, estimates)
+    return Source(
+        gains=there["g"],
+        memory=there["m"],
+        now=there["now"],
+        arrival=there["a"],
+        functions=out,
+        looks_back=looks,
+        estimates=estimates,
+    )
 
 
 def _given(shapes: Shapes) -> tuple[list[Any], Arrival, Any]:

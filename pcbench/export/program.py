@@ -75,10 +75,12 @@ def _step(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
     if name == "iota":
         return [known(np.asarray(eqn.primitive.bind(**eqn.params)))]
     if name == "platform_index":
-        return [scalar(np.int32(next(i for i, p in enumerate(eqn.params["platforms"]) if not p or "cpu" in p)))]
+        return [
+            scalar(np.int32(next(i for i, p in enumerate(primitives.param(eqn, "platforms")) if not p or "cpu" in p)))
+        ]
     if name == "split":
-        at = np.cumsum(eqn.params["sizes"])[:-1]
-        return [*np.split(args[0], at, eqn.params["axis"])]
+        at = np.cumsum(primitives.param(eqn, "sizes"))[:-1]
+        return [*np.split(args[0], at, primitives.param(eqn, "axis"))]
     if name in MOVES:
         return [_moved(eqn, args)]
     if arithmetic.is_elementwise(name):

@@ -25,15 +25,15 @@ int main(int argc, char **argv)
     static {label}_memory memory;
     static {label}_now now;
     double largest[SIGNALS] = {{0}}, square[SIGNALS] = {{0}}, error[SIGNALS] = {{0}};
-    long sample = 0, tick = 0, e = 0;
+    long sample[3] = {{0}}, tick = 0, e = 0; /* products: of a note, of telling, of a jump */
     (void)argv;
     {label}_begin(&now);
 {before}    {label}_init(&{label}_nominal, first, &memory);
     for (long k = 0; k < TICKS; k++) {{
-        long start = {label}_products;
-        int arrived = 0;
+        long start;
         for (; e < EVENTS && events[e].tick <= k; e++) {{
             const event *v = &events[e];
+            start = {label}_products;
 {note}{sampled}            if (v->what == 2) {{
                 {label}_arrival a;
                 for (int j = 0; j < OUTPUTS; j++) {{
@@ -44,11 +44,8 @@ int main(int argc, char **argv)
                 }}
 {carry}                a.since = v->since;
                 {label}_jump(&{label}_nominal, &memory, &now, &a);
-                arrived++;
             }}
-        }}
-        if (arrived) {{
-            sample = {label}_products - start;
+            sample[v->what] = {label}_products - start;
         }}
         {label}_real xhat[SIGNALS];
         start = {label}_products;
@@ -74,7 +71,7 @@ int main(int argc, char **argv)
         printf("%lu bytes of memory, %lu of gains, %lu of now", (unsigned long)sizeof memory,
                (unsigned long)sizeof {label}_nominal, (unsigned long)sizeof now);
         if ({label}_products) {{
-            printf("; %ld products the last sample, %ld a tick", sample, tick);
+            printf("; %ld products the last sample, %ld a tick", sample[0] + sample[1] + sample[2], tick);
         }}
         printf("\\n");
     }}

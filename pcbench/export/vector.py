@@ -84,16 +84,27 @@ def packets(schedule: Any, clean: Floats, noise: Floats) -> Floats:
 def happening(schedule: Any, values: Floats, tells: bool) -> list[Event]:
     """Return the events of a schedule in the order of a tick: notes, what is sampled, what arrives."""
     q = values.shape[1]
-    none, no, start = np.zeros(q, int), np.zeros(q, bool), np.zeros(q)
-    out = [Event(-1, NOTE, i, start, no, none, none, 0) for i in range(len(schedule.early))]
-    for k in np.flatnonzero(schedule.event):
+    none = np.zeros(q, int)
+    nothing = Event(
+        tick=-1, what=NOTE, packet=-1, value=np.zeros(q), fresh=np.zeros(q, bool), age=none, index=none, since=0
+    )
+    out = [nothing._replace(packet=i) for i in range(len(schedule.early))]
+    for k in map(int, np.flatnonzero(schedule.event)):
         if schedule.note[k] >= 0:
-            out.append(Event(int(k), NOTE, int(schedule.note[k]), start, no, none, none, 0))
+            out.append(nothing._replace(tick=k, packet=int(schedule.note[k])))
         if tells and schedule.sense[k] >= 0:
-            out.append(Event(int(k), SAMPLED, -1, start, schedule.sample[k] >= 0, none, none, 0))
+            out.append(nothing._replace(tick=k, what=SAMPLED, fresh=schedule.sample[k] >= 0))
         for slot in np.flatnonzero(schedule.arrive[k] >= 0):
             packet, fresh = int(schedule.arrive[k, slot]), schedule.fresh[k, slot]
-            value, age = np.where(fresh, values[packet], 0.0), np.full(q, k - schedule.believed[k, slot])
-            numbers = schedule.number[k, slot].astype(int)
-            out.append(Event(int(k), JUMP, packet, value, fresh, age, numbers, int(schedule.since[k, slot])))
+            arrived = Event(
+                tick=k,
+                what=JUMP,
+                packet=packet,
+                value=np.where(fresh, values[packet], 0.0),
+                fresh=fresh,
+                age=np.full(q, k - schedule.believed[k, slot]),
+                index=schedule.number[k, slot].astype(int),
+                since=int(schedule.since[k, slot]),
+            )
+            out.append(arrived)
     return out

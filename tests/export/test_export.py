@@ -21,7 +21,7 @@ from pcbench.observers import OBSERVERS
 
 DOUBLE = 1e-12  # of the signal's size: sums of a few products, in another order
 EXPORTED = [name for name in OBSERVERS if name not in exports.REFUSED]
-QUICK = ("dkf", "ekf")
+QUICK = ("dkf",)
 
 
 def _once(names):
@@ -55,9 +55,10 @@ def test_products_and_bytes_are_those_of_the_cost_column(name):
     numbers = [int(n) for n in re.findall(r"\d+", exports.ran(found).splitlines()[-1])]
     products = numbers[3:] or [0, 0]
     assert (products[0], products[1]) == (cost["sample"], cost["tick"])
-    assert numbers[0] <= cost["memory"] + 8, "numbers, and what is put between them to align them"
+    assert 0 <= numbers[0] - cost["memory"] < 24, "numbers, and what is put behind flags to align those that follow"
 
 
+@pytest.mark.slow
 def test_a_command_leaves_files_that_compile_as_its_line_says(tmp_path):
     done = call("export", "cart/slow", "dkf", "--out", "c", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

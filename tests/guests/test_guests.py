@@ -67,12 +67,12 @@ def traces(study, observer="dkf"):
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory):
-    """The draws of a study, and what `dkf` makes of them."""
+    """The draws of a study, and estimates of all its runs, which are zero."""
     folder = tmp_path_factory.mktemp("away")
     draws.write(read.grid_of(dict(STUDY), {}, []), folder / "out")
-    found = traces(STUDY)
-    found.to_parquet(folder / "dkf.parquet", index=False)
-    return folder / "out", found
+    runs = [(cell, seed) for cell in range(2) for seed in range(STUDY["seeds"])]
+    keys = pd.DataFrame([(*run, tick) for run in runs for tick in range(3000)], columns=["cell", "seed", "tick"])
+    return folder / "out", keys.assign(scenario="away", position=0.0, velocity=0.0)
 
 
 def test_samples_that_arrive_are_those_of_the_simulation(study):
@@ -94,9 +94,9 @@ def test_samples_that_arrive_are_those_of_the_simulation(study):
 
 @pytest.mark.slow
 def test_the_simulations_own_estimates_score_as_in_the_simulation(study, tmp_path):
-    folder, _ = study
-    said = []
-    result = score.score(folder, folder.parent / "dkf.parquet", "my-dkf", say=said.append)
+    folder, said = study[0], []
+    traces(STUDY).to_parquet(tmp_path / "dkf.parquet", index=False)
+    result = score.score(folder, tmp_path / "dkf.parquet", "my-dkf", say=said.append)
     assert any("cannot be checked" in sentence and "trusted" in sentence for sentence in said)
     key = ["cell", "signal", "metric"]
     ours, theirs = (
