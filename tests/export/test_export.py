@@ -129,6 +129,7 @@ def _compiled(f, *given):
         lambda x: jnp.stack([x[jnp.argmax(x)], jnp.sum(x), jnp.max(x), jnp.cumsum(x)[2], jnp.sign(-x[1]), x[0] // 0.2]),
         lambda x: jnp.stack([jnp.arctan2(x[0], -x[1]), jnp.round(x[2] * 5), x[3] ** -3, jnp.hypot(x[0], x[1]), x[0] % -0.3]),
         lambda x: jax.lax.while_loop(lambda s: s[1][0] < 9, lambda s: (s[1], s[0] + s[1]), (x, x[::-1]))[0],
+        lambda x: jnp.stack(jax.lax.fori_loop(0, (x[0] * 5).astype(int), lambda i, s: (s[1], s[0]), (x, -x))).ravel(),
     ],
 )  # fmt: skip
 def test_a_program_of_jax_is_the_same_in_c(f, tmp_path):
