@@ -119,6 +119,19 @@ def lacking(target: store.Target, owned: Owned) -> int:
     return runs_in(todo)
 
 
+def _simulated(owned: Owned, todo: Gaps) -> None:
+    """Raise UserError where runs are missing whose estimates are made elsewhere."""
+    for cell in owned.cells:
+        for label in todo.get(cell.key, {}):
+            if cell.entry(label).elsewhere:
+                many = runs_in({cell.key: {label: todo[cell.key][label]}})
+                raise UserError(
+                    f"{cell.scenario.name}: got no estimates of {label} for {many} runs, expected them scored, as it lives "
+                    "elsewhere; write their draws with pcbench draws, estimate them, and give "
+                    "them to pcbench score, or leave it out."
+                )
+
+
 def runs_in(todo: Gaps) -> int:
     """Return how many runs are missing."""
     return sum(seeds.many for labels in todo.values() for ranges in labels.values() for seeds in ranges)
@@ -142,6 +155,7 @@ def fill(
     if not todo:
         ownership.renew(target, owned)
         return Cost()
+    _simulated(owned, todo)
     cost, took = Cost(), Stopwatch()
     with took("planning"):
         planned = _planned(owned, todo, wanted)

@@ -19,7 +19,7 @@ from pcbench.study.raw import NOT_TOML
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
-BESIDE = ("tuning/", "training/")  # of a study whose gains are tuned: made before its own runs begin
+BESIDE = ("tuning/", "training/", "draws/")  # tuned gains, and draws for guests: made before its own runs begin
 KEPT = ("options", "scenarios", "observers", "cells")  # under [resolved]
 NOT_TOML_EITHER = (*NOT_TOML, KeyError, TypeError, AttributeError)
 SHOWN = 3  # differences that a refusal names

@@ -122,11 +122,17 @@ def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = 
     wrong += [f"{b.name}: holds seeds that another block holds." for b in sorted(set(good) - set(kept))]
     wrong += _others(target, owned)
     wrong += [] if wrong else _closing_differs(target, owned, kept)
-    chosen = kept
-    if sample is not None and sample < len(kept):
-        chosen = [kept[i] for i in sorted(np.random.default_rng(seed).choice(len(kept), sample, replace=False))]
+    chosen = _computed_here(owned, kept)
+    if sample is not None and sample < len(chosen):
+        chosen = [chosen[i] for i in sorted(np.random.default_rng(seed).choice(len(chosen), sample, replace=False))]
     progress.begin("computing again", len(chosen))
     return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(target, owned, chosen, progress)))
+
+
+def _computed_here(owned: Owned, blocks: list[Block]) -> list[Block]:
+    """The blocks that can be computed again: those of observers that live elsewhere cannot."""
+    away = {(*c.key, o) for c in owned.cells for o in c.options if c.entry(o).elsewhere}
+    return [b for b in blocks if (b.scenario, b.cell, b.observer) not in away]
 
 
 def _again(target: store.Target, owned: Owned, chosen: list[Block], progress: Progress) -> Iterator[str]:

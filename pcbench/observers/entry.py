@@ -28,5 +28,6 @@ class Entry(NamedTuple):
     nonlinear: bool = False  # it is designed for plants without a linear model
     smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand
     loops: bool = True  # its estimate can drive a loop; else it looks back further than a loop keeps its inputs
+    elsewhere: bool = False  # its estimates are made elsewhere, and scored: it is never simulated
     # options of gains for the noise and delays as they are; None: it has none such
     designed: Mapping[str, Any] | None = None

@@ -45,14 +45,19 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     `ahead`: past the end, until the last command acts.
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
-    believed_older = max(cell.times.error, 0)
-    if cell.times.random:
-        oldest = min(per_lane.oldest(cell.times.clocks, ticks, overtaking), ticks)
-    else:
-        oldest = shared.oldest(shared.samples(cell.times.clocks, ticks), overtaking)
+    known = oldest(cell, overtaking, ticks)
     longest = float(np.max(delay(np.arange(ticks + 1) * s.dt)))
-    back = actuator.rows_needed(delay, s.dt, ticks, oldest + believed_older + 1)
+    back = actuator.rows_needed(delay, s.dt, ticks, known + 1)
     return Reach(back, times.whole(longest, s) + 2 + times.whole(s.loop.command_jitter, s))
+
+
+def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
+    """Return how many ticks back an observer may ask for an input: to the oldest sample that may still be used again."""
+    if cell.times.random:
+        found = min(per_lane.oldest(cell.times.clocks, ticks, overtaking), ticks)
+    else:
+        found = shared.oldest(shared.samples(cell.times.clocks, ticks), overtaking)
+    return found + max(cell.times.error, 0)
 
 
 def told(cell: Cell, reach: Reach, ticks: int) -> Told:

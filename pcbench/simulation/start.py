@@ -37,7 +37,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     loop = before(layout, p, memories)
     state = State(
         x=_plant(layout, p, root_seed, seeds),
-        drawn=_drawn(layout, root_seed, seeds),
+        drawn=drawn_numbers(layout, root_seed, seeds),
         memories=memories,
         flight=(),
         streams={},
@@ -68,20 +68,24 @@ def _plant(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLan
     return over(lambda v: p.x0 + p.spread0 @ v)(lanes.split(normal))
 
 
-def _drawn(layout: Layout, root_seed: Array, seeds: Array) -> Any:
-    """The uniform numbers that each run draws for its plant; (): none."""
+def drawn_numbers(layout: Layout, root_seed: Array, seeds: Array) -> Any:
+    """Return the uniform numbers that each run draws for its plant; (): none."""
     if not layout.drifting:
         return ()
     return lanes.split(draws.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, layout.plant.drawn)[0])
 
 
+def first_estimate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:
+    """Return xhat(0) [n], random in a box where the layout says so."""
+    if not layout.scattered:
+        return p.xhat0
+    uniform = lanes.split(draws.uniforms(root_seed, seeds, "initial", jnp.asarray(0), 1, p.x0.shape[0])[0])
+    return over(lambda v: p.xhat0 + p.scatter * (2 * v - 1))(uniform)
+
+
 def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any:
-    """The observers' memories of xhat(0), random in a box where the layout says so."""
-    xhat0: Any = p.xhat0
-    if layout.scattered:
-        n = p.x0.shape[0]
-        uniform = lanes.split(draws.uniforms(root_seed, seeds, "initial", jnp.asarray(0), 1, n)[0])
-        xhat0 = over(lambda v: p.xhat0 + p.scatter * (2 * v - 1))(uniform)
+    """The observers' memories of xhat(0)."""
+    xhat0 = first_estimate(layout, p, root_seed, seeds)
     begun = over(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
     drawing = [(label, o.seeded) for label, o in layout.observers if o.seeded]
     if not drawing:

@@ -14,7 +14,7 @@ CHEAP = {  # what would take minutes in a command of this name: fewer runs, or a
 }
 ELSEWHERE = (  # another machine, seeds without end, or what a test of its own runs, in minutes
     *("tcp://", "elsewhere/", "--until-se", "verify by-runs"),
-    *("reproduce all", "run all", "run fair"),
+    *("reproduce all", "run all", "run fair", "score cart"),
 )
 FILES = {  # what a page says to save, by the page and what is in it
     "motor.toml": ("your_own_plant.md", '"motor"'),
@@ -30,6 +30,7 @@ def saved(folder):
         (folder / name).write_text(next(b for b in blocks("toml", page) if said in b))
     (folder / "mine.py").write_text(blocks("python", "your_own_observer.md")[0])
     (folder / "pendulum.py").write_text(blocks("python", "a_loop_of_your_own.md")[0])
+    (folder / "filter.py").write_text(blocks("python", "code_and_guests.md")[0])
     assert call("new", "plant", "swing", cwd=folder).returncode == 0
     assert call("new", "controller", "brake", cwd=folder).returncode == 0
     assert call("run", "quick", *FEW, "--quiet", cwd=folder).returncode == 0

@@ -24,6 +24,7 @@ RUN_ELSEWHERE = (
     "import control",
     "from typing import",
     '"""A pendulum',
+    '"""A Kalman filter',
     "import numpy as np\nimport pcbench",
 )  # and where
 

@@ -29,6 +29,7 @@ __all__ = [
     "inner",
     "jaxpr_as_fun",
     "named",
+    "param",
     "products_of",
     "said",
     "scan",
@@ -128,6 +129,11 @@ def takes_rows(params: dict[str, Any], operand: tuple[int, ...], rank: int) -> b
     first_axis = d.start_index_map == d.collapsed_slice_dims == (0,) and not d.operand_batching_dims
     whole = d.offset_dims == tuple(range(rank - 1, rank - 2 + len(sizes)))
     return first_axis and whole and sizes == (1, *operand[1:])
+
+
+def param(eqn: Any, name: str) -> Any:
+    """Return one of an equation's parameters."""
+    return eqn.params[name]
 
 
 def said(eqn: Any) -> tuple[tuple[str, Any], ...]:

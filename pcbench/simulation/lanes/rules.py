@@ -46,16 +46,16 @@ def structural(eqn: Any, args: list[Any]) -> Any:
     """Apply a primitive that moves numbers about, to their places."""
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     entries = [e for a, s in zip(args, shapes, strict=True) for e in entries_of(a, s).flat]
-    places = _places(eqn.primitive, primitives.said(eqn), tuple(shapes))
-    if not places.size:  # nothing is left that could differ
-        return jnp.zeros(places.shape, eqn.outvars[0].aval.dtype)
+    moved = places(eqn.primitive, primitives.said(eqn), tuple(shapes))
+    if not moved.size:  # nothing is left that could differ
+        return jnp.zeros(moved.shape, eqn.outvars[0].aval.dtype)
     width = next(jnp.shape(e) for e in entries if jnp.ndim(e))
-    return lanes_of(places.shape, [jnp.broadcast_to(entries[p], width) for p in places.flat])
+    return lanes_of(moved.shape, [jnp.broadcast_to(entries[p], width) for p in moved.flat])
 
 
 @cache
-def _places(primitive: Any, params: tuple[tuple[str, Any], ...], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
-    """Where each entry goes: the primitive applied to the entries' numbers."""
+def places(primitive: Any, params: tuple[tuple[str, Any], ...], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
+    """Return where each entry goes: the primitive applied to the entries' numbers."""
     offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
     with jax.ensure_compile_time_eval():
         numbers = [

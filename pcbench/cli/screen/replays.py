@@ -1,0 +1,23 @@
+"""What comes of compiling an exported observer, as a table."""
+
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from pcbench.cli.screen.tables import Column, printed
+
+
+def table(found: Any, double: dict[str, Any], single: dict[str, Any], console: Console) -> None:
+    """Print how far C is from the simulation, in double and in single precision, and its errors."""
+    about = found.about
+    signals = [(name, unit) for name, unit in about.signals if name in double]
+    columns = [
+        Column("signal", [escape(f"{name} [{unit}]") for name, unit in signals], left=True),
+        Column("double:\nat most off", [f"{double[name].most:.2g}" for name, _ in signals]),
+        Column("rms error", [f"{double[name].error:.6g}" for name, _ in signals]),
+        Column("float:\nrms off", [f"{single[name].differs:.2g}" for name, _ in signals]),
+        Column("at most off", [f"{single[name].most:.2g}" for name, _ in signals], spare=1),
+        Column("rms error", [f"{single[name].error:.6g}" for name, _ in signals]),
+    ]
+    printed(f"{about.observer} of {about.scenario} in C, against the simulation of one run", columns, console)

@@ -1,0 +1,200 @@
+"""What is done to each number alone, and over the entries of an array, as expressions of C.
+
+A product of floats is counted as `planning.cost` counts it: once for each entry multiplied, divided, or put through a function.
+"""
+
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+import jax
+import numpy as np
+from jax.lax import RoundingMethod
+
+from pcbench.export.terms import Entries, Term, Writer, kind_of, known, written
+from pcbench.planning.cost import ONCE
+from pcbench.simulation.lanes import primitives
+
+INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^"}
+INFIX |= {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "shift_left": "<<"}
+CALLED = set(
+    """sqrt cbrt exp exp2 expm1 log log1p sin cos tan asin acos atan atan2 sinh cosh tanh asinh acosh atanh
+    floor ceil erf erfc nextafter""".split()  # noqa: SIM905
+)
+MACRO = {"max": "LARGER", "min": "SMALLER", "sign": "SIGN"}
+SAME = {"copy", "copy_p", "stop_gradient"}
+FOLDS = dict(zip(primitives.FOLDS, ("+", "LARGER", "SMALLER", "*", "&", "|"), strict=True))
+UNSIGNED = {"int32_t": "uint32_t", "int64_t": "uint64_t"}
+MOST = 8  # a whole power up to here is written as a product
+
+
+def _by_name(name: str, params: dict[str, Any], kind: str, a: list[str]) -> str | None:
+    """An operation whose name says what it is."""
+    if name in INFIX:
+        return f"{a[0]} {INFIX[name]} {a[1]}"
+    if name in CALLED:
+        return f"F({name})({', '.join(a)})"
+    return f"{MACRO[name]}({', '.join(a)})" if name in MACRO else None
+
+
+def _power(params: dict[str, Any], a: list[str]) -> str:
+    y = int(params["y"])
+    if abs(y) > MOST:
+        return f"F(pow)({a[0]}, R({y}.0))"
+    text = " * ".join([a[0]] * abs(y)) or "R(1.0)"
+    return f"R(1.0) / ({text})" if y < 0 else text
+
+
+def _converted(kind: str, a: list[str]) -> str:
+    return f"{a[0]} != 0" if kind == "bool" else f"({kind}){a[0]}"
+
+
+def _chosen(a: list[str]) -> str:
+    """The case that a choice names: 0 or false the first."""
+    which, cases = a[0], a[1:]
+    if len(cases) == 2:
+        return f"{which} ? {cases[1]} : {cases[0]}"
+    return "".join(f"{which} == {i} ? {case} : " for i, case in enumerate(cases[:-1])) + cases[-1]
+
+
+def _divided(kind: str, a: list[str], sign: str) -> str:
+    if kind == "real":
+        return f"{a[0]} / {a[1]}" if sign == "/" else f"F(fmod)({a[0]}, {a[1]})"
+    nothing = "(-1)" if sign == "/" else a[0]
+    return f"{a[1]} != 0 ? {a[0]} {sign} {a[1]} : {nothing}"
+
+
+OTHERS: dict[str, Callable[[dict[str, Any], str, list[str]], str]] = {
+    "neg": lambda params, kind, a: f"-{a[0]}",
+    "not": lambda params, kind, a: f"!{a[0]}" if kind == "bool" else f"~{a[0]}",
+    "abs": lambda params, kind, a: f"F(fabs)({a[0]})" if kind == "real" else f"{a[0]} < 0 ? -{a[0]} : {a[0]}",
+    "div": lambda params, kind, a: _divided(kind, a, "/"),
+    "rem": lambda params, kind, a: _divided(kind, a, "%"),
+    "pow": lambda params, kind, a: f"F(pow)({a[0]}, (real){a[1]})",
+    "square": lambda params, kind, a: f"{a[0]} * {a[0]}",
+    "rsqrt": lambda params, kind, a: f"R(1.0) / F(sqrt)({a[0]})",
+    "logistic": lambda params, kind, a: f"R(1.0) / (R(1.0) + F(exp)(-{a[0]}))",
+    "integer_pow": lambda params, kind, a: _power(params, a),
+    "convert_element_type": lambda params, kind, a: _converted(kind, a),
+    "is_finite": lambda params, kind, a: f"isfinite({a[0]}) != 0",
+    "clamp": lambda params, kind, a: f"CLAMPED({a[0]}, {a[1]}, {a[2]})",
+    "select_n": lambda params, kind, a: _chosen(a),
+    "round": lambda params, kind, a: (
+        f"F({'nearbyint' if params['rounding_method'] == RoundingMethod.TO_NEAREST_EVEN else 'round'})({a[0]})"
+    ),
+    "shift_right_arithmetic": lambda params, kind, a: f"{a[0]} >> {a[1]}",
+    "shift_right_logical": lambda params, kind, a: f"({kind})(({UNSIGNED.get(kind, kind)}){a[0]} >> {a[1]})",
+}
+
+
+def is_elementwise(name: str) -> bool:
+    """Say whether C has an operation on each number alone."""
+    return name in INFIX or name in CALLED or name in MACRO or name in OTHERS or name in SAME
+
+
+def elementwise(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+    """Write an operation on each entry."""
+    name, aval = eqn.primitive.name, eqn.outvars[0].aval
+    if name in SAME or (name == "convert_element_type" and eqn.invars[0].aval.dtype == aval.dtype):
+        return args[0]
+    kind, out = kind_of(aval.dtype), np.empty(aval.shape, object)
+    counted = int(name in ONCE and kind == "real")
+    each = [np.broadcast_to(a, aval.shape) for a in args]
+    for i in np.ndindex(aval.shape):
+        mine = [a[i] for a in each]
+        if name == "select_n" and not isinstance(mine[0], Term):
+            out[i] = mine[1 + int(mine[0])]
+        elif not any(isinstance(x, Term) for x in mine):
+            out[i] = np.asarray(eqn.primitive.bind(*map(_as_it_is, mine, eqn.invars), **eqn.params))[()]
+        else:
+            texts = [written(x) for x in mine]
+            text = _by_name(name, eqn.params, kind, texts) or OTHERS[name](eqn.params, kind, texts)
+            out[i] = w.let(kind, text, counted)
+    return out
+
+
+def _as_it_is(x: Any, v: Any) -> Any:
+    return jax.numpy.asarray(x, v.aval.dtype)
+
+
+def fold(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+    """Write the fold of some axes, from the first entry to the last."""
+    a, axes, kind = args[0], primitives.fold_axes(eqn.params), kind_of(eqn.outvars[0].aval.dtype)
+    rest = [i for i in range(a.ndim) if i not in axes]
+    flat = a.transpose(*rest, *axes).reshape(*(a.shape[i] for i in rest), -1)
+    out = np.empty(flat.shape[:-1], object)
+    how, none = FOLDS[eqn.primitive.name], known(_nothing(eqn))
+    for i in np.ndindex(out.shape):
+        each = [written(x) for x in flat[i]]
+        if not each:
+            out[i] = none[()]
+        elif how in ("LARGER", "SMALLER"):
+            out[i] = reduce(lambda x, y: w.let(kind, f"{how}({written(x)}, {y})"), each[1:], flat[i][0])
+        else:
+            out[i] = w.let(kind, f" {how} ".join(each)) if len(each) > 1 else flat[i][0]
+    return out
+
+
+def _nothing(eqn: Any) -> Any:
+    """What a fold of no entry is."""
+    v = eqn.invars[0].aval
+    return (
+        np.asarray(eqn.primitive.bind(jax.numpy.zeros(v.shape, v.dtype), **eqn.params)).ravel()[0] if v.size == 0 else 0
+    )
+
+
+def running_sum(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+    """Write sums of the first entries along an axis."""
+    axis, kind = primitives.param(eqn, "axis"), kind_of(eqn.outvars[0].aval.dtype)
+    a = np.moveaxis(args[0], axis, 0)
+    a = a[::-1] if primitives.param(eqn, "reverse") else a
+    out = a.copy()
+    for k in range(1, len(a)):
+        for i in np.ndindex(a.shape[1:]):
+            out[k, *i] = w.let(kind, f"{written(out[k - 1, *i])} + {written(a[k, *i])}")
+    return np.moveaxis(out[::-1] if primitives.param(eqn, "reverse") else out, 0, axis)
+
+
+def extreme(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+    """Write the place of the largest (smallest) entry along an axis, the first of equals; of numbers, none of them NaN."""
+    (axis,), sign = primitives.param(eqn, "axes"), ">" if eqn.primitive.name == "argmax" else "<"
+    kind, a = kind_of(eqn.outvars[0].aval.dtype), np.moveaxis(args[0], axis, -1)
+    out = np.empty(a.shape[:-1], object)
+    for i in np.ndindex(out.shape):
+        best: Any = a[i][0]
+        where: Any = np.int64(0)
+        for k, x in enumerate(a[i][1:], 1):
+            better = w.let("bool", f"{written(x)} {sign} {written(best)}").text
+            best, where = (
+                w.let(kind_of(eqn.invars[0].aval.dtype), f"{better} ? {written(x)} : {written(best)}"),
+                w.let(kind, f"{better} ? {k} : {written(where)}"),
+            )
+        out[i] = where
+    return out
+
+
+def product(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+    """Write a product of matrices as sums of products, from the first on."""
+    (ca, cb), (ba, bb) = primitives.products_of(eqn.params)
+    aval = eqn.outvars[0].aval
+    a, b = _arranged(args[0], ba, ca), _arranged(args[1], bb, cb)
+    kind, out = kind_of(aval.dtype), []
+    for k, i, j in np.ndindex(a.shape[0], a.shape[1], b.shape[1]):
+        terms = [f"{written(x)} * {written(y)}" for x, y in zip(a[k, i], b[k, j], strict=True)]
+        out.append(w.let(kind, " + ".join(terms), len(terms) * (kind == "real")) if terms else known(0.0)[()])
+    return _shaped(out, aval.shape)
+
+
+def _shaped(entries: list[Any], shape: tuple[int, ...]) -> Entries:
+    out = np.empty(len(entries), object)
+    out[:] = entries if not entries else [None] * len(entries)
+    for i, x in enumerate(entries):
+        out[i] = x
+    return out.reshape(shape)
+
+
+def _arranged(p: Entries, batch: Any, contract: Any) -> Entries:
+    """Batch, free and contracted axes, each as one: [batch, free, contracted]."""
+    free = [i for i in range(p.ndim) if i not in (*batch, *contract)]
+    sizes = [int(np.prod([p.shape[i] for i in axes])) for axes in (batch, free, contract)]
+    return p.transpose(*batch, *free, *contract).reshape(sizes)

@@ -1,0 +1,179 @@
+"""The functions of an observer in C, from those of the protocol: what each is given, and what it leaves.
+
+What a function knows of the present is the struct `now`. The inputs of the past stand there in a ring, from which `past_u`
+reads what was applied so many ticks ago: 0 before tick 0 unless `now` was begun otherwise, and NaN beyond the ring.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from pcbench.errors import UserError
+from pcbench.export import program, structs
+from pcbench.export.structs import Field
+from pcbench.export.terms import Writer, kind_of, stored
+from pcbench.protocols import Arrival, Now, Observer
+
+
+class Shapes(NamedTuple):
+    """What an observer is of: n states, m inputs, q outputs, what it notes, and the rows of past inputs."""
+
+    states: int
+    inputs: int
+    outputs: int
+    noted: int
+    past: int
+
+
+class Function(NamedTuple):
+    """One function in C."""
+
+    name: str
+    head: str  # its arguments
+    lines: list[str]
+
+
+class Source(NamedTuple):
+    """An observer in C."""
+
+    gains: list[Field]
+    memory: list[Field]
+    now: list[Field]
+    arrival: list[Field]
+    functions: list[Function]
+    looks_back: bool  # whether any of them reads past inputs
+    estimates: int
+
+
+def present(t: Array, tick: Array, dt: Array, u: Array, past: Array, *, decided: bool) -> Now:
+    """Return the present of a tick, whose own input is `decided`, as it is in `flow`, or not yet."""
+    rows = past.shape[0]
+
+    def past_u(age: Array) -> Array:
+        n = tick - age
+        row = jax.lax.dynamic_index_in_dim(past, n % rows, 0, False)
+        return jnp.where(n < 0, 0.0, jnp.where(age < rows + (not decided), row, jnp.nan))
+
+    return Now(t, tick, dt, u, past_u)
+
+
+def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> Source:
+    """Return an observer in C; raise UserError, naming the function and the primitive, where it cannot be written."""
+    memory = jax.eval_shape(o.init, gains, xhat0)
+    now, arrival, flags = _given(shapes)
+    there = {
+        "g": structs.fields(gains, "gain"),
+        "m": structs.fields(memory, "value"),
+        "now": _named(("t", "tick", "dt", "u", "past"), now),
+        "a": _named(Arrival._fields, arrival),
+    }
+    vectors = {"xhat0": _named(("xhat0",), [xhat0]), "fresh": _named(("fresh",), [flags])}
+    out = []
+    for name, (f, args, changes) in _asked(o, shapes.noted).items():
+        values = {"g": gains, "m": memory, "now": now, "a": arrival, "xhat0": xhat0, "fresh": flags}
+        closed = jax.make_jaxpr(f)(*(values[each] for each in args))
+        entries = [
+            entry
+            for each in args
+            for entry in (
+                structs.entries(each, there[each]) if each in there else [stored(each, vectors[each][0].shape)]
+            )
+        ]
+        into = structs.entries("m", there["m"]) if changes == "m" else None
+        try:
+            lines = _lines(closed, entries, into, changes)
+        except program.Hindered as hindered:
+            if name == "covariance":
+                continue
+            raise UserError(
+                f"{label}: {name} needs {hindered}, which cannot be written in C here, expected primitives that can; export "
+                "another observer, or write this one by hand from its gains."
+            ) from None
+        out.append(Function(name, _head(label, args, changes), lines))
+    estimates = jax.eval_shape(lambda g, m: jnp.asarray(o.estimate(g, m)), gains, memory).shape[0]
+    looks = any("now->past[" in line for f in out for line in f.lines)
+    return Source(
+        gains=there["g"],
+        memory=there["m"],
+        now=there["now"],
+        arrival=there["a"],
+        functions=out,
+        looks_back=looks,
+        estimates=estimates,
+    )
+
+
+def _given(shapes: Shapes) -> tuple[list[Any], Arrival, Any]:
+    """What functions are given besides gains and memory: of which kinds and shapes."""
+
+    def kind(dtype: type, *shape: int) -> Any:
+        return jax.ShapeDtypeStruct(shape, dtype)
+
+    _, m, q, r, rows = shapes
+    now = [kind(float), kind(int), kind(float), kind(float, m), kind(float, rows, m)]
+    arrival = Arrival(
+        value=kind(float, q),
+        fresh=kind(bool, q),
+        age=kind(int, q),
+        index=kind(int, q),
+        note=kind(float, r),
+        since=kind(int),
+    )
+    return now, arrival, kind(bool, q)
+
+
+def _named(names: Iterable[str], kinds: Iterable[Any]) -> list[Field]:
+    return [Field(name, kind_of(a.dtype), tuple(a.shape)) for name, a in zip(names, kinds, strict=True)]
+
+
+def _asked(o: Observer, noted: int) -> dict[str, tuple[Callable[..., Any], tuple[str, ...], str]]:
+    """The functions that an observer has: what each computes, of what, and what that changes; in the order of a tick."""
+
+    def undecided(now: Any) -> Now:
+        return present(*now, decided=False)
+
+    out: dict[str, tuple[Callable[..., Any], tuple[str, ...], str]] = {"init": (o.init, ("g", "xhat0"), "m")}
+    if noted:
+        out["note"] = (lambda g, m, now: jnp.asarray(o.note(g, m, undecided(now))), ("g", "m", "now"), "note")
+    if told := o.sampled:
+        out["sampled"] = (lambda g, m, now, fresh: told(g, m, undecided(now), fresh), ("g", "m", "now", "fresh"), "m")
+    out["jump"] = (lambda g, m, now, a: o.jump(g, m, undecided(now), a), ("g", "m", "now", "a"), "m")
+    out["estimate"] = (lambda g, m: jnp.asarray(o.estimate(g, m)), ("g", "m"), "xhat")
+    if spread := o.covariance:
+        out["covariance"] = (lambda g, m, now: jnp.asarray(spread(g, m, undecided(now))), ("g", "m", "now"), "P")
+    out["flow"] = (lambda g, m, now: o.flow(g, m, present(*now, decided=True)), ("g", "m", "now"), "m")
+    return out
+
+
+def _lines(closed: Any, entries: list[Any], into: list[Any] | None, changes: str) -> list[str]:
+    """The lines of a function that writes what a program makes `into` a struct, or into an array called `changes`."""
+    w = Writer()
+    left = program.write(w, closed, entries)
+    kinds = [kind_of(v.aval.dtype) for v in closed.jaxpr.outvars]
+    program.assign(w, [*zip(kinds, into or [stored(changes, left[0].shape)], left, strict=True)])
+    w.count()
+    return w.lines
+
+
+def _head(label: str, args: tuple[str, ...], changes: str) -> str:
+    """The arguments of a function in C."""
+    const = "" if changes == "m" else "const "
+    said = {
+        "g": f"const {label}_gains *g",
+        "m": f"{const}{label}_memory *m",
+        "now": f"const {label}_now *now",
+        "a": f"const {label}_arrival *a",
+        "xhat0": "const real *xhat0",
+        "fresh": "const bool *fresh",
+    }
+    made = [said["m"]] if changes == "m" and "m" not in args else [f"real *{changes}"] if changes != "m" else []
+    return ", ".join([*(said[each] for each in args), *made])
+
+
+def numbers(tree: Any) -> list[np.ndarray]:
+    """Return the arrays of a pytree in the order of its fields."""
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(tree)]

@@ -1,0 +1,180 @@
+"""An observer as files of C99: a header with its structs, units and the order of calls, its functions, its gains.
+
+Nothing is allocated and nothing linked but the mathematics of C. `OBSERVER_FLOAT` makes every number single; `OBSERVER_COUNT`
+counts the products of floats, as the column of costs does.
+"""
+
+import re
+from typing import Any, NamedTuple
+
+from pcbench.export import functions, structs
+from pcbench.export.functions import Source
+
+PRELUDE = """#include <math.h>
+
+#define real {label}_real
+#ifdef OBSERVER_FLOAT
+#define R(x) x##f
+#define F(name) name##f
+#else
+#define R(x) x
+#define F(name) name
+#endif
+#ifdef OBSERVER_COUNT
+long {label}_products = 0;
+#define PRODUCTS(n) ({label}_products += (n))
+#else
+#define PRODUCTS(n) ((void)0)
+#endif
+/* what is no number stays none */
+#define LARGER(a, b) ((a) != (a) || (a) > (b) ? (a) : (b))
+#define SMALLER(a, b) ((a) != (a) || (a) < (b) ? (a) : (b))
+#define CLAMPED(low, x, high) ((x) < (low) ? (low) : (x) > (high) ? (high) : (x))
+#define SIGN(x) ((x) != (x) ? (x) : ((x) > 0) - ((x) < 0))
+"""
+ORDER = """   At tick k, in this order:
+     1. where a sample is taken now: {label}_note (keep what it writes with the sample){sampled};
+     2. for each sample that arrives now, the oldest first: {label}_jump, with the note of its own tick;
+     3. {label}_estimate: the estimate of now;
+     4. decide the input, and {label}_hold(&now, u);
+     5. {label}_flow; then {label}_next(&now)."""
+SAMPLED = ", then {label}_sampled"
+HELPERS = """
+/* Begin at tick 0, every input before it zero. */
+static inline void {label}_begin({label}_now *now)
+{{
+    static const {label}_now start = {{.dt = {dt!r}}};
+    *now = start;
+}}
+
+/* Hold an input over the tick that begins now. */
+static inline void {label}_hold({label}_now *now, const {label}_real *u)
+{{
+    for (int i = 0; i < {inputs}; i++) {{
+        now->u[i] = u[i];{past}
+    }}
+}}
+
+/* Go on to the next tick. */
+static inline void {label}_next({label}_now *now)
+{{
+    now->tick += 1;
+    now->t = ({label}_real)now->tick * now->dt;
+}}
+"""
+PAST = "\n        now->past[(now->tick % {rows}) * {inputs} + i] = u[i];"
+
+
+class About(NamedTuple):
+    """What a reader of the files should know of where they are from."""
+
+    label: str  # as C has it
+    observer: str
+    scenario: str
+    dt: float  # [s]
+    signals: tuple[tuple[str, str], ...]  # name and unit of what is estimated
+    inputs: int
+    outputs: int
+    rows: int  # of past inputs
+
+
+def identifier(label: str) -> str:
+    """Return a label as C can call it."""
+    text = re.sub(r"\W", "_", label)
+    return f"o_{text}" if text[0].isdigit() or text in structs.RESERVED else text
+
+
+def header(about: About, s: Source) -> str:
+    """Return the header."""
+    label = about.label
+    now = [
+        each._replace(says=says)
+        for each, says in zip(
+            s.now,
+            (
+                "s",
+                "from 0",
+                "s, of one tick",
+                "held over the tick that has begun; in note, sampled and jump that of the tick before",
+                f"inputs of the last {about.rows} ticks, tick n in row n mod {about.rows}",
+            ),
+            strict=True,
+        )
+    ]
+    said = ("", "which channels arrive", "ticks since it was taken", "which sample of its channel, from 0", "of its own tick",
+            "ticks since the last tick at which anything arrived, from 0 before the first")  # fmt: skip
+    arrival = [each._replace(says=says) for each, says in zip(s.arrival, said, strict=True)]
+    signals = ", ".join(f"{name} [{unit}]" for name, unit in about.signals)
+    order = ORDER.format(label=label, sampled=SAMPLED.format(label=label) if _has(s, "sampled") else "")
+    order = (
+        order
+        if _has(s, "note")
+        else order.replace(f"{label}_note (keep what it writes with the sample)", "nothing to note")
+    )
+    past = PAST.format(rows=about.rows, inputs=about.inputs) if s.looks_back else ""
+    lines = [
+        f"/* {about.observer}, as {about.scenario} has it: made by pcbench.",
+        "",
+        f"   xhat: {signals}; {about.inputs} inputs u, {about.outputs} outputs y, in the scenario's units and order.",
+        f"   One tick is {about.dt!r} s. Begin with {label}_begin and {label}_init.",
+        "",
+        order,
+        "",
+        f"   Compile: cc -std=c99 -O2 -o replay {label}.c main.c -lm && ./replay",
+        "   In single precision: add -DOBSERVER_FLOAT. */",
+        f"#ifndef {label.upper()}_H",
+        f"#define {label.upper()}_H",
+        "",
+        "#include <stdbool.h>",
+        "#include <stdint.h>",
+        "",
+        "#ifdef OBSERVER_FLOAT",
+        f"typedef float {label}_real;",
+        "#else",
+        f"typedef double {label}_real;",
+        "#endif",
+        "",
+        *structs.declared(f"{label}_gains", s.gains),
+        "",
+        *structs.declared(f"{label}_memory", s.memory),
+        "",
+        *structs.declared(f"{label}_now", now if s.looks_back else now[:-1]),
+        "",
+        *structs.declared(f"{label}_arrival", arrival),
+        HELPERS.format(label=label, dt=about.dt, inputs=about.inputs, past=past),
+        *(f"void {label}_{f.name}({f.head});" for f in s.functions),
+        "",
+        "#endif",
+    ]
+    return _own("\n".join(lines) + "\n", label)
+
+
+def _has(s: Source, name: str) -> bool:
+    return any(f.name == name for f in s.functions)
+
+
+def _own(text: str, label: str) -> str:
+    """A text whose numbers are of the observer's own type."""
+    return re.sub(r"\breal\b", f"{label}_real", text)
+
+
+def code(about: About, s: Source) -> str:
+    """Return the functions."""
+    parts = [f'#include "{about.label}.h"\n', PRELUDE.format(label=about.label)]
+    for f in s.functions:
+        unused = [f"    (void){x};" for x in ("g", "m", "now", "a") if re.search(rf"\*{x}\b", f.head)]
+        parts.append("\n".join([f"void {about.label}_{f.name}({f.head})", "{", *unused, *f.lines, "}", ""]))
+    return "\n".join(parts)
+
+
+def gains(about: About, s: Source, numbers: Any) -> str:
+    """Return the gains as a constant initialiser."""
+    each = structs.initialiser(s.gains, functions.numbers(numbers))
+    head = f"/* The gains of {about.observer} in {about.scenario}. */\n#include <math.h>\n"
+    lines = [head + f'#include "{about.label}.h"\n', f"static const {about.label}_gains {about.label}_nominal = {{"]
+    return plain("\n".join([*lines, *each, "};", ""]))
+
+
+def plain(text: str) -> str:
+    """Return initialisers whose numbers are written as double: a constant of C is rounded where it is put."""
+    return re.sub(r"R\(([^()]*)\)", r"\1", text).replace("(real)", "")

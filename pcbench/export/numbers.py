@@ -1,0 +1,69 @@
+"""Gains and model as numbers, for those who write their own: JSON, and a file of MATLAB's."""
+
+import io
+import json
+from typing import Any, cast
+
+import numpy as np
+
+from pcbench.dynamics import linear
+from pcbench.export import functions, structs
+from pcbench.export.library import About
+from pcbench.planning.design_setting import setting
+from pcbench.planning.padding import Plan
+
+
+def described(about: About, p: Plan, gains: Any) -> dict[str, Any]:
+    """Return gains by their names in C and the model that the observer is told, continuous and over one tick."""
+    known, certificate = setting(p.cell), p.certificates[p.labels[0]]
+    Phi, Gamma = linear.one_tick(known.model, known.dt)
+    model = {"A": known.model.A, "B": known.model.B, "C": known.model.C, "D": known.model.feedthrough}
+    named = zip(structs.fields(gains, "gain"), functions.numbers(gains), strict=True)
+    return {
+        "observer": about.observer,
+        "scenario": about.scenario,
+        "options": p.cell.told[p.labels[0]],
+        "certificate": {"inequality": certificate.inequality, "margin": float(certificate.margin)},
+        "dt": about.dt,
+        "signals": [name for name, _ in about.signals],
+        "units": [unit for _, unit in about.signals],
+        "period": [t * about.dt for t in known.period],
+        "delay": [t * about.dt for t in known.delay],
+        "noise_std": list(known.noise_std),
+        "model": model | {"Phi": Phi, "Gamma": Gamma, "discrete": known.model.discrete},
+        "gains": {f.name: value for f, value in named},
+    }
+
+
+def as_json(found: dict[str, Any]) -> str:
+    """Return it as JSON; what is not finite is a word, as JSON has no number for it."""
+    return json.dumps(_plain(found), indent=2) + "\n"
+
+
+def as_mat(found: dict[str, Any]) -> bytes:
+    """Return it as a MAT file, version 5."""
+    from scipy.io import savemat
+
+    out = io.BytesIO()
+    savemat(cast(Any, out), _whole(found), long_field_names=True)
+    return out.getvalue()
+
+
+def _plain(x: Any) -> Any:
+    if isinstance(x, dict):
+        return {str(k): _plain(v) for k, v in x.items()}
+    if isinstance(x, list | tuple):
+        return [_plain(v) for v in x]
+    if isinstance(x, np.ndarray | np.generic):
+        return _plain(x.tolist())
+    return x if not isinstance(x, float) or np.isfinite(x) else str(x)
+
+
+def _whole(x: Any) -> Any:
+    """Nested dicts as MATLAB takes them: names of at most 63 letters, nothing that is None."""
+    if isinstance(x, dict):
+        return {str(k)[:63]: _whole(v) for k, v in x.items() if v is not None}
+    if isinstance(x, list | tuple):
+        each = [_whole(v) for v in x if v is not None]
+        return np.array(each, object) if any(isinstance(v, str | dict) for v in each) else np.array(each, float)
+    return x

@@ -1,0 +1,165 @@
+"""Entries of an array at indices that are computed: slices, rows, and what is put in their place.
+
+C reads them from an array of its own; one whose entries are from several places is copied into one first. Indices are kept to
+the array as jax keeps them: a slice is moved inside, a row is clipped, or is NaN (of integers the least) where it is outside.
+"""
+
+from typing import Any
+
+import numpy as np
+from jax.lax import GatherScatterMode
+
+from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, stored, written
+from pcbench.simulation.lanes import primitives
+
+FILL = (GatherScatterMode.FILL_OR_DROP,)
+
+
+def dynamic_slice(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+    """Write a slice that begins where some indices say."""
+    operand, sizes = args[0], tuple(primitives.param(eqn, "slice_sizes"))
+    starts = [_inside(w, a[()], n - m) for a, n, m in zip(args[1:], operand.shape, sizes, strict=True)]
+    window = np.stack(np.meshgrid(*map(np.arange, sizes), indexing="ij"), -1) if sizes else np.zeros((0,), int)
+    return _read(w, eqn, operand, starts, window)
+
+
+def dynamic_update_slice(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+    """Write an array anew, with a slice replaced that begins where some indices say."""
+    operand, update = args[:2]
+    starts = [_inside(w, a[()], n - m) for a, n, m in zip(args[2:], operand.shape, update.shape, strict=True)]
+    if not any(isinstance(s, Term) for s in starts):
+        out = operand.copy()
+        out[tuple(slice(int(s), int(s) + n) for s, n in zip(starts, update.shape, strict=True))] = update
+        return out
+    name, first = _copied(w, eqn, operand), _offset(w, operand.shape, starts)
+    for i in np.ndindex(update.shape):
+        w.say(f"{stored(name, (1,), first, _flat(operand.shape, i))[0].text} = {written(update[i])};")
+    return stored(name, operand.shape)
+
+
+def gather(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+    """Write slices of an array, each from where a row of indices says."""
+    operand, indices = args
+    d, sizes = primitives.param(eqn, "dimension_numbers"), primitives.param(eqn, "slice_sizes")
+    aval, mode = eqn.outvars[0].aval, primitives.param(eqn, "mode")
+    out = np.empty(aval.shape, object)
+    batch = [i for i in range(len(aval.shape)) if i not in d.offset_dims]
+    windowed = [i for i in range(operand.ndim) if i not in (*d.collapsed_slice_dims, *d.operand_batching_dims)]
+    for b in np.ndindex(indices.shape[:-1]):
+        starts: list[Any] = [np.int64(0)] * operand.ndim
+        for column, axis in enumerate(d.start_index_map):
+            starts[axis] = indices[(*b, column)]
+        for own, theirs in zip(d.operand_batching_dims, d.start_indices_batching_dims, strict=True):
+            starts[own] = np.int64(b[theirs])
+        limits = [n - s for n, s in zip(operand.shape, sizes, strict=True)]
+        there = _is_inside(w, starts, limits) if mode in FILL else ""
+        starts = [_inside(w, s, limit) for s, limit in zip(starts, limits, strict=True)]
+        shape = tuple(sizes[i] for i in windowed)
+        window = np.zeros((*shape, operand.ndim), int)
+        for i in np.ndindex(shape):
+            window[i][windowed] = i
+        found = _read(w, eqn, operand, starts, window)
+        at: list[Any] = [slice(None)] * len(aval.shape)
+        for axis, i in zip(batch, b, strict=True):
+            at[axis] = i
+        found = _or_else(w, eqn, found, there) if there else found
+        out[tuple(at)] = found if found.ndim else found[()]
+    return out
+
+
+def scatter(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
+    """Write an array anew, with slices replaced (or added to) from where rows of indices say; what falls outside is dropped."""
+    operand, indices, updates = args
+    d, adds = primitives.param(eqn, "dimension_numbers"), eqn.primitive.name != "scatter"
+    windowed = [i for i in range(operand.ndim) if i not in (*d.inserted_window_dims, *d.operand_batching_dims)]
+    batch = [i for i in range(updates.ndim) if i not in d.update_window_dims]
+    sizes = [1] * operand.ndim
+    for axis, own in zip(windowed, d.update_window_dims, strict=True):
+        sizes[axis] = updates.shape[own]
+    name = _copied(w, eqn, operand)
+    for b in np.ndindex(indices.shape[:-1]):
+        starts: list[Any] = [np.int64(0)] * operand.ndim
+        for column, axis in enumerate(d.scatter_dims_to_operand_dims):
+            starts[axis] = indices[(*b, column)]
+        for own, theirs in zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True):
+            starts[own] = np.int64(b[theirs])
+        limits = [n - s for n, s in zip(operand.shape, sizes, strict=True)]
+        there = _is_inside(w, starts, limits)
+        first = _offset(w, operand.shape, [_inside(w, s, limit) for s, limit in zip(starts, limits, strict=True)])
+        for i in np.ndindex(*(sizes[axis] for axis in windowed)):
+            at, window = [0] * updates.ndim, np.zeros(operand.ndim, int)
+            for axis, k in zip(batch, b, strict=True):
+                at[axis] = k
+            for axis, k in zip(d.update_window_dims, i, strict=True):
+                at[axis] = k
+            window[windowed] = i
+            place = stored(name, (1,), first, _flat(operand.shape, tuple(window)))[0].text
+            w.say(f"if ({there}) {place} {'+=' if adds else '='} {written(updates[tuple(at)])};")
+    return stored(name, operand.shape)
+
+
+def held(w: Writer, kind: str, values: Entries) -> Term:
+    """Return the first entry of an array in C that holds these entries, which is written where there is none."""
+    found: Term = place_of(values) or w.array(kind, values).flat[0]
+    return found
+
+
+def _read(w: Writer, eqn: Any, operand: Entries, starts: list[Any], window: Any) -> Entries:
+    """The entries at `starts` and, beyond, at the indices that the last axis of `window` holds."""
+    out = np.empty(window.shape[:-1], object)
+    if not any(isinstance(s, Term) for s in starts):
+        for i in np.ndindex(out.shape):
+            out[i] = operand[tuple(int(s) + int(k) for s, k in zip(starts, window[i], strict=True))]
+        return out
+    if not out.size:
+        return out
+    here = held(w, kind_of(eqn.invars[0].aval.dtype), operand)
+    first = _offset(w, operand.shape, starts, here.base)
+    for i in np.ndindex(out.shape):
+        out[i] = stored(here.store, (1,), first, here.place + _flat(operand.shape, tuple(window[i])))[0]
+    return out
+
+
+def _copied(w: Writer, eqn: Any, operand: Entries) -> str:
+    """The name of an array of its own that holds what the operand does."""
+    name, kind = w.name("a"), kind_of(eqn.invars[0].aval.dtype)
+    w.say(f"{kind} {name}[{max(operand.size, 1)}] = {{{', '.join(map(written, operand.flat)) or '0'}}};")
+    return name
+
+
+def _inside(w: Writer, start: Any, most: int) -> Any:
+    """An index moved to 0 .. most."""
+    if not most:
+        return np.int64(0)
+    if isinstance(start, Term):
+        return w.let("int64_t", f"CLAMPED(0, (int64_t){start.text}, {most})")
+    return np.clip(np.int64(start), 0, most)
+
+
+def _is_inside(w: Writer, starts: list[Any], limits: list[int]) -> str:
+    """Whether indices are in 0 .. limits: a condition in C."""
+    each = [f"{written(s)} >= 0 && {written(s)} <= {limit}" for s, limit in zip(starts, limits, strict=True)]
+    return w.let("bool", " && ".join(each)).text
+
+
+def _or_else(w: Writer, eqn: Any, found: Entries, there: str) -> Entries:
+    """What was found, or what stands for nothing where the index was outside."""
+    aval, fill = eqn.outvars[0].aval, primitives.param(eqn, "fill_value")
+    kind = kind_of(aval.dtype)
+    none = np.nan if kind == "real" else kind == "bool" if kind[0] in "ub" else np.iinfo(aval.dtype).min
+    other, out = written(known(none if fill is None else fill)[()]), np.empty(found.shape, object)
+    for i in np.ndindex(found.shape):
+        out[i] = w.let(kind, f"{there} ? {written(found[i])} : {other}")
+    return out
+
+
+def _flat(shape: tuple[int, ...], index: tuple[int, ...]) -> int:
+    return int(np.ravel_multi_index(index, shape)) if shape else 0
+
+
+def _offset(w: Writer, shape: tuple[int, ...], starts: list[Any], base: str = "") -> str:
+    """The index in C of the entry at `starts`, beyond a base."""
+    strides = [int(np.prod(shape[i + 1 :])) for i in range(len(shape))]
+    terms = [f"{written(s)} * {stride}" for s, stride in zip(starts, strides, strict=True) if isinstance(s, Term) or s]
+    text = " + ".join([*([base] if base else []), *terms])
+    return w.let("int64_t", text).text if text else ""

@@ -1,0 +1,183 @@
+"""From a program of jax to lines of C: equation by equation, loops as loops.
+
+What only moves numbers is done here and leaves no line; what nothing reads the compiler leaves out. A loop's state stands in
+arrays of its own, which are written anew at the end of each round.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from pcbench.errors import UserError
+from pcbench.export import arithmetic, places
+from pcbench.export.terms import Entries, Term, Writer, is_known, kind_of, known, scalar, stored, written
+from pcbench.simulation.lanes import primitives, rules
+
+Rule = Callable[[Writer, Any, list[Entries]], Entries]
+MOVES = primitives.STRUCTURAL | {"stack", "tile"}
+RULES: dict[str, Rule] = dict.fromkeys(primitives.FOLDS, arithmetic.fold) | {
+    "dot_general": arithmetic.product,
+    "cumsum": arithmetic.running_sum,
+    "argmax": arithmetic.extreme,
+    "argmin": arithmetic.extreme,
+    "dynamic_slice": places.dynamic_slice,
+    "dynamic_update_slice": places.dynamic_update_slice,
+    "gather": places.gather,
+    "scatter": places.scatter,
+    "scatter-add": places.scatter,
+    "scatter_add": places.scatter,
+}
+LONGEST = 60_000  # lines of a function
+
+
+class Hindered(UserError):
+    """A primitive that C has nothing for here."""
+
+
+def write(w: Writer, closed: Any, args: list[Entries]) -> list[Entries]:
+    """Write a program at some entries, and return what it makes; raise Hindered with the primitive that cannot be written."""
+    return _walk(w, closed.jaxpr, [known(c) for c in closed.consts], args)
+
+
+def assign(w: Writer, into: list[tuple[str, Entries, Entries]]) -> None:
+    """Write new values (kind, where, what) over old ones, all at once: none is read after it has been written over."""
+    moved = []
+    for kind, old, new in into:
+        for a, b in zip(old.flat, new.flat, strict=True):
+            if a is b or (isinstance(b, Term) and a.text == b.text):
+                continue
+            moves = isinstance(b, Term) and b.text[0] != "t"  # what may be written over
+            moved.append((a.text, w.let(kind, b.text).text if moves else written(b)))
+    for place, text in moved:
+        w.say(f"{place} = {text};")
+
+
+def _walk(w: Writer, jaxpr: Any, consts: list[Entries], args: list[Entries]) -> list[Entries]:
+    env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
+
+    def read(v: Any) -> Entries:
+        return known(np.asarray(v.val)) if isinstance(v, primitives.Literal) else env[v]
+
+    for eqn in jaxpr.eqns:
+        env.update(zip(eqn.outvars, _step(w, eqn, [*map(read, eqn.invars)]), strict=True))
+    return [*map(read, jaxpr.outvars)]
+
+
+def _step(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
+    name = eqn.primitive.name
+    if len(w.lines) > LONGEST:
+        raise Hindered(f"{name}: got more than {LONGEST:,} lines of C in one function, expected fewer.")
+    if name in primitives.CALLS:
+        return write(w, primitives.called(eqn.params), args)
+    if name in ("scan", "while", "cond"):
+        return {"scan": _scan, "while": _while, "cond": _cond}[name](w, eqn, args)
+    if name == "iota":
+        return [known(np.asarray(eqn.primitive.bind(**eqn.params)))]
+    if name == "platform_index":
+        return [
+            scalar(np.int32(next(i for i, p in enumerate(primitives.param(eqn, "platforms")) if not p or "cpu" in p)))
+        ]
+    if name == "split":
+        at = np.cumsum(primitives.param(eqn, "sizes"))[:-1]
+        return [*np.split(args[0], at, primitives.param(eqn, "axis"))]
+    if name in MOVES:
+        return [_moved(eqn, args)]
+    if arithmetic.is_elementwise(name):
+        return [arithmetic.elementwise(w, eqn, args)]
+    if name in RULES:
+        return [RULES[name](w, eqn, args)]
+    raise Hindered(name)
+
+
+def _moved(eqn: Any, args: list[Entries]) -> Entries:
+    """Entries at the places to which the primitive moves their numbers."""
+    where = rules.places(eqn.primitive, primitives.said(eqn), tuple(a.shape for a in args))
+    flat = np.concatenate([a.ravel() for a in args])
+    out: Entries = flat[where.ravel()].reshape(where.shape) if where.size else np.empty(where.shape, object)
+    return out
+
+
+def _kinds(vs: Any) -> list[str]:
+    return [kind_of(v.aval.dtype) for v in vs]
+
+
+def _state(w: Writer, vs: Any, values: list[Entries], stays: list[bool]) -> list[Entries]:
+    """Arrays of C that hold a loop's state; what stays as it is needs none."""
+    out = []
+    for kind, value, fixed in zip(_kinds(vs), values, stays, strict=True):
+        if fixed or not value.size:
+            out.append(value)
+            continue
+        room = w.room(kind, value.shape)
+        for a, b in zip(room.flat, value.flat, strict=True):
+            w.say(f"{a.text} = {written(b)};")
+        out.append(room)
+    return out
+
+
+def _while(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
+    cond, body, first, second = primitives.while_(eqn.params)
+    asked, fixed, values = args[:first], args[first : first + second], args[first + second :]
+    inside = body.jaxpr.invars[second:]
+    stays = [a is b for a, b in zip(inside, body.jaxpr.outvars, strict=True)]
+    state = _state(w, inside, values, stays)
+    with w.block("for (;;)"):
+        (goes_on,) = write(w, cond, [*asked, *state])
+        w.say(f"if (!{written(goes_on[()])}) break;")
+        new = write(w, body, [*fixed, *state])
+        assign(w, [e for e, s in zip(zip(_kinds(inside), state, new, strict=True), stays, strict=True) if not s])
+    return state
+
+
+def _scan(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
+    body, consts, carry, length, how = primitives.scan(eqn.params)
+    inside, rows = body.jaxpr.invars[consts : consts + carry], args[consts + carry :]
+    if length == 1:
+        out = write(w, body, [*args[: consts + carry], *(r.reshape(r.shape[1:]) for r in rows)])
+        return [*out[:carry], *(r[None] for r in out[carry:])]
+    stays = [a is b for a, b in zip(inside, body.jaxpr.outvars[:carry], strict=True)]
+    state = _state(w, inside, args[consts : consts + carry], stays)
+    made = [w.room(kind_of(v.aval.dtype), (length, *v.aval.shape)) for v in body.jaxpr.outvars[carry:]]
+    if not length:
+        return [*state, *made]
+    tables = [
+        places.held(w, kind_of(v.aval.dtype), r) if r.size else None
+        for v, r in zip(body.jaxpr.invars[consts + carry :], rows, strict=True)
+    ]
+    i, n = w.name("i"), w.name("i")
+    with w.block(f"for (int64_t {i} = 0; {i} < {length}; {i}++)"):
+        w.say(f"const int64_t {n} = {f'{length - 1} - {i}' if how['reverse'] else i};")
+        mine = [_row(n, t, r) for t, r in zip(tables, rows, strict=True)]
+        out = write(w, body, [*args[:consts], *state, *mine])
+        kinds = _kinds(body.jaxpr.outvars[carry:])
+        left = [
+            (kind, stored(a.flat[0].store, b.shape, f"{n} * {b.size}"), b)
+            for kind, a, b in zip(kinds, made, out[carry:], strict=True)
+            if b.size
+        ]
+        changed = zip(zip(_kinds(inside), state, out[:carry], strict=True), stays, strict=True)
+        assign(w, [*left, *(each for each, s in changed if not s)])
+    return [*state, *made]
+
+
+def _row(n: str, table: Term | None, rows: Entries) -> Entries:
+    """One row of what a loop goes over."""
+    if table is None:
+        return np.empty(rows.shape[1:], object)
+    size = int(np.prod(rows.shape[1:]))
+    base = f"{table.base} + {n} * {size}" if table.base else f"{n} * {size}"
+    return stored(table.store, rows.shape[1:], base, table.place)
+
+
+def _cond(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
+    programs, which = primitives.branches(eqn.params), args[0]
+    if is_known(which):
+        return write(w, programs[int(np.clip(int(which[()]), 0, len(programs) - 1))], args[1:])
+    made = [w.room(kind_of(v.aval.dtype), v.aval.shape) for v in eqn.outvars]
+    for i, each in enumerate(programs):
+        last = i == len(programs) - 1
+        chosen = f"if ({written(which[()])} {'<=' if not i else '=='} {i})"
+        with w.block("else" if last else chosen if not i else f"else {chosen}"):
+            assign(w, [*zip(_kinds(eqn.outvars), made, write(w, each, args[1:]), strict=True)])
+    return made

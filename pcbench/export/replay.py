@@ -1,0 +1,179 @@
+"""The test vector as C, and the program that replays it: it prints what differs from the simulation, signal by signal."""
+
+from pcbench.export.functions import Source
+from pcbench.export.library import About, plain
+from pcbench.export.terms import known, written
+from pcbench.export.vector import Vector
+
+MAIN = """/* Replays the run of vector.h and says how far the estimates are from those of the simulation.
+   With the argument `estimates` it prints them instead, a line a tick. */
+#include <math.h>
+#include <stdio.h>
+#include "{label}.h"
+#include "{label}_gains.h"
+#include "vector.h"
+
+#ifdef OBSERVER_COUNT
+extern long {label}_products;
+#else
+static long {label}_products = 0;
+#endif
+static {label}_real notes[RING][NOTED];
+
+int main(int argc, char **argv)
+{{
+    static {label}_memory memory;
+    static {label}_now now;
+    double largest[SIGNALS] = {{0}}, square[SIGNALS] = {{0}}, error[SIGNALS] = {{0}};
+    long sample[3] = {{0}}, tick = 0, e = 0; /* products: of a note, of telling, of a jump */
+    (void)argv;
+    {label}_begin(&now);
+{before}    {label}_init(&{label}_nominal, first, &memory);
+    for (long k = 0; k < TICKS; k++) {{
+        long start;
+        for (; e < EVENTS && events[e].tick <= k; e++) {{
+            const event *v = &events[e];
+            start = {label}_products;
+{note}{sampled}            if (v->what == 2) {{
+                {label}_arrival a;
+                for (int j = 0; j < OUTPUTS; j++) {{
+                    a.value[j] = ({label}_real)v->value[j];
+                    a.fresh[j] = v->fresh[j];
+                    a.age[j] = v->age[j];
+                    a.index[j] = v->index[j];
+                }}
+{carry}                a.since = v->since;
+                {label}_jump(&{label}_nominal, &memory, &now, &a);
+            }}
+            sample[v->what] = {label}_products - start;
+        }}
+        {label}_real xhat[SIGNALS];
+        start = {label}_products;
+        {label}_estimate(&{label}_nominal, &memory, xhat);
+        for (int i = 0; i < SIGNALS; i++) {{
+            double off = fabs((double)xhat[i] - expected[k][i]), wrong = (double)xhat[i] - truth[k][i];
+            largest[i] = off <= largest[i] ? largest[i] : off;
+            square[i] += off * off;
+            error[i] += wrong * wrong;
+            if (argc > 1) {{
+                printf("%.17g%c", (double)xhat[i], i < SIGNALS - 1 ? ' ' : '\\n');
+            }}
+        }}
+{hold}        {label}_flow(&{label}_nominal, &memory, &now);
+        tick = {label}_products - start;
+        {label}_next(&now);
+    }}
+    for (int i = 0; i < SIGNALS && argc < 2; i++) {{
+        printf("%s: differs by %.3g rms, %.3g at most; error %.6g rms\\n", names[i], sqrt(square[i] / TICKS), largest[i],
+               sqrt(error[i] / TICKS));
+    }}
+    if (argc < 2) {{
+        printf("%lu bytes of memory, %lu of gains, %lu of now", (unsigned long)sizeof memory,
+               (unsigned long)sizeof {label}_nominal, (unsigned long)sizeof now);
+        if ({label}_products) {{
+            printf("; %ld products the last sample, %ld a tick", sample[0] + sample[1] + sample[2], tick);
+        }}
+        printf("\\n");
+    }}
+    return 0;
+}}
+"""
+NOTE = """            if (v->what == 0) {{
+                {label}_note(&{label}_nominal, &memory, &now, notes[v->packet % RING]);
+            }}
+"""
+SAMPLED = """            if (v->what == 1) {{
+                {label}_sampled(&{label}_nominal, &memory, &now, v->fresh);
+            }}
+"""
+CARRY = """                for (int j = 0; j < NOTED; j++) {{
+                    a.note[j] = notes[v->packet % RING][j];
+                }}
+"""
+HOLD = """        {label}_real u[INPUTS];
+        for (int i = 0; i < INPUTS; i++) {{
+            u[i] = ({label}_real)inputs[k][i];
+        }}
+        {label}_hold(&now, u);
+"""
+BEFORE = """    for (long i = 0; i < BEFORE; i++) {{
+        for (int j = 0; j < INPUTS; j++) {{
+            if (i == 0) {{
+                now.u[j] = ({label}_real)before[i][j];
+            }}{past}
+        }}
+    }}
+"""
+PAST = "\n            now.past[(BEFORE - 1 - i) * INPUTS + j] = ({label}_real)before[i][j];"
+
+
+def main(about: About, s: Source, noted: int) -> str:
+    """Return the program that replays the vector."""
+    has = {f.name for f in s.functions}
+    before = BEFORE.format(label=about.label, past=PAST.format(label=about.label) if s.looks_back else "")
+    parts = {
+        "before": before,
+        "note": NOTE if "note" in has else "",
+        "sampled": SAMPLED if "sampled" in has else "",
+        "carry": CARRY if noted else "",
+        "hold": HOLD,
+    }
+    label = about.label
+    each = {k: text if k == "before" else text.format(label=label) for k, text in parts.items()}
+    return MAIN.format(label=label, **each)
+
+
+def header(about: About, v: Vector, noted: int, ring: int) -> str:
+    """Return the vector as constants; `ring` packets may be on their way at a time."""
+    q, m, s = about.outputs, about.inputs, v.expected.shape[1]
+    sizes = {
+        "TICKS": len(v.expected), "EVENTS": len(v.events), "SIGNALS": s, "INPUTS": m, "OUTPUTS": q, "BEFORE": len(v.before),
+        "NOTED": max(noted, 1), "RING": max(ring, 1),
+    }  # fmt: skip
+    lines = [
+        f"/* A run of {about.scenario} with {about.observer}. */",
+        "#include <stdbool.h>",
+        "#include <stdint.h>",
+        "",
+    ]
+    lines += [f"#define {name} {value}" for name, value in sizes.items()]
+    lines += [
+        "",
+        "typedef struct {",
+        "    int64_t tick;",
+        "    int what; /* 0 note, 1 sampled, 2 jump */",
+        "    int64_t packet;",
+        f"    double value[{q}];",
+        f"    bool fresh[{q}];",
+        f"    int64_t age[{q}], index[{q}], since;",
+        "} event;",
+        "",
+        f"static const char *const names[] = {{{', '.join(_quoted(name) for name, _ in about.signals[:s])}}};",
+        f"static const {about.label}_real first[] = {{{_row(v.xhat0)}}};",
+        f"static const double before[][{m}] = {{{', '.join(f'{{{_row(u)}}}' for u in v.before)}}};",
+        *_table("inputs", m, v.inputs),
+        *_table("truth", s, v.truth),
+        *_table("expected", s, v.expected),
+        "static const event events[] = {",
+        *(
+            f"    {{{e.tick}, {e.what}, {e.packet}, {{{_row(e.value)}}}, {{{_row(e.fresh)}}}, {{{_row(e.age)}}}, "
+            f"{{{_row(e.index)}}}, {e.since}}},"
+            for e in v.events
+        ),
+        *([] if v.events else ["    {0}"]),
+        "};",
+        "",
+    ]
+    return plain("\n".join(lines))
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', "'") + '"'
+
+
+def _row(values: object) -> str:
+    return ", ".join(written(x) for x in known(values).flat)
+
+
+def _table(name: str, many: int, rows: object) -> list[str]:
+    return [f"static const double {name}[][{many}] = {{", *(f"    {{{_row(row)}}}," for row in rows), "};"]  # type: ignore[attr-defined]

@@ -1,0 +1,154 @@
+"""The numbers of a program in C: how each is written, and the lines that compute them.
+
+An array is an object array of NumPy, whose entries are known numbers or `Term`s. What only moves numbers about is then done by
+NumPy here, and leaves no line.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import count
+from typing import Any, NamedTuple
+
+import numpy as np
+
+Entries = np.ndarray[Any, Any]  # of object: known numbers and Terms
+LONG = 2**31  # an integer from here on is written as a long one
+KINDS = {"float64": "real", "float32": "real", "bool": "bool"} | {
+    f"{sign}int{bits}": f"{sign}int{bits}_t" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
+
+
+class Term(NamedTuple):
+    """One number that is not known before the program runs."""
+
+    text: str  # how it is read: a name, or an entry of an array
+    store: str = ""  # the array that it stands in,
+    base: str = ""  # behind an index that is computed,
+    place: int = 0  # so many entries
+
+
+class Writer:
+    """The lines of one function as they are written, and the products of floats in them."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.deep = 1
+        self.products = 0
+        self._names = count(1)
+
+    def say(self, line: str) -> None:
+        """Write one line."""
+        self.lines.append("    " * self.deep + line)
+
+    def name(self, letter: str) -> str:
+        """Return a name that nothing has yet."""
+        return f"{letter}{next(self._names)}"
+
+    def let(self, kind: str, expression: str, products: int = 0) -> Term:
+        """Write a number of its own, and return it."""
+        name = self.name("t")
+        self.products += products
+        self.say(f"const {kind} {name} = {expression};")
+        return Term(name)
+
+    def array(self, kind: str, values: Entries) -> Entries:
+        """Write an array that holds these entries, and return its own."""
+        name, texts = self.name("a"), [written(x) for x in values.flat]
+        fixed = "static const " if not any(isinstance(x, Term) for x in values.flat) else ""
+        self.say(f"{fixed}{kind} {name}[{values.size}] = {{{', '.join(texts)}}};")
+        return stored(name, values.shape)
+
+    def room(self, kind: str, shape: tuple[int, ...]) -> Entries:
+        """Write an array without values yet, and return its entries; a number alone is a name."""
+        name, size = self.name("v"), int(np.prod(shape))
+        if size:
+            self.say(f"{kind} {name}{f'[{size}]' if shape else ''};")
+        return stored(name, shape) if shape else scalar(Term(name))
+
+    @contextmanager
+    def block(self, head: str) -> Iterator[None]:
+        """Write what is written inside as a block of its own, which counts the products of its own."""
+        self.say(head + " {")
+        before, self.products = self.products, 0
+        self.deep += 1
+        yield
+        self.count()
+        self.deep -= 1
+        self.products = before
+        self.say("}")
+
+    def count(self) -> None:
+        """Write how many products the lines of this block take, once they are all there."""
+        if self.products:
+            self.say(f"PRODUCTS({self.products});")
+        self.products = 0
+
+
+def scalar(x: Any) -> Entries:
+    """Return one entry as an array without axes."""
+    out = np.empty((), object)
+    out[()] = x
+    return out
+
+
+def known(value: Any) -> Entries:
+    """Return the entries of an array of numbers."""
+    given = np.asarray(value)
+    out = np.empty(given.shape, object)
+    for i in np.ndindex(given.shape):
+        out[i] = given[i]
+    return out
+
+
+def is_known(*arrays: Entries) -> bool:
+    """Say whether no entry is a Term."""
+    return not any(isinstance(x, Term) for a in arrays for x in a.flat)
+
+
+def stored(name: str, shape: tuple[int, ...], base: str = "", first: int = 0) -> Entries:
+    """Return the entries of an array of C, behind an index `base` and `first` more."""
+    out = np.empty(int(np.prod(shape)), object)
+    for i in range(out.size):
+        at = first + i
+        out[i] = Term(f"{name}[{f'{base} + {at}' if base and at else base or at}]", name, base, at)
+    return out.reshape(shape)
+
+
+def place_of(values: Entries) -> Term | None:
+    """Return the first entry of an array that stands in one of C as it is; None where its entries are from several places."""
+    each = list(values.flat)
+    first = each[0] if each else None
+    if not isinstance(first, Term) or not first.store:
+        return None
+    for i, x in enumerate(each):
+        if not isinstance(x, Term) or (x.store, x.base, x.place) != (first.store, first.base, first.place + i):
+            return None
+    return first
+
+
+def kind_of(dtype: Any) -> str:
+    """Return what C calls a type."""
+    return KINDS[str(np.dtype(dtype))]
+
+
+def written(x: Any) -> str:
+    """Return an entry as C reads it."""
+    if isinstance(x, Term):
+        return x.text
+    if isinstance(x, bool | np.bool_):
+        return "true" if x else "false"
+    if np.issubdtype(np.asarray(x).dtype, np.integer):
+        return _whole(int(x))
+    value = float(x)
+    if np.isnan(value):
+        return "(real)NAN"
+    if np.isinf(value):
+        return "(real)INFINITY" if value > 0 else "(-(real)INFINITY)"
+    return f"R({value!r})" if value >= 0 and not np.signbit(value) else f"(-R({-value!r}))"
+
+
+def _whole(value: int) -> str:
+    if value == -(2**63):
+        return "INT64_MIN"
+    text = str(abs(value)) + ("LL" if abs(value) >= LONG else "")
+    return text if value >= 0 else f"(-{text})"

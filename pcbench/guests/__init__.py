@@ -1,0 +1,1 @@
+"""Observers that live elsewhere: what runs measure as files, and estimates that others made of it as one more observer."""

@@ -1,0 +1,149 @@
+"""`pcbench draws`: what every run of a study measures and when it arrives, as files that any program reads.
+
+Nothing in them says what is true: an estimate made of them cannot have seen it.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from pcbench.dataset import ownership, store
+from pcbench.dynamics import linear
+from pcbench.guests import runs
+from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
+from pcbench.planning import setting
+from pcbench.planning.padding import Plan
+from pcbench.plants import signals_of
+from pcbench.simulation.schedule.shared import NEVER
+from pcbench.study.cells import Grid
+
+FOLDER = "draws"
+SAMPLES = {
+    "scenario": (pa.string(), "", "name of the scenario"),
+    "cell": (pa.int64(), "", "number of the cell in the scenario"),
+    "seed": (pa.int64(), "", "seed index of the run"),
+    "channel": (pa.int64(), "", "output, from 1"),
+    "sample": (pa.int64(), "", "which sample of its channel, from 0"),
+    "sampled_tick": (pa.int64(), "", "tick at which it is taken; below 0: before the run, of the state at 0"),
+    "sampled": (pa.float64(), "s", "the same in seconds"),
+    "arrived_tick": (
+        pa.int64(),
+        "",
+        "tick at which it arrives, before that tick's estimate; null: never within the run",
+    ),
+    "arrived": (pa.float64(), "s", "the same in seconds"),
+    "value": (pa.float64(), "unit of the output", "what was measured, noise included"),
+}
+README = """# What every run measures, and when it arrives
+
+Written by `pcbench draws`. Ticks are whole numbers; a tick's length `dt`, the model and the units stand in `cells.json`.
+
+`samples.parquet`, a row for each sample of each channel:
+
+| column | unit | meaning |
+|---|---|---|
+{rows}
+
+`inputs.parquet` has the inputs: scenario, cell, tick, t [s], u1, u2, ..., each held from its tick to the next.
+`starts.parquet` has xhat(0): scenario, cell, seed, and a column for each state in the cell's order, x1, x2, ...
+
+At tick k a run goes: samples are taken, samples arrive (the oldest first), **the estimate of tick k is read**, the input
+u_k is held over the tick. So the estimate of tick k may use what has arrived up to tick k and inputs up to tick k - 1.
+
+Leave a Parquet or CSV file with a row for each tick 0 .. N - 1 of each run (N is `ticks` in `cells.json`): columns scenario,
+cell, seed, tick, and one for each signal by its name. Then: `pcbench score DIR estimates.parquet --name my-observer`.
+"""
+
+
+def write(grid: Grid, out: str | Path, progress: Progress = SILENT) -> store.Target:
+    """Write the draws of a study into a folder, which is then the study's: its results are made in it, and scored into it."""
+    with process.float64():
+        target = store.target(out)
+        owned = ownership.claim(target, grid)
+        plans = [runs.planned(cell) for cell in owned.cells]
+        store.make(target)
+        if store.text(target, ownership.TEXT) is None:
+            ownership.renew(target, owned)
+        seeds = grid.study.first_seed + np.arange(grid.study.seeds)
+        progress.begin("runs", len(seeds) * len(plans))
+        samples, starts = [], []
+        for p in plans:
+            for run in runs.runs(p, grid.study.root_seed, seeds):
+                samples.append(_samples(p, run))
+                starts.append(_keys(p, 1, seed=run.seed) | {f"x{i + 1}": [v] for i, v in enumerate(run.xhat0.tolist())})
+                progress.step(1)
+        schema = pa.schema(
+            [pa.field(n, kind, metadata={"unit": u, "meaning": m}) for n, (kind, u, m) in SAMPLES.items()]
+        )
+        every = {name: np.concatenate([np.asarray(each[name]) for each in samples]) for name in SAMPLES}
+        columns = [pa.array(every[name], SAMPLES[name][0], from_pandas=True) for name in SAMPLES]
+        store.put_table(target, f"{FOLDER}/samples.parquet", pa.Table.from_arrays(columns, schema=schema))
+        store.put_table(target, f"{FOLDER}/starts.parquet", _joined(starts))
+        store.put_table(target, f"{FOLDER}/inputs.parquet", _joined([_inputs(p) for p in plans]))
+        store.put(target, f"{FOLDER}/cells.json", (json.dumps([_cell(p) for p in plans], indent=2) + "\n").encode())
+        rows = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (_, unit, meaning) in SAMPLES.items())
+        store.put(target, f"{FOLDER}/README.md", README.format(rows=rows).encode())
+        return target
+
+
+def _keys(p: Plan, many: int, **more: Any) -> dict[str, list[Any]]:
+    keys = {"scenario": p.cell.scenario.name, "cell": p.cell.number} | more
+    return {name: [value] * many for name, value in keys.items()}
+
+
+def _samples(p: Plan, run: runs.Run) -> dict[str, Any]:
+    dt, ticks = p.cell.scenario.dt, p.cell.times.ticks
+    taken = np.array([s.taken for s in run.samples])
+    arrives = np.array([s.arrives if s.arrives < min(NEVER, ticks + 1) else np.nan for s in run.samples], float)
+    return _keys(p, len(taken), seed=run.seed) | {
+        "channel": [s.channel + 1 for s in run.samples],
+        "sample": [s.number for s in run.samples],
+        "sampled_tick": taken,
+        "sampled": taken * dt,
+        "arrived_tick": arrives,
+        "arrived": arrives * dt,
+        "value": run.values,
+    }
+
+
+def _inputs(p: Plan) -> dict[str, Any]:
+    u = np.asarray(p.problem.inputs)
+    ticks = np.arange(len(u))
+    return (
+        _keys(p, len(u))
+        | {"tick": ticks, "t": ticks * p.cell.scenario.dt}
+        | {f"u{i + 1}": c for i, c in enumerate(u.T)}
+    )
+
+
+def _joined(parts: list[dict[str, Any]]) -> pa.Table:
+    return pa.concat_tables([pa.table(part) for part in parts], promote_options="default")
+
+
+def _cell(p: Plan) -> dict[str, Any]:
+    """What a program should know of a cell: what observers of pcbench are told too."""
+    known, s = setting(p.cell), p.cell.scenario
+    Phi, Gamma = linear.one_tick(known.model, known.dt)
+    model = {
+        "A": known.model.A,
+        "B": known.model.B,
+        "C": known.model.C,
+        "D": known.model.feedthrough,
+        "Phi": Phi,
+        "Gamma": Gamma,
+    }
+    return {
+        "scenario": s.name,
+        "cell": p.cell.number,
+        "axes": dict(p.cell.values),
+        "dt": s.dt,
+        "ticks": p.cell.times.ticks,
+        "signals": [{"name": name, "unit": unit} for name, unit in signals_of(s)],
+        "noise_std": list(known.noise_std),
+        "P0": np.asarray(known.P0).tolist(),
+        "model": {name: np.asarray(value).tolist() for name, value in model.items()},
+    }
