@@ -22,7 +22,7 @@ from pcbench.simulation import batch
 from pcbench.simulation.lifted import chunks
 from pcbench.simulation.lifted.form import plant_goes
 from pcbench.simulation.problem import Layout, Problem
-from pcbench.simulation.sample_noise import Outliers
+from pcbench.simulation.sample_noise import Outliers, Rounding
 from pcbench.simulation.schedule import per_lane, shared
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of
@@ -103,6 +103,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         network=controller.network(cell),
         weights=controller.weights(cell),
         outliers=_outliers(s),
+        rounding=Rounding(np.array(step), np.asarray(s.sampling.dither)) if any(step := s.sampling.resolution) else (),
         tail=np.asarray(s.sampling.noise_tail) if s.sampling.noise_tail else (),
     )
     layout = Layout(

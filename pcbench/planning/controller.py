@@ -45,7 +45,7 @@ def reach(cell: Cell, overtaking: int, ticks: int) -> Reach:
     `ahead`: past the end, until the last command acts.
     """
     s, delay = cell.scenario, times.actuator_delay(cell.scenario)
-    believed_older = max(cell.times.error, 0)
+    believed_older = max(cell.times.error, 0) + cell.times.clocks[0].stamp.reach(ticks)[0]
     if cell.times.random:
         oldest = min(per_lane.oldest(cell.times.clocks, ticks, overtaking), ticks)
     else:

@@ -144,7 +144,7 @@ def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
 def channels_apart(study: Study) -> set[str]:
     """Return the axes whose channels differ in some cell of a study: in its tables every cell has a list there."""
     known, out = scenarios_of(study), set()
-    for name in (*axis.CHANNELS, *axis.STATES, "delay_stay"):
+    for name in (*axis.CHANNELS, *axis.STATES, *axis.OUTPUTS, "delay_stay"):
         given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
         if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
             out.add(name)
