@@ -79,6 +79,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     designs = {o: once.design(ask, cell.key, o, cell.entry(o), known, given) for o, given in options.items()}
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
     numbers = ({"drift": true.drift} if "drift" in plant.numbers._fields else {}) | cell.parameters
+    numbers |= {"sensor_delay": _late(cell)} if "sensor_delay" in plant.numbers._fields else {}
     numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
     drawn, around = choices.random_start and not belief.start_box, choices.random_start and bool(belief.start_box)
     spread = belief.prior_std if drawn else choices.start_spread * np.abs(true.x0)
@@ -136,6 +137,12 @@ def _outliers(s: Scenario) -> Any:
     """The numbers of samples that are outliers; (): none is."""
     chance, scale = s.sampling.outlier_probability, s.sampling.outlier_scale
     return Outliers(np.asarray(chance), np.asarray(scale)) if chance else ()
+
+
+def _late(cell: Cell) -> float:
+    """The delay of samples [s] of a plant that has it among its signals; the mean where it varies."""
+    clock = cell.times.clocks[0]
+    return float((clock.period if clock.delay is None else clock.delay) + clock.later) * cell.scenario.dt
 
 
 def _strides(schedule: AnySchedule, heavy: bool) -> bool:
