@@ -81,7 +81,7 @@ def carried(gains: Gains, now: Now, x: Array, P: Array, start: Array, stop: Arra
         k = start + i
         u, goes = jax.vmap(now.past_u)(jnp.maximum(now.tick - k, 1)), k < stop
         moved = x @ gains.Phi.T + u @ gains.Gamma.T
-        spread = jnp.einsum("ab,mbc,dc->mad", gains.Phi, P, gains.Phi) + gains.Q
+        spread = jnp.einsum("ab,mbc,dc->mad", gains.Phi, P, gains.Phi) + gains.Q[None]
         return jnp.where(goes[:, None], moved, x), jnp.where(goes[:, None, None], spread, P)
 
     return lax.fori_loop(0, jnp.max(stop - start), tick, (x, P))
@@ -134,7 +134,7 @@ def _believed(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals s
     x, P = carried(gains, now, memory.x, memory.P, memory.at, jnp.full_like(memory.at, now.tick))
     share, n = jnp.exp(memory.weight), gains.C.shape[1]
     z = jnp.concatenate([x, (gains.dt * gains.own)[:, None]], 1)
-    apart = z - share @ z
+    apart = z - (share @ z)[None]
     whole = (share[:, None] * apart).T @ apart
     return spread(gains, whole.at[:n, :n].add(jnp.tensordot(share, P, 1)))
 

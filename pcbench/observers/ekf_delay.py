@@ -9,9 +9,9 @@ backwards). With x_i the prediction of tick i from x_b, i = k - tau / h between 
 one update in Joseph's form, channel by channel, at the predicted z; tau is kept within [0, L h] and walks with `delay_walk`.
 Then x_b is carried to now. Before L ticks have passed b = 0.
 
-Finding, on cart/unknown-delay with its random starts: the delay is believed to be known far better than it is, as the slope x'
-that multiplies tau is itself an estimate with an error, which H takes for sure, and a sample's noise that bends tau is believed
-for ever: see the guide. The literature says so too: biased and over-confident (arXiv:2106.00391, arXiv:2605.13266).
+Findings, on cart/unknown-delay (guide, unknown_delay): begun near, it is as good as the bound allows, and honest; that it is always
+biased and over-confident (arXiv:2106.00391, arXiv:2605.13266) does not hold there. Begun two of its deviations off it is both:
+the first samples are used at slopes of the wrong time, and what they seem to tell is believed for ever. `bank` is neither.
 Not claimed: that the delay is found from far; where the motion does not show it (x' = 0) nothing is learnt.
 Time index: the estimate is of now, after the jump. Samples of one clock, in order; their age is not read.
 Source: Nilsson, Skog, Haendel, Joint state and measurement time-delay estimation of nonlinear state space systems, ISSPA 2010.
@@ -26,7 +26,7 @@ from jaxtyping import Float, Int
 from pydantic import Field
 
 from pcbench.observers.parts import kalman, unknown_delay
-from pcbench.observers.parts.unknown_delay import Gains, carried, read, spread
+from pcbench.observers.parts.unknown_delay import Gains, Moves, carried, read, spread
 from pcbench.protocols import Arrival, Now, Observer, together
 from pcbench.synthesis.certificate import Design, Setting, uncertified
 
@@ -58,7 +58,7 @@ def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
     return jnp.zeros(0)
 
 
-def whole(gains: Gains) -> Gains:
+def whole(gains: Gains) -> Moves:
     """Return the model of state and delay, which stands still but for its walk."""
     n, m = gains.Gamma.shape
 
@@ -66,7 +66,7 @@ def whole(gains: Gains) -> Gains:
         return jnp.zeros((n + 1, n + 1)).at[:n, :n].set(A).at[n, n].set(last)
 
     Gamma = jnp.concatenate([gains.Gamma, jnp.zeros((1, m))])
-    return gains._replace(Phi=beside(gains.Phi, 1.0), Gamma=Gamma, Q=beside(gains.Q, gains.own))
+    return Moves(beside(gains.Phi, 1.0), Gamma, beside(gains.Q, gains.own))
 
 
 class Seen(NamedTuple):

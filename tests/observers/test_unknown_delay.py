@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from delays import judged
 from documents import PAGES
 from reference import linear, unknown_delay
 
@@ -94,17 +95,35 @@ def test_a_bank_comes_to_the_bound_where_the_signal_is_known():
 
 @pytest.mark.slow
 def test_the_guides_table_is_what_comes_out():
-    choices = {"scenario": {"random_start": True, "consistency": True}}
-    stats = pcbench.run(SCENARIO, seeds=256, options=choices).stats
+    stats = pcbench.run(SCENARIO, seeds=256, options={"scenario": {"random_start": True}}).stats
     mean = stats.set_index(["observer", "signal", "metric"])["mean"]
-    rows = re.findall(r"^\| `([\w-]+)` \| (.*) \|$", PAGES["unknown_delay.md"], re.M)
-    assert len(rows) == 4
-    for name, said in rows:
-        position, delay, nees = (float(v) if v.strip() else None for v in said.split(" |"))
-        assert mean[name, "position", "tail_rmse"] == pytest.approx(position, rel=0.02)
-        if delay is not None:
-            assert mean[name, "delay", "tail_rmse"] == pytest.approx(delay, rel=0.02)
-            assert mean[name, "delay", "signal_nees"] == pytest.approx(nees, rel=0.02)
+    rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+) \| ([\d.]*) ?\|$", PAGES["unknown_delay.md"], re.M)
+    assert [name for name, *_ in rows] == ["ekf-delay", "bank", "dkf", "open-loop"]
+    for name, position, delay in rows:
+        assert mean[name, "position", "tail_rmse"] == pytest.approx(float(position), rel=0.01)
+        if delay:
+            assert mean[name, "delay", "tail_rmse"] == pytest.approx(float(delay), rel=0.01)
+
+
+@pytest.mark.slow
+def test_begun_near_the_delay_as_a_state_is_honest_and_begun_far_it_is_biased_and_over_confident():
+    """Of 256 runs, as the guide has it: nees within a tenth of 1 where it is near; a bias of ten standard errors where not."""
+    far, noisy = {"unknown0": [0.6], "unknown_std": [0.2]}, {"noise_std": 0.5}
+    near, off, loud = (judged(256, **given) for given in ({}, far, far | noisy))
+    found = [near["ekf-delay"], off["ekf-delay"], loud["ekf-delay"], loud["bank"]]
+    rows = re.findall(r"\| `[\w-]+` \| (-?[\d.]+) \| ([\d.]+) \| ([\d.]+) \|$", PAGES["unknown_delay.md"], re.M)
+    assert len(rows) == len(found)
+    for row, (_, *values) in zip(rows, found, strict=True):
+        np.testing.assert_allclose(values, [float(v) for v in row], rtol=0.01)
+    assert abs(near["ekf-delay"][3] - 1) < 0.1
+    assert off["ekf-delay"][1] > 10 * off["ekf-delay"][2] / np.sqrt(256)
+    assert off["ekf-delay"][3] > 2 > 1.1 > loud["bank"][3]
+
+
+@pytest.mark.slow
+def test_a_study_of_it_has_no_bound():
+    """Who is told the delay does better than who looks for it: their bound is not his."""
+    assert "efficiency" not in set(pcbench.run(SCENARIO, seeds=2).stats.metric)
 
 
 REFUSED = [

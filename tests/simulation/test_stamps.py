@@ -142,3 +142,11 @@ def test_who_is_told_when_a_sample_is_taken_says_so():
 def test_an_axis_of_them_is_refused_where_nothing_is_sampled():
     with pytest.raises(UserError, match=r"got stamp_drift = 5\.0 in arm/sine, which measures continuously"):
         pcbench.run("arm/sine", axes={"stamp_drift": [5.0]}, seeds=1)
+
+
+@pytest.mark.parametrize("axis", ["stamp_jitter", "delay_gamma"])
+def test_a_loop_of_the_paper_is_not_offered_with_times_of_each_runs_own(axis):
+    with pytest.raises(
+        UserError, match="got random sampling in helicopter/constant, expected samples at times that all"
+    ):
+        pcbench.run("helicopter/constant", axes={axis: [0.05]}, seeds=1)

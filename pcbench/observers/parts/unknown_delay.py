@@ -40,6 +40,14 @@ class Gains(NamedTuple):
     own: Any = ()
 
 
+class Moves(NamedTuple):
+    """A linear model by ticks; N of its states."""
+
+    Phi: Float[Leaf, "N N"]
+    Gamma: Float[Leaf, "N m"]
+    Q: Float[Leaf, "N N"]
+
+
 class Options(assumed_noise.Options):
     """What the filter assumes of noise, and of the delay."""
 
@@ -48,12 +56,12 @@ class Options(assumed_noise.Options):
     longest: float | None = Field(None, gt=0, description="s, the longest delay; default: mean and three deviations")
 
 
-def carried(gains: Gains, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
+def carried(by: Moves, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
     """Return mean and covariance of tick `stop` from those of tick `start`, under the stored inputs."""
 
     def tick(k: Array, xP: tuple[Array, Array]) -> tuple[Array, Array]:
         x, P = xP
-        return gains.Phi @ x + gains.Gamma @ now.past_u(now.tick - k), gains.Phi @ P @ gains.Phi.T + gains.Q
+        return by.Phi @ x + by.Gamma @ now.past_u(now.tick - k), by.Phi @ P @ by.Phi.T + by.Q
 
     return lax.fori_loop(start, stop, tick, (x, P))
 
