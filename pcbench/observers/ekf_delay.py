@@ -9,9 +9,9 @@ backwards). With x_i the prediction of tick i from x_b, i = k - tau / h between 
 one update in Joseph's form, channel by channel, at the predicted z; tau is kept within [0, L h] and walks with `delay_walk`.
 Then x_b is carried to now. Before L ticks have passed b = 0.
 
-Findings, on cart/unknown-delay (guide, unknown_delay): begun near, it is as good as the bound allows, and honest; that it is always
-biased and over-confident (arXiv:2106.00391, arXiv:2605.13266) does not hold there. Begun two of its deviations off it is both:
-the first samples are used at slopes of the wrong time, and what they seem to tell is believed for ever. `bank` is neither.
+Findings, on cart/unknown-delay (guide, unknown_delay): begun near, it is as good as the bound allows, and honest; that it is
+always biased and over-confident (arXiv:2106.00391, arXiv:2605.13266) does not hold there. Begun two of its deviations off it is
+both: the first samples are used at slopes of the wrong time, and what they seem to tell is believed for ever. `bank` is not.
 Not claimed: that the delay is found from far; where the motion does not show it (x' = 0) nothing is learnt.
 Time index: the estimate is of now, after the jump. Samples of one clock, in order; their age is not read.
 Source: Nilsson, Skog, Haendel, Joint state and measurement time-delay estimation of nonlinear state space systems, ISSPA 2010.
