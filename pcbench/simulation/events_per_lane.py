@@ -121,7 +121,7 @@ def _take(events: Events, k: Array, state: State) -> State:
         (flight, memories), done = c, c[0].done
         sensed, noted = (_chunk(q, n, now, events.layout) for q, n in ((taken, done.sensed), (noting, done.noted)))
         values = _write(flight.values, sensed, _measured(events, k, state, sensed))
-        notes = _write(flight.notes, noted, _noted(events, k, state, noted))
+        notes = _write(flight.notes, noted, note(events.layout, events.p, k, _taken_out(events, state, noted)))
         if telling:
             memories = _told(events, k, state._replace(memories=memories), sensed)
         done = Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived)
@@ -135,10 +135,6 @@ def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
     noise = jnp.stack([_at(each, _at(events.agenda.samples[2], c.row, c.lane), c.lane) for each in events.noise])
     x, drawn = lanes.pick((state.x, state.drawn), c.lane)
     return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lanes.split(noise))
-
-
-def _noted(events: Events, k: Array, state: State, c: Chunk) -> Notes:
-    return note(events.layout, events.p, k, _taken_out(events, state, c))
 
 
 def _told(events: Events, k: Array, state: State, c: Chunk) -> packed.Kept:
