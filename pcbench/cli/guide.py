@@ -19,6 +19,7 @@ ORDER = (  # of a reader's questions; what is not here follows by the alphabet
         "what-suffices",
         "outliers",
         "nonlinear",
+        "unknown-delay",
         "logs",
     ),
     *("your-own-plant", "your-own-observer", "loops", "a-loop-of-your-own", "unknown-inputs", "gains-and-tuning"),

@@ -5,7 +5,9 @@ from collections.abc import Container
 from pcbench.statistics import ASKED, RUN_METRICS
 
 AXIS_UNITS = {"command_jitter": "s", "command_loss": "1", "command_std": "unit of the input"}
-AXIS_UNITS |= {"delay_steps": "s", "delay_stay": "1"}
+AXIS_UNITS |= {"delay_steps": "s", "delay_stay": "1", "delay_share": "1", "delay_gamma": "s", "delay_shape": "1"}
+AXIS_UNITS |= {"resolution": "unit of the output", "dither": "1", "burst": "samples"}
+AXIS_UNITS |= {"stamp_offset": "s", "stamp_drift": "ppm", "stamp_jitter": "s"}
 AXIS_UNITS |= {"outlier_probability": "1", "outlier_scale": "1", "noise_tail": "1", "assumed_noise_scale": "1"}
 UNITS = dict.fromkeys(
     (
@@ -27,6 +29,15 @@ MEANING = {
     "delay_steps": "a sample arrives later by one of these [s], which a Markov chain from sample to sample chooses",
     "delay_stay": "probability that the next sample has the same one of delay_steps, or else any other alike; a list where it "
     "depends on the one that is",
+    "delay_share": "shares of samples, each by itself, that arrive later by each of delay_steps, in proportion to these",
+    "delay_gamma": "a sample arrives later by a time of a gamma distribution with this mean, in whole ticks",
+    "delay_shape": "shape of that distribution: its mean over its standard deviation, squared",
+    "resolution": "a sample is rounded to whole steps of this size, which nobody is told; a list where output channels differ",
+    "dither": "1: noise uniform over one step is added before a sample is rounded, and taken off after",
+    "burst": "mean number of samples in a row that losses take (Gilbert and Elliott); 0: each is lost by itself",
+    "stamp_offset": "a sample's stamp says that it was taken so much later than it was, which nobody is told",
+    "stamp_drift": "by which the clock of the stamps is fast, from t = 0 on",
+    "stamp_jitter": "a sample's stamp is wrong by up to this much, either way (uniform over whole ticks)",
     "outlier_probability": "that a sample's noise is outlier_scale times what it would be, which nobody is told",
     "outlier_scale": "how many times larger the noise of an outlier is",
     "noise_tail": "degrees of freedom of Student's t that the noise of samples has, of the same variance, which nobody is "

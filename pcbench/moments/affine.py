@@ -26,6 +26,8 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
         return (
             f"{where} has samples whose noise is Student's t with {degrees:g} degrees, which is not normal; {instead}."
         )
+    if any(p.cell.scenario.sampling.resolution):
+        return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
     apart, size = s.apart[mine].max(-1), s.size[mine].max(-1)
     with np.errstate(invalid="ignore"):
         part = np.where(apart > 0, apart / np.where(size > 0, size, 1.0), 0.0)

@@ -32,7 +32,9 @@ def _alike(each: list[Realised]) -> list[Realised]:
     """Give the schedules of some cells one shape."""
     slots = max(one.problem.schedule.arrive.shape[1] for one in each)
     early = max(len(one.problem.schedule.early) for one in each)
+    notes = max(one.problem.schedule.also.shape[1] for one in each)
     wide = [shared.pad_early(shared.pad_slots(one.problem.schedule, slots), early) for one in each]
+    wide = [shared.pad_notes(one, notes) for one in wide]
     return [one._replace(problem=one.problem._replace(schedule=s)) for one, s in zip(each, wide, strict=True)]
 
 

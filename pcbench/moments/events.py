@@ -83,7 +83,12 @@ def happen(by: Means, k: Array, m: Moving, noise: Array) -> Moving:
     """
     q = by.std.shape[0]
     number = jnp.stack([by.plan.sense[k]] * q + [by.plan.note[k]] * (m.flight.shape[2] - q))
-    m = taken(by, k, m, jnp.arange(m.flight.shape[1] - 1)[:, None, None] == _place(number, m)[None])
+    rows = jnp.arange(m.flight.shape[1] - 1)[:, None, None]
+    here = rows == _place(number, m)[None]
+    for more in range(by.plan.also.shape[1]):
+        noted = rows == _place(by.plan.also[k, more], m)[None, None]
+        here = here | (noted & (jnp.arange(m.flight.shape[2]) >= q)[None, :, None])
+    m = taken(by, k, m, here)
 
     m = told(by, k, m) if steps.tells(by.layout) else m
 

@@ -31,6 +31,7 @@ class Plan(NamedTuple):
     since: Any  # [N+1, S, C]
     next_event: Any  # [N+1, C]
     early: Any  # [E, q, C] samples of packets taken before tick 0
+    also: Any  # [N+1, M, C] more packets that are noted
 
 
 class Given(NamedTuple):
@@ -63,6 +64,7 @@ def _plan(s: Schedule) -> Plan:
         since=s.since,
         next_event=s.next_event,
         early=s.early,
+        also=s.also,
     )
 
 

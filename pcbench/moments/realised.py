@@ -60,7 +60,7 @@ def realised(p: Plan, root_seed: int, seed: int) -> Realised:
 def losses_alone(p: Plan) -> bool:
     """Return whether all that is random besides the noise is which samples of one sensor are lost, each by itself."""
     clocks, sent = p.cell.times.clocks, p.problem.network
-    if len(clocks) > 1 or not clocks[0].loss or p.layout.drifting or sent:
+    if len(clocks) > 1 or not clocks[0].loss or clocks[0].burst or p.layout.drifting or sent:
         return False
     return not clocks[0]._replace(loss=0.0).random
 

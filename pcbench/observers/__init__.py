@@ -1,11 +1,12 @@
 """The observers, one file each, and the dict that names them."""
 
 from pcbench.observers import chain, dkf, ekf, equal_delay, high_gain, kfbo, no_delay, open_loop, pccebo, pco, pio, smo
+from pcbench.observers.delay_family import DELAYS
 from pcbench.observers.entry import Entry
 from pcbench.observers.late_family import LATE
 from pcbench.observers.nonlinear_family import NONLINEAR
 
-__all__ = ["LATE", "LONGEST", "NONLINEAR", "OBSERVERS", "Entry", "base_of", "entry_of"]
+__all__ = ["DELAYS", "LATE", "LONGEST", "NONLINEAR", "OBSERVERS", "Entry", "base_of", "entry_of"]
 
 LONGEST = 80  # characters of a label, which names a folder
 OBSERVERS = {
@@ -123,6 +124,7 @@ OBSERVERS = {
     ),
     **NONLINEAR,
     **LATE,
+    **DELAYS,
     "open-loop": Entry(
         observer=open_loop.OBSERVER,
         options=open_loop.Options,

@@ -22,7 +22,7 @@ from pcbench.simulation import batch
 from pcbench.simulation.lifted import chunks
 from pcbench.simulation.lifted.form import plant_goes
 from pcbench.simulation.problem import Layout, Problem
-from pcbench.simulation.sample_noise import Outliers
+from pcbench.simulation.sample_noise import Outliers, Rounding
 from pcbench.simulation.schedule import per_lane, shared
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of
@@ -79,6 +79,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     designs = {o: once.design(ask, cell.key, o, cell.entry(o), known, given) for o, given in options.items()}
     names = {o: (base_of(o) or o) if s.loop.controller else o for o in options}
     numbers = ({"drift": true.drift} if "drift" in plant.numbers._fields else {}) | cell.parameters
+    numbers |= {"sensor_delay": _late(cell)} if "sensor_delay" in plant.numbers._fields else {}
     numbers |= {"unknown_input": true.unknown_input} if true.unknown_input else {}
     drawn, around = choices.random_start and not belief.start_box, choices.random_start and bool(belief.start_box)
     spread = belief.prior_std if drawn else choices.start_spread * np.abs(true.x0)
@@ -103,6 +104,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         network=controller.network(cell),
         weights=controller.weights(cell),
         outliers=_outliers(s),
+        rounding=Rounding(np.array(step), np.asarray(s.sampling.dither)) if any(step := s.sampling.resolution) else (),
         tail=np.asarray(s.sampling.noise_tail) if s.sampling.noise_tail else (),
     )
     layout = Layout(
@@ -135,6 +137,12 @@ def _outliers(s: Scenario) -> Any:
     """The numbers of samples that are outliers; (): none is."""
     chance, scale = s.sampling.outlier_probability, s.sampling.outlier_scale
     return Outliers(np.asarray(chance), np.asarray(scale)) if chance else ()
+
+
+def _late(cell: Cell) -> float:
+    """The delay of samples [s] of a plant that has it among its signals; the mean where it varies."""
+    clock = cell.times.clocks[0]
+    return float((clock.period if clock.delay is None else clock.delay) + clock.later) * cell.scenario.dt
 
 
 def _strides(schedule: AnySchedule, heavy: bool) -> bool:

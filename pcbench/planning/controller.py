@@ -57,7 +57,7 @@ def oldest(cell: Cell, overtaking: int, ticks: int) -> int:
         found = min(per_lane.oldest(cell.times.clocks, ticks, overtaking), ticks)
     else:
         found = shared.oldest(shared.samples(cell.times.clocks, ticks), overtaking)
-    return found + max(cell.times.error, 0)
+    return found + max(cell.times.error, 0) + cell.times.clocks[0].stamp.reach(ticks)[0]
 
 
 def told(cell: Cell, reach: Reach, ticks: int) -> Told:

@@ -40,6 +40,7 @@ def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
     told = (plant.model, plant.successor, plant.sensor, plant.parts)
     params = prepared(plant, numbers_of(s), s.dt, n, ask) if any(told) else None
     field, successor, sensor, parts = (Partial(each, params) if each else None for each in told)
+    back = clocks[0].stamp.reach(n)[0]
     for clock in clocks:
         for j in clock.channels:
             if isinstance(clock.profile, tuple):
@@ -66,7 +67,7 @@ def setting(cell: Cell, ask: once.Once = once.anew) -> Setting:
         error=cell.times.error,
         reach=max(-(-late // every) for late, every in zip(delay, period, strict=True)),
         flight=per_lane.room(clocks, n, cell.times.error),
-        latest=max(sampling.ages(clock, n)[1] for clock in clocks) + cell.times.error,
+        latest=max(sampling.ages(clock, n)[1] for clock in clocks) + cell.times.error + back,
         unknown_std=belief.unknown_std,
         unknown0=belief.unknown0 or (0.0,) * many,
         unknown_range=plant.ranges or ((-np.inf, np.inf),) * many,

@@ -41,6 +41,7 @@ class Capacity(NamedTuple):
     due: int = 0  # samples of a run on a schedule of its own
     ring: int = 0  # packets on the network
     early: int = 0  # packets on it at the start
+    notes: int = 0  # for which observers note what they need at one tick, besides the first
     back: int = 0  # ticks a closed loop looks back
     ahead: int = 0  # and ahead
     falls: int = 0  # jumps of the unknown input
@@ -59,6 +60,7 @@ def room_of(p: Plan) -> Capacity:
         due=0 if common else schedule.due.shape[1],
         ring=rounded(p.layout.ring),
         early=rounded(len(schedule.early)) if common else 0,
+        notes=schedule.also.shape[1] if common else 0,
         back=rounded(back),
         ahead=rounded(ahead),
         falls=len(p.problem.jumps),
@@ -80,7 +82,7 @@ def fitted(p: Plan, room: Capacity) -> Plan:
     """Give a draft the shape that `room` asks for."""
     schedule, rows = p.problem.schedule, dict(room.rows)
     if isinstance(schedule, shared.Schedule):
-        schedule = shared.pad_early(shared.pad_slots(schedule, room.slots), room.early)
+        schedule = shared.pad_notes(shared.pad_early(shared.pad_slots(schedule, room.slots), room.early), room.notes)
     else:
         schedule = per_lane.padded(schedule, room.due)
     leaves, tree = jax.tree.flatten(p.problem.params)

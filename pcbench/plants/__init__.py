@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.plants import arm, cart, csth, helicopter, lti, reactor
+from pcbench.plants import arm, cart, csth, helicopter, late_cart, lti, reactor
 from pcbench.plants.entry import Entry
 from pcbench.plants.factory import plant
 from pcbench.scenarios import Scenario
@@ -24,6 +24,17 @@ PLANTS: dict[str, Entry] = {
         prepare=cart.prepare,
         summary="mobile cart under a camera, 2 states",
         signs=("drift_sign",),
+    ),
+    "late-cart": Entry(
+        plant=late_cart.PLANT,
+        signals=late_cart.SIGNALS,
+        numbers=late_cart.Numbers(),
+        nominal=late_cart.nominal,
+        prepare=late_cart.prepare,
+        summary="the mobile cart, the delay of its samples unknown, 2 states",
+        unknowns=late_cart.UNKNOWNS,
+        ranges=((0.0, float("inf")),),
+        drifts=False,
     ),
     "csth": Entry(
         plant=lti.PLANT,

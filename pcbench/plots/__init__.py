@@ -11,6 +11,7 @@ shows is found in `frames`.
 """
 
 from pcbench.plots.error_and_cost import cost
+from pcbench.plots.faults_borne import bearing
 from pcbench.plots.files import save
 from pcbench.plots.gains import fair, trade_off
 from pcbench.plots.honesty import nees
@@ -22,5 +23,5 @@ from pcbench.plots.paper import Paper
 from pcbench.plots.quantile_plot import quantiles
 from pcbench.plots.time_series import time
 
-__all__ = ["Paper", "convergence", "cost", "curves", "delays", "distributions", "divergence", "fair", "heatmaps", "nees",
+__all__ = ["Paper", "bearing", "convergence", "cost", "curves", "delays", "distributions", "divergence", "fair", "heatmaps", "nees",
            "quantiles", "save", "styles", "time", "trade_off", "winners"]  # fmt: skip

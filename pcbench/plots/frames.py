@@ -108,7 +108,7 @@ def units(result: Result, part: pd.DataFrame) -> dict[str, str]:
     scenario = scenarios_of(result.study)[part.scenario.iloc[0]]
     states = [unit for _, unit in states_of(scenario)]
     seen = outputs.units(scenario)
-    each = {"noise_std": seen, "process_std": states}
+    each = {"noise_std": seen, "resolution": seen, "process_std": states}
     return {axis: ", ".join(dict.fromkeys(found)) for axis, found in each.items() if found and all(found)}
 
 

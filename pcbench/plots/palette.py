@@ -43,6 +43,8 @@ DASHES: dict[str, tuple[float, ...]] = {
     "oosm-a1": (5.0, 1.2, 1.0, 1.2, 1.0, 1.2),
     "oosm-b1": (3.4, 3.0),
     "oosm-lag": (9.0, 1.4, 3.0, 1.4, 3.0, 1.4),
+    "ekf-delay": (6.0, 1.6),
+    "bank": (2.8, 1.4),
 }
 COLOURS = {
     "dkf": "#224E89",
@@ -73,12 +75,15 @@ COLOURS = {
     "oosm-a1": "#241264",
     "oosm-b1": "#B07800",
     "oosm-lag": "#E073D5",
+    "ekf-delay": "#D572F4",
+    "bank": "#F83844",
 }
 MARKERS = {"dkf": "o", "open-loop": "x", "pccebo": "s", "kfbo": "^", "pco": "D", "pi-pco": "v", "chain": "s",
            "equal-delay": "^", "no-delay": "v", "smo": "s", "pio": "^", "high-gain": "s", "ekf": "^",
            "iekf": "v", "ukf": "D", "mhe": "s", "particle": "P",
            "kf-now": "^", "kf-discard": "v", "kf-rewind": "s", "kf-cloning": "D", "kf-larsen": "<", "kf-alexander": ">",
-           "kf-horizon": "P", "kf-shift": "X", "oosm-a1": "p", "oosm-b1": "h", "oosm-lag": "*"}  # fmt: skip
+           "kf-horizon": "P", "kf-shift": "X", "oosm-a1": "p", "oosm-b1": "h", "oosm-lag": "*",
+           "ekf-delay": "s", "bank": "^"}  # fmt: skip
 SIBLINGS = ("P", "X", "<", ">", "h", "p", "*")  # markers of a base's variants
 OWN = ("#00796B", "#8E5A9E", "#7A6A00", "#4C6EA8", "#7B3F00")  # of a user's own observers, by name
 OWN_DASHES = ((8.0, 1.6), (2.0, 1.2), (5.0, 1.2, 2.0, 1.2))

@@ -11,7 +11,7 @@ from pcbench.dataset.result import Result
 from pcbench.machine import pools
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.plants import signals_of
-from pcbench.plots import frames, honesty, observer_costs, one_run, time_series
+from pcbench.plots import faults_borne, frames, honesty, observer_costs, one_run, time_series
 from pcbench.plots.paper import PAPER, Paper
 from pcbench.plots.words import named, unit_of
 from pcbench.report import enough, sentences
@@ -46,6 +46,8 @@ def cell_of(result: Result, scenario: str, shown: Shown) -> int:
     """Return the number of the cell at which pictures stand."""
     if shown.cell is not None:
         return shown.cell
+    if result.study.vary == "each":  # where the others stand while one varies
+        return 0
     signals = frames.ranked(result, scenario, shown.signals, shown.metric)
     return frames.telling(result, scenario, signals[0], shown.metric) if signals else 0
 
@@ -84,7 +86,11 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
         figure = time_series.drawn(result, run, scenario, signal, cell, seed, shown.paper)
         text, note = sentences.time(run[run.signal == signal], unit_of_signal(result, scenario, signal))
         yield Picture(f"{name}-time", "One run in time", figure, text, note)
-    if len(axes) >= 2:
+    if result.study.vary == "each" and axes and faults_borne.ALONE in set(whole.observer):
+        figure = plots.bearing(result, **here)
+        text = sentences.borne(faults_borne.borne(faults_borne.part_of_alone(result, scenario, signal, shown.metric)))
+        yield Picture(f"{name}-bearing", "How much of each fault is borne", figure, text, sentences.BEARING)
+    if len(axes) >= 2 and result.study.vary == "all":
         x, y = frames.map_axes(whole)
         over = f"{frames.label(x, units)} and {frames.label(y, units)}"
         figure = plots.winners(result, **here)
@@ -118,7 +124,7 @@ def of_all_signals(where: Place) -> Iterator[Picture]:
     """Yield what a scenario has besides: how many runs diverge, who knows how wrong it is, and what gains are worth."""
     result, scenario, cell, run, _, shown = where
     lost = frames.rows(result, scenario, None, "divergence")
-    if len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
+    if result.study.vary == "all" and len(frames.varying(lost)) >= 2 and (lost["mean"] > 0).any():
         x, y = frames.map_axes(lost)
         rest = {a: v for a, v in frames.values_at(lost, cell).items() if a not in (x, y)}
         figure = plots.divergence(result, scenario=scenario, at=rest, paper=shown.paper)

@@ -15,6 +15,7 @@ CONVERGENCE = "Half the 95 % interval, over the mean. Four times the seeds halve
 COSTS = (
     "Left and low is better. Counted from the observers' own functions; an observer that takes no sample has no place."
 )
+BEARING = "Above 1 the model alone is better. One fault at a time, the others at their first value."
 HONESTY = (
     f"The squared error over what the observer believes it to be, a mean over runs ({one_run.RUNS} where they differ). Above "
     "the band it is over-confident, below it cautious."
@@ -94,6 +95,21 @@ def costs(found: pd.DataFrame) -> str:
         for row in found.to_dict("records")
     ]
     return f"Multiplications of one run, and memory: {'; '.join(said)}."
+
+
+def borne(found: pd.DataFrame) -> str:
+    """Return how much of each fault observers bear before the model alone is better."""
+    said = []
+    for axis, mine in found.groupby("axis", sort=False):
+        each = [f"{row['observer']} {_most(row['most'])}" for row in mine.to_dict("records")]
+        said.append(f"{frames.label(str(axis))}: {', '.join(each)}")
+    return f"Better than the model alone: {'; '.join(said)}."
+
+
+def _most(value: float) -> str:
+    if np.isnan(value):
+        return "never"
+    return "everywhere" if np.isinf(value) else f"to {number(value)}"
 
 
 def fair(table: pd.DataFrame) -> str:

@@ -31,6 +31,26 @@ NOMINAL = Scenario(
     options=PCO | {"kfbo": {"R": 0.004}},
 )
 
+UNKNOWN = NOMINAL.having(
+    name="cart/unknown-delay",
+    summary="samples every 0.1 s, 0.2 s late, which nobody knows: 0.3 s are believed; noise of 0.05 m",
+    source="chosen here: the cart of " + PAPER + "6 driven by a sine, whose slope tells the delay",
+    plant="late-cart",
+    observers=("ekf-delay", "bank", "dkf", "open-loop"),
+    x0=(0.0, 0.0),
+    input="sine",
+    sampling_period=(0.1,),
+    delay=(0.2,),
+    noise_std=(0.05,),
+    xhat0=(0.0, 0.0),
+    prior_std=(0.5, 0.5),
+    assumed_delay_error=0.1,
+    unknown0=(0.3,),
+    unknown_std=(0.1,),
+    settle_band=(0.05, 0.05, 0.01),
+    options={"bank": {"delays": [round(0.02 * i, 2) for i in range(1, 31)]}},
+)._replace(dt=0.01)
+
 CAMERA = NOMINAL.having(
     name="cart/variable",
     summary="intervals vary about 0.2 s, each sample one interval late; noise of variance 0.001",
@@ -92,4 +112,5 @@ CART = (
         source=VARIABLE + ", other plant",
         parameters={"b": 390.5},
     ),
+    UNKNOWN,
 )

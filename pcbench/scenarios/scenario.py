@@ -56,6 +56,15 @@ class Sampling(NamedTuple):
     continuous: bool = False  # y is measured at every stage of the integration, without noise or delay
     delay_steps: tuple[float, ...] = ()  # [m] s, a sample arrives later by one of them, a Markov chain's
     delay_stay: tuple[float, ...] = ()  # [m] or [1] probability that the next one's is the same; empty: 1 / m
+    delay_share: tuple[float, ...] = ()  # [m] of samples, each by itself, that are later by each step; empty: a chain
+    delay_gamma: float = 0.0  # s, the mean of a gamma distribution by which a sample arrives later
+    delay_shape: float = 1.0  # of that distribution; 1: it is exponential
+    resolution: tuple[float, ...] = ()  # [q] a sample is rounded to whole steps of it; empty, 0: it is not
+    dither: float = 0.0  # 1: noise over one step is added before rounding, and taken off after
+    burst: float = 0.0  # samples, the mean length of a gap that losses leave; 0: each is lost by itself
+    stamp_offset: float = 0.0  # s, a sample's stamp says that it was taken so much later than it was
+    stamp_drift: float = 0.0  # ppm, by which the clock of the stamps is fast, from t = 0 on
+    stamp_jitter: float = 0.0  # s, a stamp is wrong by up to this much, either way
 
 
 class Belief(NamedTuple):
@@ -93,10 +102,15 @@ RECORDS = {
     "scoring": Scoring._fields,
 }
 OUTLIERS = ("outlier_probability", "outlier_scale")
-FAULTS = (*OUTLIERS, "noise_tail", "assumed_noise_scale")  # of samples, which nobody is told of
+STAMPS = ("stamp_offset", "stamp_drift", "stamp_jitter")
+FAULTS = (  # of samples, which nobody is told of
+    *(*OUTLIERS, "noise_tail", "assumed_noise_scale", "resolution", "dither", "burst"),
+    *STAMPS,
+)
 CHAIN = ("delay_steps", "delay_stay")
+SPREAD = ("delay_share", "delay_gamma", "delay_shape")  # delays that are drawn one by one
 OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
-UNSAID = (*OF_COMMANDS, "noise_tail")  # where they are 0
+UNSAID = (*OF_COMMANDS, *STAMPS, "noise_tail", "resolution", "dither", "burst", "delay_share", "delay_gamma")  # where 0
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
 
@@ -143,11 +157,17 @@ class Scenario(NamedTuple):
 
         Of a user's own code it is the digest.
         """
-        hidden = {name for name in UNSAID if not self.value(name)}
+        hidden = {name for name in UNSAID if not _some(self.value(name))}
         hidden |= set() if self.belief.assumed_noise_scale != 1 else {"assumed_noise_scale"}
         hidden |= set() if self.sampling.outlier_probability else set(OUTLIERS)
         hidden |= set() if self.sampling.delay_steps else set(CHAIN)
+        hidden |= set() if self.sampling.delay_gamma else {"delay_shape"}
         # earlier folders know their cells without these
         names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE, *hidden)]
         code = {"code": {kind: mine.code.digest for kind, mine in self.own.items()}} if self.own else {}
         return {name: self.value(name) for name in names} | code
+
+
+def _some(value: Any) -> bool:
+    """Whether a field that is a number, or one for each, is not 0."""
+    return any(value) if isinstance(value, tuple) else bool(value)

@@ -15,7 +15,7 @@ from pcbench.simulation import generator
 
 STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "process": 5}
 STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8, "outlier": 9, "observer": 10, "tail": 11}
-STREAMS |= {"delay_chain": 12}
+STREAMS |= {"delay_chain": 12, "dither": 13, "stamp": 14}
 
 
 def run_keys(root_seed: Array, seeds: Array, stream: str, channels: int) -> list[Array]:

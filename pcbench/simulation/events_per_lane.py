@@ -63,8 +63,9 @@ class Events(NamedTuple):
     times: Times
     agenda: Agenda
     taken: Queue
+    noting: Queue
     arrivals: Queue
-    noise: list[Array]  # by channel [M, L], standard normal
+    noise: list[Array]  # by channel [M, L], standard normal; then what else a sample draws, by channel
     form: packed.Packing
     first_notes: Notes  # of the start: the shape of all others
 
@@ -79,9 +80,8 @@ class Events(NamedTuple):
 
     def following(self, k: Array, state: State) -> Array:
         """Return the tick of the next event of any run, once those of tick k have happened."""
-        done, error = state.flight.done, self.times.error
-        noting = self.taken.when[done.noted] - error * self.rows
-        due = jnp.stack([self.taken.when[done.sensed], noting, self.arrivals.when[done.arrived]])
+        done = state.flight.done
+        due = jnp.stack([self.taken.when[done.sensed], self.noting.when[done.noted], self.arrivals.when[done.arrived]])
         return due.min() // self.rows
 
 
@@ -90,18 +90,21 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
     times: Any = p.schedule
     plan, zero, state = per_lane.agenda(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
     rows, none = len(plan.arrives), jnp.zeros(0)  # without process noise: it moves the plant, no memory
+    taken = _queue(plan.samples[0] * rows)
+    stamped = _queue(plan.believed * rows) if times.stamp else taken._replace(when=taken.when - times.error * rows)
     events = Events(
         layout=layout,
         p=p,
         times=times,
         agenda=plan,
-        taken=_queue(plan.samples[0] * rows),
+        taken=taken,
+        noting=stamped,
         arrivals=_queue(plan.arrives * rows + plan.slot),
         noise=_noise(p, times, root_seed, seeds),
         form=packed.packing(lambda m: flow(layout, p, zero, state._replace(memories=m), none).memories, state.memories),
         first_notes=note(layout, p, zero, state),
     )
-    early = (events.taken.when // rows < times.error).sum()  # believed to be from before tick 0: the start is noted
+    early = (stamped.when < 0).sum()  # believed to be from before tick 0: the start is noted
     rings = _rings(layout, state.flight.values), _rings(layout, events.first_notes)
     flight = Flight(*rings, Progress(zero, early, zero))
     return events, state._replace(memories=events.form.pack(state.memories), flight=flight)
@@ -109,17 +112,16 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
 
 def _take(events: Events, k: Array, state: State) -> State:
     """Let the samples of tick k be taken, and noted where they are believed to be of it: CHUNK runs at a time."""
-    taken, rows, error = events.taken, events.rows, events.times.error
-    sensing, noting, telling = k * rows, (k + error) * rows, tells(events.layout)
+    taken, noting, now, telling = events.taken, events.noting, k * events.rows, tells(events.layout)
 
     def due(c: tuple[Flight, Any]) -> Array:
-        return (taken.when[c[0].done.sensed] == sensing) | (taken.when[c[0].done.noted] == noting)
+        return (taken.when[c[0].done.sensed] == now) | (noting.when[c[0].done.noted] == now)
 
     def some(c: tuple[Flight, Any]) -> tuple[Flight, Any]:
         (flight, memories), done = c, c[0].done
-        sensed, noted = (_chunk(taken, n, t, events.layout) for n, t in ((done.sensed, sensing), (done.noted, noting)))
+        sensed, noted = (_chunk(q, n, now, events.layout) for q, n in ((taken, done.sensed), (noting, done.noted)))
         values = _write(flight.values, sensed, _measured(events, k, state, sensed))
-        notes = _write(flight.notes, noted, _noted(events, k, state, noted))
+        notes = _write(flight.notes, noted, note(events.layout, events.p, k, _taken_out(events, state, noted)))
         if telling:
             memories = _told(events, k, state._replace(memories=memories), sensed)
         done = Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived)
@@ -133,10 +135,6 @@ def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
     noise = jnp.stack([_at(each, _at(events.agenda.samples[2], c.row, c.lane), c.lane) for each in events.noise])
     x, drawn = lanes.pick((state.x, state.drawn), c.lane)
     return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lanes.split(noise))
-
-
-def _noted(events: Events, k: Array, state: State, c: Chunk) -> Notes:
-    return note(events.layout, events.p, k, _taken_out(events, state, c))
 
 
 def _told(events: Events, k: Array, state: State, c: Chunk) -> packed.Kept:
@@ -186,7 +184,8 @@ def _noise(p: Problem, times: Times, root_seed: Array, seeds: Array) -> list[Arr
     Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
     """
     noise, index = sample_noise.drawing(p, root_seed, seeds), jnp.arange(times.due.shape[1])
-    return [lax.map(lambda i, j=j: noise([j], i[None])[0], index) for j in range(p.noise_std.shape[0])]
+    each = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
+    return [rows[:, i] for i in range(each[0].shape[1]) for rows in each]
 
 
 def _queue(when: Array) -> Queue:
@@ -205,8 +204,8 @@ def _chunk(queue: Queue, done: Array, when: Array, layout: Layout) -> Chunk:
 def _row(events: Events, k: Array, c: Chunk, which: Array) -> Row:
     """What is known of the packets that arrive."""
     plan, times = events.agenda, events.times
-    taken, clock, number = plan.samples.at[:, which, c.lane].get(mode="clip")
-    age, clocks = k - jnp.maximum(taken - times.error, 0), times.clock_of
+    _, clock, number = plan.samples.at[:, which, c.lane].get(mode="clip")
+    age, clocks = k - jnp.maximum(_at(plan.believed, which, c.lane), 0), times.clock_of
     same = (len(clocks), CHUNK)
     return Row(
         fresh=lanes.split(clock[None] == clocks[:, None]),

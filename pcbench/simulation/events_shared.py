@@ -83,6 +83,8 @@ def happen(layout: Layout, p: Problem, noise: Noise, shift: Shift | None, k: Arr
 
     values, notes = state.flight
     flight = Packet(put(values, plan.sense[k], sense), put(notes, plan.note[k], noted))
+    for more in range(plan.also.shape[1]):
+        flight = flight._replace(notes=put(flight.notes, plan.also[k, more], noted))
 
     def tell() -> Any:
         return lanes.like(told(layout, p, k, state, plan.sample[k] >= 0), state.memories, layout.width)

@@ -60,6 +60,7 @@ class Problem(NamedTuple):
     network: Any = ()  # network.Numbers, where commands are sent over one
     weights: Any = ()  # metrics.Weights of a closed loop whose input and cost are summed
     outliers: Any = ()  # sample_noise.Outliers, where some samples are
+    rounding: Any = ()  # sample_noise.Rounding, where samples are rounded
     tail: Any = ()  # degrees of freedom of the noise of samples, where that is Student's t
 
 

@@ -9,6 +9,13 @@
 which is Student's t exactly (Bailey, Math. Comp. 62 (1994), 779: in polar form its radius alone differs from the normal's), has
 the sign of w, and goes to w as n grows. w has the address of the sample's noise whether there are outliers or not, and which
 samples are outliers is drawn beside it: with and without them a study stands on the same draws.
+
+What comes out is rounded to whole steps D, where a channel has them, with subtractive dither d or with none:
+
+    D floor((y + d) / D + 1/2) - d,   d ~ U(-D/2, D/2)
+
+whose error is then uniform over one step, of variance D^2/12, whatever y is (Schuchman, IEEE Trans. Commun. Tech. 12
+(1964), 162).
 """
 
 from collections.abc import Callable
@@ -21,7 +28,8 @@ from pcbench.protocols import Leaf
 from pcbench.simulation import draws
 from pcbench.simulation.problem import Problem
 
-Noise = Callable[[list[int], Any], Array]  # (channels j, index[j] of the sample of each) -> v [len(channels), L]
+# (channels j, index[j] of the sample of each) -> v [len(channels), L]; where samples are rounded as many uniform numbers after
+Noise = Callable[[list[int], Any], Array]
 
 
 class Outliers(NamedTuple):
@@ -29,6 +37,20 @@ class Outliers(NamedTuple):
 
     probability: Leaf
     scale: Leaf  # of their noise
+
+
+class Rounding(NamedTuple):
+    """How samples are rounded; q channels."""
+
+    step: Leaf  # [q] D; 0: not at all
+    dither: Leaf  # 1: with subtractive dither; 0: without
+
+
+def rounded(r: Rounding, y: Array, uniform: Array) -> Array:
+    """Return samples [q] as they come out; `uniform` [q] in [0, 1) is what dither is drawn by, [0]: there is none."""
+    d = r.dither * r.step * (uniform - 0.5) if uniform.shape[0] else 0.0
+    step = jnp.where(r.step > 0, r.step, 1.0)
+    return jnp.where(r.step > 0, step * jnp.floor((y + d) / step + 0.5) - d, y)
 
 
 def students(w: Array, z: Array, n: Array) -> Array:
@@ -44,6 +66,12 @@ def drawing(p: Problem, root_seed: Array, seeds: Array) -> Noise:
     odd = draws.run_keys(root_seed, seeds, "outlier", many) if p.outliers else []
     beside = [] if isinstance(p.tail, tuple) else draws.run_keys(root_seed, seeds, "tail", many)
 
+    dither = draws.run_keys(root_seed, seeds, "dither", many) if p.rounding else []
+
+    def drawn(channels: list[int], index: Any) -> Array:
+        v = noise(channels, index)
+        return jnp.concatenate([v, draws.uniforms_of([dither[j] for j in channels], index)]) if dither else v
+
     def noise(channels: list[int], index: Any) -> Array:
         v = draws.normals([keys[j] for j in channels], index)
         if beside:
@@ -53,4 +81,4 @@ def drawing(p: Problem, root_seed: Array, seeds: Array) -> Noise:
         out = draws.uniforms_of([odd[j] for j in channels], index) < p.outliers.probability
         return jnp.where(out, p.outliers.scale * v, v)
 
-    return noise
+    return drawn

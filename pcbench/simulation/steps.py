@@ -27,6 +27,7 @@ from pcbench.simulation.problem import (
     present,
     truth,
 )
+from pcbench.simulation.sample_noise import rounded
 
 Happen = Callable[[Array, State], State]  # (tick, state) -> state after all that is sensed and delivered at the tick
 Read = Callable[[Array, State], Any]  # (tick, state) -> what is to be kept of it
@@ -72,11 +73,18 @@ def tick(
 
 
 def measure(layout: Layout, p: Problem, k: Array, state: State, noise: PerLane) -> PerLane:
-    """Return what every channel measures at tick k: y[q] with its noise; in a closed loop y does not see u."""
+    """Return what every channel measures at tick k: y[q] with its noise [q], and rounded where it is (`sample_noise`).
+
+    In a closed loop y does not see u.
+    """
+    q = p.noise_std.shape[0]
 
     def one_lane(k: Array, x: Array, drawn: Any, v: Array) -> Array:
         y = layout.plant.output(params_of(layout, p, drawn), present(p, k, True), x)
-        return y if layout.continuous else y + p.noise_std * v
+        if layout.continuous:
+            return y
+        y = y + p.noise_std * v[:q]
+        return rounded(p.rounding, y, v[q:]) if p.rounding else y
 
     return over(one_lane)(k, state.x, state.drawn, noise)
 

@@ -36,7 +36,9 @@ def resolved(study: Study, every: list[Cell]) -> dict[str, Any]:
 def as_dict(study: Study) -> dict[str, Any]:
     """Return a study as it can be run again; its tuning is left out, by now its gains are options like any others."""
     left = [*([] if study.use else ["use"]), *(["method", "schedules"] if study.method == "runs" else [])]
-    said = study.model_dump(exclude_none=True, exclude={"tuning", "tune", *left})
+    said = study.model_dump(
+        exclude_none=True, exclude={"tuning", "tune", *left, *(() if study.vary == "each" else ("vary",))}
+    )
 
     def copied(each: Named) -> str:
         return study._own[each.key].code.reference if each.key in study._own else each.reference

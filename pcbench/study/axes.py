@@ -9,19 +9,22 @@ from typing import Any
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import CHAIN, FAULTS
+from pcbench.scenarios.scenario import CHAIN, FAULTS, SPREAD
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
 LARGEST = 1e12  # no number of a scenario is larger, in SI units
 CHANNELS = ("sampling_period", "delay", "noise_std")  # one value, or one for each output channel
 STATES = ("process_std",)  # one value, or one for each state
+OUTPUTS = ("resolution",)  # likewise for each output channel, where there is any
 TIMES = (  # whole ticks
     *("sampling_period", "delay", "actuator_delay", "jitter", "delay_jitter", "assumed_delay_error"),
-    "command_jitter",
+    *("command_jitter", "stamp_offset", "stamp_jitter"),
 )
-ASKED = (*STATES, *CHAIN, *FAULTS)  # a column of the tables only where it is an axis
-LISTS = ("profile", "delay_steps")  # a value may be a list
+SIGNED = ("drift", "assumed_delay_error", "stamp_offset", "stamp_drift")
+SHARES = ("loss", "command_loss", "outlier_probability")
+ASKED = (*STATES, *CHAIN, *SPREAD, *FAULTS)  # a column of the tables only where it is an axis
+LISTS = ("profile", "delay_steps", "delay_share")  # a value may be a list
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
 AXES = (
     *CHANNELS,
@@ -34,6 +37,7 @@ AXES = (
     "actuator_delay",
     *STATES,
     *CHAIN,
+    *SPREAD,
     *FAULTS,
 )
 COMMANDS = ("command_jitter", "command_loss", "command_std")  # axes of loops that a study closes
@@ -67,10 +71,10 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     """Return one value of an axis as a scenario holds it."""
     if name == "profile":
         return _profile(value, base, where)
-    if name in CHAIN:
+    if name in (*CHAIN, "delay_share"):
         return _of_the_chain(name, value, base, where)
-    if name not in (*CHANNELS, *STATES):
-        least = None if name in ("drift", "assumed_delay_error") or name.startswith("plant.") else 0.0
+    if name not in (*CHANNELS, *STATES, *OUTPUTS):
+        least = None if name in SIGNED or name.startswith("plant.") else 0.0
         n = number(value, where, least)
         if name in TIMES:
             _whole_ticks(name, n, base, where)
@@ -78,9 +82,15 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
             raise UserError(f"{where}: got {shown(value)}, expected a number greater than 0: it divides, or is a size.")
         if name.removeprefix("plant.") in entry_of(base).signs and abs(n) != 1:
             raise UserError(f"{where}: got {shown(value)}, expected a sign; write 1 or -1.")
-        if name in ("loss", "command_loss", "outlier_probability") and n > 1:
+        if name in SHARES and n > 1:
             raise UserError(
                 f"{where}: got {shown(value)}, expected a probability from 0 to 1; divide a percentage by 100."
+            )
+        if name == "dither" and n not in (0, 1):
+            raise UserError(f"{where}: got {shown(value)}, expected 1 (with subtractive dither) or 0 (without).")
+        if name == "delay_shape" and n <= 0:
+            raise UserError(
+                f"{where}: got {shown(value)}, expected a shape greater than 0; write 1 for an exponential."
             )
         if name == "assumed_noise_scale" and n <= 0:
             raise UserError(
@@ -94,6 +104,8 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
             )
         return n
     many, what = (len(base.truth.x0), "state") if name in STATES else (len(base.sampling.delay), "output channel")
+    if name in OUTPUTS and value in ([], ()):
+        return ()
     each = value if isinstance(value, list) else [value] * many
     if len(each) != many:
         raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
@@ -148,7 +160,7 @@ def _of_the_chain(name: str, value: Any, base: Scenario, where: str) -> tuple[fl
     for v in out:
         if name == "delay_steps":
             _whole_ticks("delay", v, base, where)
-        elif v >= 1:
+        elif name == "delay_stay" and v >= 1:
             raise UserError(
                 f"{where}: got {v:g}, expected a probability below 1: a delay that never changes is no chain."
             )

@@ -106,15 +106,24 @@ STUDIES = {
         axes={"delay": [0.0, 0.1, 0.2, 0.4, 0.8], "noise_std": [0.5], "process_std": [[0.02, 0.0]]},
         options={"scenario": {"random_start": True, "consistency": True}},
     ),
-    "faults": Study(  # how many outliers does an observer bear before the model alone is better?
+    "faults": Study(  # how much of each fault does an observer bear before the model alone is better?
         name="faults",
         scenarios=["cart/gaussian"],
         observers=["dkf", "dkf-gate", "dkf-huber", "pccebo", "open-loop"],
         seeds=256,
+        vary="each",
         axes={
             "outlier_probability": [0.0, 0.01, 0.05, 0.2],
             "noise_std": [0.5],
             "process_std": [[0.02, 0.0]],
+            "noise_tail": [0.0, 4.0, 2.5],
+            "assumed_noise_scale": [1.0, 0.25, 0.5, 2.0, 4.0],
+            "resolution": [0.0, 1.0, 5.0, 20.0],
+            "loss": [0.0, 0.5, 0.9, 0.98],
+            "delay_gamma": [0.0, 0.2, 0.8, 3.2],
+            "stamp_offset": [0.0, -0.1, -0.4, -1.6],
+            "stamp_drift": [0.0, -1000.0, -10_000.0, -100_000.0],
+            "stamp_jitter": [0.0, 0.03, 0.09],
         },
         options={
             "scenario": {"random_start": True, "consistency": True},

@@ -4,6 +4,7 @@ import hashlib
 import itertools
 import json
 import math
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
@@ -79,15 +80,20 @@ def cell_of(
 
 
 def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
-    """Return a cell for every combination of the axes in one scenario, in the order in which the axes are written."""
+    """Return a cell for every combination of the axes in one scenario, in the order in which the axes are written.
+
+    Of a study that varies each by itself: the first values of all, then each other value of each axis.
+    """
     base, where = scenarios_of(study)[scenario], where or study.name
     axes = {name: axis.axis(name, values, base, f"{where}: axes.{name}") for name, values in study.axes.items()}
-    limits.require_few_cells(math.prod(len(values) for values in axes.values()), whole(base.horizon, base), where)
+    lengths = [len(values) for values in axes.values()]
+    many = math.prod(lengths) if study.vary == "all" else 1 + sum(lengths) - len(lengths)
+    limits.require_few_cells(many, whole(base.horizon, base), where)
     choices, out, apart = choices_of(study), [], channels_apart(study)
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
     mine = {o: found for o in options if (found := own_in(study, o))}
     digests = {o: told(each, mine.get(o)) for o, each in options.items()}
-    for index, point in enumerate(itertools.product(*axes.values())):
+    for index, point in enumerate(_points(study.vary, list(axes.values()))):
         given = dict(zip(axes, point, strict=True))
         fields = {k: v for k, v in given.items() if k in axes_of(base)} | _told_too(given, base)
         changed = base.having(**fields, input=choices.input or base.loop.input)
@@ -113,6 +119,17 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         cell = cell_of(changed, index, values, parameters, choices)
         out.append(cell._replace(options=options, own=mine, told=digests, digest=identity(cell, study.root_seed)))
     return out
+
+
+def _points(vary: str, axes: list[list[Any]]) -> Iterator[tuple[Any, ...]]:
+    """Yield the values of the axes in every cell."""
+    if vary == "all":
+        yield from itertools.product(*axes)
+        return
+    first = tuple(values[0] for values in axes)
+    yield first
+    for i, values in enumerate(axes):
+        yield from ((*first[:i], value, *first[i + 1 :]) for value in values[1:])
 
 
 def _told_too(given: dict[str, Any], base: Scenario) -> dict[str, Any]:
@@ -144,7 +161,7 @@ def _of_the_loop(s: Scenario, choices: Choices, where: str) -> None:
 def channels_apart(study: Study) -> set[str]:
     """Return the axes whose channels differ in some cell of a study: in its tables every cell has a list there."""
     known, out = scenarios_of(study), set()
-    for name in (*axis.CHANNELS, *axis.STATES, "delay_stay"):
+    for name in (*axis.CHANNELS, *axis.STATES, *axis.OUTPUTS, "delay_stay"):
         given = study.axes.get(name) or [known[s].value(name) for s in study.scenarios]
         if any(isinstance(each, list | tuple) and len(set(each)) > 1 for each in given):
             out.add(name)

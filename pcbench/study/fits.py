@@ -8,11 +8,15 @@ from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS, Entry
 from pcbench.plants import drifts, nonlinear, numbers_of, states_of
 from pcbench.plants import entry_of as plant_of
-from pcbench.scenarios import INTERVAL, Sampling, Scenario
+from pcbench.scenarios import INTERVAL, Scenario
+from pcbench.scenarios.scenario import STAMPS
 from pcbench.simulation.schedule import sampling
-from pcbench.study import limits
+from pcbench.study import faults, limits
 from pcbench.study.axes import plain
 from pcbench.study.times import clocks, whole
+
+LATENESS = ("delay_steps", "delay_gamma")  # what makes delays differ from sample to sample, besides a jitter
+STAMPED = ("stamp_drift", "stamp_jitter")  # and what makes them seem to
 
 
 def fits(s: Scenario, where: str) -> None:
@@ -33,61 +37,17 @@ def fits(s: Scenario, where: str) -> None:
                 f"half the shortest interval, so that samples stay in order; write at most {(least - 1) // 2 * s.dt:g}."
             )
         youngest = sampling.ages(clock, ticks)[0]
+        if late := clock.stamp.reach(ticks)[1]:
+            faults.require_stamps_before_arrivals(s, late, youngest + whole(s.belief.assumed_delay_error, s), where)
         if youngest * s.dt + s.belief.assumed_delay_error < -1e-9:
             raise UserError(
                 f"{where}: got an assumed_delay_error of {s.belief.assumed_delay_error:g} s where samples may be only "
                 f"{youngest * s.dt:g} s late, expected an assumed delay of 0 or more; write at least "
                 f"{-youngest * s.dt:g}."
             )
-    _faults(s, where)
-    _chain(s, where)
+    faults.fits(s, where)
     if not measured.continuous:
         limits.require_few_samples(clocks(s), ticks, s.dt, where)
-
-
-def _faults(s: Scenario, where: str) -> None:
-    """Raise UserError where a fault of samples can have no effect."""
-    measured = s.sampling
-    scale = s.belief.assumed_noise_scale
-    if scale != 1 and not any((*measured.noise_std, *s.belief.assumed_noise_std)):
-        raise UserError(
-            f"{where}: got assumed_noise_scale = {scale:g} in {s.name}, where no noise is believed in, expected a noise_std "
-            "above 0; give one, or leave it out."
-        )
-    if measured.noise_tail and not any(measured.noise_std):
-        raise UserError(
-            f"{where}: got noise_tail = {measured.noise_tail:g} in {s.name}, whose samples have no noise, expected a noise_std "
-            "above 0; give one, or leave it out."
-        )
-    if measured.outlier_probability and not any(measured.noise_std):
-        raise UserError(
-            f"{where}: got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise to "
-            "be larger, expected a noise_std above 0; give one, or leave it out."
-        )
-    if not measured.outlier_probability and measured.outlier_scale != Sampling._field_defaults["outlier_scale"]:
-        raise UserError(
-            f"{where}: got outlier_scale = {measured.outlier_scale:g} in {s.name} with an outlier_probability of 0, where it "
-            "has no effect, expected both or neither; leave it out there."
-        )
-
-
-def _chain(s: Scenario, where: str) -> None:
-    """Raise UserError where delays cannot be a Markov chain as asked."""
-    steps, stay = s.sampling.delay_steps, s.sampling.delay_stay
-    if stay and not steps:
-        raise UserError(
-            f"{where}: got delay_stay in {s.name} without delay_steps, where it has no effect, expected both or neither; write "
-            "delay_steps = [0.0, ...], or leave it out."
-        )
-    if len(steps) == 1 or len(set(steps)) < len(steps):
-        raise UserError(
-            f"{where}: got delay_steps of {', '.join(f'{v:g}' for v in steps)} s, expected two different values or more; a "
-            "delay that is always so much longer is written as delay."
-        )
-    if len(stay) not in (0, 1, len(steps)):
-        raise UserError(
-            f"{where}: got {len(stay)} values of delay_stay for {len(steps)} delay_steps, expected one, or one for each."
-        )
 
 
 def _at_every_stage(s: Scenario, where: str) -> None:
@@ -100,14 +60,19 @@ def _at_every_stage(s: Scenario, where: str) -> None:
         "jitter": 0.0,
         "delay_jitter": 0.0,
         "delay_steps": (),
+        "delay_gamma": 0.0,
         "loss": 0.0,
+        "resolution": (),
+        "stamp_offset": 0.0,
+        "stamp_drift": 0.0,
+        "stamp_jitter": 0.0,
         "assumed_delay_error": 0.0,
         "outlier_probability": 0.0,
         "noise_tail": 0.0,
         "assumed_noise_scale": 1.0,
     }
     for name, value in nothing.items():
-        if s.value(name) != value:
+        if s.value(name) != value and any(np.ravel(s.value(name)) if name == "resolution" else (True,)):
             raise UserError(
                 f"{where}: got {name} = {plain(name, s.value(name))} in {s.name}, which measures continuously and without "
                 f"noise, expected no such axis; leave it out, or take a scenario that samples, such as arm/sampled."
@@ -129,7 +94,8 @@ def _loop(s: Scenario, where: str) -> None:
     if any(clock.random for clock in clocks(s)):
         raise UserError(
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "
-            "offered with times of each run's own; leave jitter, delay_jitter, delay_steps, loss and the profile 'uniform' out."
+            "offered with times of each run's own; leave jitter, delay_jitter, delay_steps, delay_gamma, "
+            "stamp_jitter, loss and the profile 'uniform' out."
         )
     if INTERVAL in measured.delay:
         raise UserError(
@@ -196,23 +162,30 @@ def works_on(label: str, entry: Entry, s: Scenario, where: str) -> None:
         )
     takes, found, measured = entry.takes, clocks(s), s.sampling
     follows = INTERVAL in measured.delay and (measured.profile != "periodic" or measured.jitter > 0)
-    if takes == "one constant delay" and (measured.delay_jitter or measured.delay_steps or follows):
+    drawn = [name for name in (*LATENESS, *STAMPED) if s.value(name)]
+    if takes == "one constant delay" and (measured.delay_jitter or drawn or follows):
         spread = measured.delay_jitter
         varies = f"a delay jitter of {spread:g} s" if spread else "a delay of one varying interval"
-        varies = "delay_steps" if measured.delay_steps and not spread else varies
+        varies = ", ".join(drawn) if drawn and not spread else varies
         raise UserError(
             f"{where}: {label} in {s.name} got {varies}, expected one constant delay: it does not use the age of a "
             f"sample; leave {label} out, or take pccebo, pco or dkf."
         )
-    random = measured.delay_jitter or measured.delay_steps or measured.jitter
+    random = measured.delay_jitter or drawn or measured.jitter
     if takes == "constant delays" and (random or measured.profile != "periodic"):
         times = {"a delay_jitter of": measured.delay_jitter, "a jitter of": measured.jitter}
         unsteady = [f"{what} {v:g} s" for what, v in times.items() if v]
-        unsteady += ["delay_steps"] if measured.delay_steps else []
+        unsteady += drawn
         unsteady += [f"the profile {plain('profile', measured.profile)}"] if measured.profile != "periodic" else []
         raise UserError(
             f"{where}: {label} in {s.name} got {', '.join(unsteady)}, expected regular samples of constant ages: it works "
             f"sample by sample; leave {label} out, or take dkf."
+        )
+    if entry.observer.sampled and any(s.value(name) for name in STAMPS):
+        wrong = ", ".join(name for name in STAMPS if s.value(name))
+        raise UserError(
+            f"{where}: {label} in {s.name} got {wrong}, expected stamps that are right: it is told of a sample when that is "
+            f"taken, whatever its stamp says; leave {label} out, or take dkf."
         )
     if takes == "one clock" and len(found) > 1:
         raise UserError(

@@ -82,6 +82,15 @@ class Lti(BaseModel):
     delay_jitter: Number = 0.0
     delay_steps: list[Number] = []
     delay_stay: PerChannel = []
+    delay_share: list[Number] = []
+    delay_gamma: Number = 0.0
+    delay_shape: Number = 1.0
+    resolution: PerChannel = []
+    dither: Number = 0.0
+    burst: Number = 0.0
+    stamp_offset: Number = 0.0
+    stamp_drift: Number = 0.0
+    stamp_jitter: Number = 0.0
     loss: Number = 0.0
     outlier_probability: Number = 0.0
     outlier_scale: Number = 10.0

@@ -62,6 +62,17 @@ class ScenarioTable(BaseModel):
         None, description="probability that the next sample has the same step, one or one for each"
     )
     loss: Number | None = Field(None, description="probability that a sample never arrives")
+    delay_share: list[Number] | None = Field(
+        None, description="of samples, each by itself, that are later by each step, in proportion; no chain then"
+    )
+    delay_gamma: Number | None = Field(None, description="s, mean of a gamma distribution by which a sample is later")
+    delay_shape: Number | None = Field(None, description="of that distribution; 1: it is exponential")
+    burst: Number | None = Field(None, description="mean number of samples in a row that losses take; 0: one by one")
+    resolution: PerChannel | None = Field(None, description="[q] a sample is rounded to whole steps of this size")
+    dither: Number | None = Field(None, description="1: noise over one step is added before rounding, taken off after")
+    stamp_offset: Number | None = Field(None, description="s, stamps say that samples were taken so much later")
+    stamp_drift: Number | None = Field(None, description="ppm, by which the clock of the stamps is fast")
+    stamp_jitter: Number | None = Field(None, description="s, a stamp is wrong by up to this much, either way")
     outlier_probability: Number | None = Field(
         None, description="that a sample's noise is outlier_scale times what it would be"
     )

@@ -83,6 +83,10 @@ class Study(BaseModel):
         64, ge=2, le=100_000, strict=True, description="over which exact numbers of random cells are averaged"
     )
     axes: dict[str, Values] = {}
+    vary: Literal["all", "each"] = Field(
+        "all",
+        description="a cell for every combination of the axes; each: for one axis at a time, the others at their first",
+    )
     options: dict[str, dict[str, Any]] = {}
     lti: Lti | None = None
     scenario: ScenarioTable | None = None

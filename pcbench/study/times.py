@@ -6,7 +6,7 @@ import numpy as np
 
 from pcbench.protocols import Delay
 from pcbench.scenarios import Sampling, Scenario
-from pcbench.simulation.schedule.sampling import Clock, any_random
+from pcbench.simulation.schedule.sampling import Clock, Stamp, any_random, gamma
 
 
 class Timing(NamedTuple):
@@ -53,9 +53,12 @@ def clocks(s: Scenario) -> list[Clock]:
             else tuple(whole(v, s) for v in measured.profile),
             jitter=whole(measured.jitter, s),
             spread=whole(measured.delay_jitter, s),
-            steps=tuple(whole(v, s) for v in measured.delay_steps),
+            steps=steps(s),
             stay=chain(measured),
+            share=shares(measured, s.dt),
             loss=measured.loss,
+            burst=measured.burst if measured.loss else 0.0,
+            stamp=stamp(s),
             early=measured.early,
             swing=(measured.delay_swing[0] / s.dt, measured.delay_swing[1] * s.dt),
         )
@@ -63,8 +66,31 @@ def clocks(s: Scenario) -> list[Clock]:
     ]
 
 
+def stamp(s: Scenario) -> Stamp:
+    """Return by how much stamps are wrong, in ticks."""
+    measured = s.sampling
+    return Stamp(whole(measured.stamp_offset, s), 1e-6 * measured.stamp_drift, whole(measured.stamp_jitter, s))
+
+
+def steps(s: Scenario) -> tuple[int, ...]:
+    """Return by how many ticks a sample may be later, where that is one of a few values, or of a gamma distribution."""
+    if s.sampling.delay_gamma:
+        return tuple(range(len(shares(s.sampling, s.dt))))
+    return tuple(whole(v, s) for v in s.sampling.delay_steps)
+
+
+def shares(measured: Sampling, dt: float) -> tuple[float, ...]:
+    """Return how many of the samples are later by each of the delay's steps, where these are drawn one by one."""
+    if measured.delay_gamma:
+        return gamma(measured.delay_gamma / dt, measured.delay_shape)
+    total = sum(measured.delay_share)
+    return tuple(share / total for share in measured.delay_share)
+
+
 def chain(measured: Sampling) -> tuple[float, ...]:
     """Return for each of the delay's steps the probability that the next sample has the same."""
+    if measured.delay_share:
+        return ()
     many, stay = len(measured.delay_steps), measured.delay_stay
     return (stay * many if len(stay) == 1 else stay) or (1 / many if many else 0.0,) * many
 

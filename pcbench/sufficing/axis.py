@@ -81,6 +81,8 @@ def _own(name: str, s: Scenario) -> Any:
     value = s.value(name)
     if name == "delay_stay":
         return value or chain(s.sampling)[:1] or (0.0,)
+    if name in axes.OUTPUTS:
+        return value or (0.0,) * len(s.sampling.delay)
     if name in axes.STATES:
         return tuple(float(v) for v in value) if len(value) else (0.0,) * len(s.truth.x0)
     return value
@@ -127,6 +129,13 @@ def _usual(axis: Axis, s: Scenario) -> tuple[float, float]:
         "command_loss": (0.0, 0.9),
         "outlier_probability": (0.0, 0.5),
         "noise_tail": (2.1, 30.0),
+        "dither": (0.0, 1.0),
+        "burst": (2.0, 20.0),
+        "delay_gamma": (0.0, long),
+        "delay_shape": (0.5, 10.0),
+        "stamp_offset": (-period, period),
+        "stamp_drift": (0.0, 1000.0),
+        "stamp_jitter": (0.0, max((round(period / s.dt) - 1) // 2, 0) * s.dt),
         "assumed_noise_scale": (0.1, 10.0),
         "drift": (0.0, 2.0),
     }.get(axis.name)

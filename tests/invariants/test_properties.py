@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pcbench.dynamics import linear
-from pcbench.observers import LATE, NONLINEAR, OBSERVERS
+from pcbench.observers import DELAYS, LATE, NONLINEAR, OBSERVERS
 
 
 @settings(max_examples=10)
@@ -58,6 +58,6 @@ def test_a_later_delay_shifts_what_is_known_and_nothing_else():
 
 def test_nothing_is_known_before_the_first_arrival():
     case = Case(CART, 26, 130, ticks=300, noise_std=1.0)  # whole samples, as some need them
-    got = trace(case, {name: {} for name in OBSERVERS if name not in (*ELSEWHERE, *LATE, *NONLINEAR, "ekf")})
+    got = trace(case, {name: {} for name in OBSERVERS if name not in (*ELSEWHERE, *LATE, *NONLINEAR, *DELAYS, "ekf")})
     for name, xhat in got.estimates.items():
         np.testing.assert_allclose(xhat[:130], got.estimates["open-loop"][:130], rtol=0, atol=1e-12, err_msg=name)

@@ -11,14 +11,16 @@ from reference import cart as reference_cart
 from reference import irregular
 from reference import linear as reference
 
-from pcbench.observers import LATE, NONLINEAR, OBSERVERS
+from pcbench.observers import DELAYS, LATE, NONLINEAR, OBSERVERS
 from pcbench.plants import PLANTS, cart
 
 TIMES = [(100, 100), (60, 180), (150, 0), (40, 95)]
 WHOLE_SAMPLES = [
     name for name, entry in OBSERVERS.items() if entry.takes == "constant delays"
 ]  # in test_chain, test_rivals
-VARIANTS = [(name, {}) for name in OBSERVERS if name not in ("kfbo", *WHOLE_SAMPLES, *ELSEWHERE, *LATE, *NONLINEAR)]
+VARIANTS = [
+    (name, {}) for name in OBSERVERS if name not in ("kfbo", *WHOLE_SAMPLES, *ELSEWHERE, *LATE, *NONLINEAR, *DELAYS)
+]
 VARIANTS += [
     ("kfbo", {"R": 0.004}),
     ("kfbo", {"R": 0.3, "lag_aware": True}),

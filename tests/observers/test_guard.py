@@ -5,13 +5,11 @@ Plant and schedules are those of `test_late_samples`; every fifth sample has ten
 
 import hashlib
 import json
-import re
 
 import driven
 import jax
 import numpy as np
 import pytest
-from documents import PAGES
 from harness import inputs, starts
 from honest import STUDY
 from reference import guarded
@@ -105,20 +103,6 @@ def test_a_filter_without_is_the_one_of_earlier_folders():
     options = OBSERVERS["dkf"].options
     assert told(options()) == earlier
     assert told(options(gate=3.0)) != earlier
-
-
-@pytest.mark.slow
-def test_the_guides_table_is_what_comes_out():
-    rows = re.findall(r"^\| `([\w-]+)`(?: with `(\w+) = [\d.]+`)? \| ([\d.]+ \|.*) \|$", PAGES["outliers.md"], re.M)
-    stats = pcbench.run("faults").stats
-    mean = stats[stats.signal == "position"].set_index(["observer", "metric", "outlier_probability"])["mean"]
-    assert len(rows) == 5
-    for name, option, said in rows:
-        label, (*errors, nees) = f"{name}-{option}" if option else name, said.split(" |")
-        found = [mean[label, "tail_rmse", p] for p in (0.0, 0.01, 0.05, 0.2)]
-        np.testing.assert_allclose(found, [float(e) for e in errors], rtol=0.01)
-        if nees.strip():
-            assert mean[label, "nees", 0.05] == pytest.approx(float(nees), rel=0.01)
 
 
 def test_what_it_leaves_out_nothing_proves():

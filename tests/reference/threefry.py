@@ -11,6 +11,7 @@ MASK = 0xFFFFFFFF
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 STREAMS = {"initial": 0, "measurement": 1, "drift": 2, "jitter": 3, "loss": 4, "process": 5}
 STREAMS |= {"command_jitter": 6, "command_loss": 7, "command": 8, "outlier": 9, "observer": 10, "tail": 11}
+STREAMS |= {"delay_chain": 12, "dither": 13, "stamp": 14}
 
 
 def threefry(key, counter):

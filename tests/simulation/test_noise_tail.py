@@ -1,11 +1,8 @@
 """Noise with a heavy tail: Student's t of the same variance, on the draws of the normal noise and others beside them."""
 
-import re
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from documents import PAGES
 from honest import STUDY
 from reference import threefry
 from scipy import stats
@@ -71,25 +68,3 @@ def test_what_cannot_be_is_one_sentence(study, sentence):
 def test_an_axis_of_it_is_refused_where_nothing_is_sampled():
     with pytest.raises(UserError, match=r"got noise_tail = 3\.0 in arm/sine, which measures continuously"):
         pcbench.run("arm/sine", axes={"noise_tail": [3.0]}, seeds=1)
-
-
-@pytest.mark.slow
-def test_the_guides_table_is_what_comes_out():
-    rows = re.findall(
-        r"^\| (none|noise_tail = [\d.]+|assumed_noise_scale = [\d.]+) \| (.*) \|$", PAGES["outliers.md"], re.M
-    )
-    fixed = {"outlier_probability": [0.0], "noise_std": [0.5], "process_std": [[0.02, 0.0]]}
-    assert len(rows) == 7
-    for axis, none in (("noise_tail", 0.0), ("assumed_noise_scale", 1.0)):
-        wanted = [
-            (float(name.split(" = ")[1]) if "=" in name else none, said)
-            for name, said in rows
-            if axis in name or name == "none"
-        ]
-        stats = pcbench.run("faults", axes=fixed | {axis: [value for value, _ in wanted]}).stats
-        mean = stats[stats.signal == "position"].set_index(["observer", "metric", axis])["mean"]
-        for value, said in wanted:
-            *errors, nees = map(float, said.split(" | "))
-            found = [mean[name, "tail_rmse", value] for name in ("dkf", "dkf-gate", "dkf-huber", "pccebo")]
-            np.testing.assert_allclose(found, errors, rtol=0.01)
-            assert mean["dkf", "nees", value] == pytest.approx(nees, rel=0.01)

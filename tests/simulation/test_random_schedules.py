@@ -1,7 +1,8 @@
 """Random sampling against loops over the same draws: who is taken, lost, late, together; and what is claimed of all draws.
 
 Any one or two clocks: every profile, delays of their own or of one interval, jitter below half the shortest interval, jitter
-of the delay, loss, and a delay that observers misjudge. Everything is whole ticks, so every comparison is exact.
+of the delay, loss, by itself or in bursts, stamps that are wrong, and a delay that observers misjudge. Everything is whole
+ticks, so every comparison is exact.
 """
 
 from collections import Counter
@@ -19,7 +20,7 @@ from pcbench.errors import UserError
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import draws
 from pcbench.simulation.schedule import per_lane, sampling, shared
-from pcbench.simulation.schedule.sampling import Clock
+from pcbench.simulation.schedule.sampling import Clock, Stamp
 from pcbench.simulation.schedule.shared import NEVER, Sample
 from pcbench.study import fits
 
@@ -54,14 +55,14 @@ def width(clocks):
 
 @partial(jax.jit, compiler_options=QUICK)
 def uniform_numbers(root, seed, channel):
-    """Interval, instant, delay, loss, step of the delay of each sample [ROOM + 1, 4]: the address of a draw written out."""
+    """Interval, instant, delay, loss, step of the delay of each sample, stamp of each tick [ROOM + 1, 6]: the addresses."""
     run = jax.random.fold_in(jax.random.key(root), seed)
 
     def numbers(stream, many, i):
         key = jax.random.fold_in(jax.random.fold_in(run, draws.STREAMS[stream]), channel)
         return jax.random.uniform(jax.random.fold_in(key, i), (many,), dtype=jnp.float64)
 
-    many = {"jitter": 3, "loss": 1, "delay_chain": 1}
+    many = {"jitter": 3, "loss": 1, "delay_chain": 1, "stamp": 1}
     return jax.vmap(lambda i: jnp.concatenate([numbers(s, n, i) for s, n in many.items()]))(jnp.arange(ROOM + 1))
 
 
@@ -79,6 +80,8 @@ def chain(clock, uniform):
     many = len(clock.steps)
     if not many:
         return [0] * len(uniform)
+    if clock.share:
+        return [clock.steps[min(int(np.sum(u >= np.cumsum(clock.share))), many - 1)] for u in uniform]
     moves = np.array([[p if i == j else (1 - p) / (many - 1) for j in range(many)] for i, p in enumerate(clock.stay)])
     share = np.linalg.matrix_power(moves + 1e-3 * (np.eye(many) - moves), 2**40)[0]  # lazier, so that it forgets
     now = int(np.searchsorted(np.cumsum(share)[:-1], uniform[0], side="right"))
@@ -105,18 +108,34 @@ def one_clock(clock, ticks, root, seed):
         else:
             due += clock.period if clock.profile == "periodic" else clock.profile[(i - 1) % len(clock.profile)]
         taken.append(due + int(u[i][1] * (2 * clock.jitter + 1)) - clock.jitter)
-    steps = chain(clock, [each[4] for each in u])
+    steps, lost = chain(clock, [each[4] for each in u]), False
     for i in range(ROOM):
         late = int(u[i][2] * (clock.spread + 1)) + steps[i]
         arrives = (taken[i + 1] if clock.delay is None else taken[i] + clock.delay) + late
+        lost = u[i][3] < chance(clock, lost if i else None)
         if taken[i] <= ticks:
-            out.append((taken[i], NEVER if u[i][3] < clock.loss else arrives))
+            out.append((taken[i], NEVER if lost else arrives))
     return out
 
 
+def chance(clock, lost_before):
+    """That a sample is lost, after one that was or was not (None: it is the first)."""
+    if not clock.burst or lost_before is None:
+        return clock.loss
+    return 1 - 1 / clock.burst if lost_before else clock.loss / ((1 - clock.loss) * clock.burst)
+
+
+def ahead(clocks, root, seed):
+    """By how much the stamp of what is taken at each tick is later than that."""
+    offset, drift, jitter = clocks[0].stamp
+    u = np.asarray(uniform_numbers(root, seed, 0))[:, 5]
+    return [offset + round(drift * k) + int(u[k] * (2 * jitter + 1)) - jitter for k in range(ROOM + 1)]
+
+
 def every_sample(clocks, ticks, root, seed):
+    late = ahead(clocks, root, seed)
     return [
-        Sample(j, i, taken, arrives)
+        Sample(j, i, taken, arrives, late[taken])
         for clock in clocks
         for i, (taken, arrives) in enumerate(one_clock(clock, ticks, root, seed))
         for j in clock.channels
@@ -141,17 +160,33 @@ def any_clock(draw, channels):
 
 @st.composite
 def any_clocks(draw):
-    chained = draw(st.sampled_from([{}, {}, {"steps": (4, 25, 1), "stay": (0.0, 0.5, 0.9)}]))
-    return [
-        draw(any_clock(channels))._replace(**chained)
+    steps = {"steps": (4, 25, 1)}
+    spread = draw(st.sampled_from([{}, {}, steps | {"stay": (0.0, 0.5, 0.9)}, steps | {"share": (0.2, 0.3, 0.5)}]))
+    clocks = [
+        draw(any_clock(channels))._replace(**spread)
         for channels in draw(st.sampled_from([[(0,)], [(0, 1)], [(0,), (1,)], [(0, 2), (1,)]]))
     ]
+    return with_faults(draw, clocks) if "share" in spread else clocks
+
+
+def with_faults(draw, clocks):
+    """Losses in bursts, and stamps that stay in order and before arrivals."""
+    stamp = draw(st.sampled_from([Stamp(-3, -0.06, 2), Stamp(2, 0.02, 1), Stamp(0, -0.1, 0)]))
+    if 2 * stamp.jitter >= 0.9 * min(shortest(c) - 2 * c.jitter for c in clocks) - 1:
+        stamp = stamp._replace(jitter=0)
+    if stamp.reach(LONGEST)[1] > youngest(clocks):
+        stamp = Stamp(-1)
+    return [c._replace(stamp=stamp, burst=9.5, loss=min(c.loss, 0.9) or 0.1) for c in clocks]
+
+
+def youngest(clocks):
+    return min(shortest(c) - 2 * c.jitter if c.delay is None else c.delay for c in clocks)
 
 
 def misjudged(data, clocks):
     """A delay error that leaves every age at 0 or more."""
-    youngest = min(shortest(c) - 2 * c.jitter if c.delay is None else c.delay for c in clocks)
-    return data.draw(st.sampled_from([0, 0, -youngest, 1, 25]))
+    least = max(youngest(clocks) - clocks[0].stamp.reach(LONGEST)[1], 0)
+    return data.draw(st.sampled_from([0, 0, -least, 1, 25]))
 
 
 ticks_of = st.integers(1, LONGEST)
@@ -182,7 +217,8 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
         here = {s.channel: s.number for s in found if s.taken == k}
         assert plan.sense[k] == (instants.index(k) if here else -1)
         assert {j: plan.sample[k, j] for j in np.flatnonzero(plan.sample[k] >= 0)} == here
-        assert plan.note[k] == (instants.index(k + error) if k + error in instants else -1)
+        noted = [int(packet) for packet in (plan.note[k], *plan.also[k]) if packet >= 0]
+        assert noted == sorted({instants.index(s.taken) for s in found if s.taken - error + s.ahead == k})
         oldest_first = sorted(taken for tick, taken in coming if tick == k)
         for slot in range(slots):
             if slot >= len(oldest_first):
@@ -191,7 +227,8 @@ def test_each_sample_is_delivered_once_at_its_tick_or_never_and_says_what_it_is(
                 continue
             taken = oldest_first[slot]
             assert plan.arrive[k, slot] == instants.index(taken)
-            assert plan.believed[k, slot] == max(taken - error, 0)
+            (late,) = {s.ahead for s in found if s.taken == taken}
+            assert plan.believed[k, slot] == max(taken - error + late, 0)
             assert plan.since[k, slot] == k - last
             seen += [(k, taken, int(j), int(plan.number[k, slot, j])) for j in np.flatnonzero(plan.fresh[k, slot])]
         last = k if oldest_first else last
@@ -253,9 +290,10 @@ def test_every_claimed_interval_and_both_ends_of_the_ages_occur(clock):
 @given(clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_overtaking_is_counted_and_never_more_than_is_claimed_beforehand(clocks, ticks, seed):
     found = every_sample(clocks, ticks, 0, seed)
-    arriving = {(s.taken, s.arrives) for s in found if s.arrives < NEVER}
+    arriving = {(s.taken + s.ahead, s.arrives) for s in found if s.arrives < NEVER}
     assert shared.overtaking(found) == most_ahead(arriving)
-    each = [(taken, arrives) for taken, _, _, arrives in packets(clocks, ticks, seed) if arrives <= ticks]
+    late = ahead(clocks, 0, seed)
+    each = [(taken + late[taken], arrives) for taken, _, _, arrives in packets(clocks, ticks, seed) if arrives <= ticks]
     assert most_ahead(each) <= per_lane.overtaking(clocks, ticks)
 
 
@@ -263,21 +301,24 @@ def most_ahead(times):
     return max((sum(b > taken and late < arrives for b, late in times) for taken, arrives in times), default=0)
 
 
-def overwritten(rows, size, ticks, error):
+def overwritten(rows, size, ticks, error, late=(0,) * (ROOM + 1)):
     """Whether a packet is overwritten in a ring of this size before it arrives: (taken, arrives) by row.
 
-    A value is written when it is taken, a note `error` ticks earlier; what is believed to be from before tick 0 has the note
-    of the start, which is there from the beginning (None).
+    A value is written when it is taken, a note `error` ticks earlier and as much later as its stamp is; what is believed to be
+    from before tick 0 has the note of the start, which is there from the beginning (None).
     """
     values, notes = {}, {}
     for k in range(ticks + 1):
         for row, (taken, _) in enumerate(rows):
             if taken == k:
                 values[row % size] = row
-            if taken - error == k:
+            if taken - error + late[min(taken, ROOM)] == k:
                 notes[row % size] = row
         for row, (taken, arrives) in enumerate(rows):
-            if arrives == k and (values[row % size], notes.get(row % size)) != (row, row if taken >= error else None):
+            if arrives == k and (values[row % size], notes.get(row % size)) != (
+                row,
+                row if taken >= error - late[taken] else None,
+            ):
                 return True
     return False
 
@@ -287,9 +328,10 @@ def overwritten(rows, size, ticks, error):
 def test_no_packet_is_overwritten_in_the_room_that_is_claimed_beforehand(data, clocks, ticks, seed):
     """Notes may be due for samples beyond the horizon: random intervals go on there, the others end."""
     error = misjudged(data, clocks)
-    noted = packets(clocks, ticks + max(error, 0), seed)
+    late = ahead(clocks, 0, seed)
+    noted = packets(clocks, ticks + max(error, 0) - min(late[: ticks + 1]), seed)
     rows = [(a, b) for a, c, _, b in noted if a <= ticks or clocks[c].profile == "uniform"]
-    assert not overwritten(rows, per_lane.room(clocks, ticks, error), ticks, error)
+    assert not overwritten(rows, per_lane.room(clocks, ticks, error), ticks, error, late)
 
 
 @pytest.mark.parametrize(
@@ -328,7 +370,7 @@ def test_a_schedule_says_the_least_room_in_which_no_packet_is_overwritten(data, 
 def loses_a_packet(plan, size):
     values, notes = {}, {}
     for k in range(len(plan.sense)):
-        for ring, number in ((values, plan.sense[k]), (notes, plan.note[k])):
+        for ring, number in ((values, plan.sense[k]), *((notes, packet) for packet in (plan.note[k], *plan.also[k]))):
             if number >= 0:
                 ring[number % size] = number
         for number in plan.arrive[k][plan.arrive[k] >= 0]:
@@ -357,6 +399,8 @@ def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
         taken, clock, number = plan.samples[:, :, lane]
         assert list(zip(taken, clock, number, strict=True))[: len(rows)] == [row[:3] for row in rows]
         assert (taken[len(rows) :] > ticks).all()
+        late = ahead(clocks, 0, seed)
+        assert plan.believed[: len(rows), lane].tolist() == [row[0] + late[row[0]] for row in rows]
         assert sorted(plan.which[:, lane]) == list(range(len(taken)))
         last, slot, count = (0, 0), 0, 0
         for arrives, row in sorted((row[3], i) for i, row in enumerate(rows) if row[3] <= ticks):

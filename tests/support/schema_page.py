@@ -8,7 +8,7 @@ from pathlib import Path
 import pcbench
 from pcbench.dataset import columns
 from pcbench.statistics import RUN_METRICS
-from pcbench.study.axes import AXES, CHANNELS, COMMANDS, STATES
+from pcbench.study.axes import AXES, CHANNELS, COMMANDS, OUTPUTS, STATES
 
 PAGE = Path(pcbench.__file__).parent / "guide" / "tables.md"
 AXIS = [*(a for a in AXES if a not in STATES), *STATES, *COMMANDS]
@@ -27,7 +27,7 @@ def row(name: str) -> str:
     (field,) = columns.table({name: [None]}).schema
     said = {key.decode(): text.decode() for key, text in field.metadata.items()}
     kind = ALWAYS.get(
-        name, "double or list of double" if name in (*CHANNELS, *STATES, "delay_stay") else str(field.type)
+        name, "double or list of double" if name in (*CHANNELS, *STATES, *OUTPUTS, "delay_stay") else str(field.type)
     )
     return f"| `{name}` | {kind} | {said.get('unit', '')} | {in_table(said['meaning'])} |"
 

@@ -3,12 +3,14 @@
 A sample of clock c with index i has three uniform numbers of the stream `jitter` (its interval, its instant, its delay), one
 of `loss` and one of `delay_chain`, addressed as all draws are, under the clock's first channel: changing one choice leaves the
 other draws alone. Where its delay is a Markov chain over m values, the first sample's is drawn as often as it is there in the
-long run, and each next one is the same with a probability of its own, or any of the others alike.
+long run, and each next one is the same with a probability of its own, or any of the others alike. Where losses come in bursts
+the same number is held against another probability after a loss. How wrong a stamp is, is drawn under the tick at which its
+sample is taken, for all clocks alike.
 Everything is whole ticks. `Times` is traced, so one compiled program serves every profile, jitter, delay and loss.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,16 +35,20 @@ class Times(NamedTuple):
     spread: Leaf  # [C] jitter of the delay
     steps: Leaf  # [C, m] a sample arrives later by one of them; m = 0: by none
     stay: Leaf  # [C, m] probability that the next sample has the same one
+    share: Leaf  # [C, m] up to and with each of the steps: how many samples, each by itself; m = 0: they are a chain
     loss: Leaf  # [C] probability
+    bursts: Leaf  # [C, 2] probability after a sample that was not lost, and after one that was; [C, 0]: the same
     channel: Leaf  # [C] the first channel: the address of the clock's draws
     clock_of: Leaf  # [q] the clock of each channel
     error: Leaf  # the observers believe samples to be so much older than they are
+    stamp: Any = ()  # Stamp, where stamps are wrong
 
 
 class Agenda(NamedTuple):
     """What happens in every run; E samples of all clocks in the order they are taken, L runs."""
 
     samples: Array  # [3, E, L] tick, clock, and which sample of its clock
+    believed: Array  # [E, L] tick at which the observers believe it was taken, which may be before 0
     arrives: Array  # [E, L] tick of the first, second ... arrival; NEVER: lost
     which: Array  # [E, L] the row of the sample that arrives
     slot: Array  # [E, L] how many arrive before it at the same tick
@@ -67,10 +73,13 @@ def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
         spread=np.array([c.spread for c in clocks]),
         steps=np.array([c.steps for c in clocks], int),
         stay=np.array([c.stay for c in clocks], float),
+        share=np.array([np.cumsum(c.share) for c in clocks], float),
         loss=np.array([c.loss for c in clocks], float),
+        bursts=np.array([sampling.breaks(c) if any(c.burst for c in clocks) else () for c in clocks], float),
         channel=np.array([c.channels[0] for c in clocks]),
         clock_of=np.array(clock_of),
         error=np.asarray(error),
+        stamp=jax.tree.map(np.asarray, clocks[0].stamp) if any(clocks[0].stamp) else (),
     )
 
 
@@ -100,15 +109,33 @@ def clock_times(t: Times, c: int, root_seed: Array, seeds: Array) -> tuple[Array
     taken = due + jnp.where(jnp.arange(count)[:, None] > 0, moved, 0)
     late = _whole(timing[:, 2], t.spread[c] + 1)
     if t.steps.shape[1]:
-        late = late + t.steps[c][_chain(t, c, root_seed, seeds)]
+        late = late + t.steps[c][_which_step(t, c, root_seed, seeds)]
     arrives = jnp.where(t.delay[c] < 0, taken[1:], taken[:-1] + t.delay[c]) + late[:-1]
-    return taken[:-1], jnp.where(losing[:-1, 0] < t.loss[c], NEVER, jnp.minimum(arrives, NEVER))
+    return taken[:-1], jnp.where(_lost(t, c, losing[:-1, 0]), NEVER, jnp.minimum(arrives, NEVER))
 
 
-def _chain(t: Times, c: int, root_seed: Array, seeds: Array) -> Array:
+def _lost(t: Times, c: int, uniform: Array) -> Array:
+    """Return which samples of clock c are lost, [M, L]: the first as often as any, each next by what became of the last."""
+    first = uniform < t.loss[c]
+    if not t.bursts.shape[1]:
+        return first
+
+    def following(lost: Array, u: Array) -> tuple[Array, Array]:
+        after = u < jnp.where(lost, t.bursts[c, 1], t.bursts[c, 0])
+        return after, after
+
+    return jnp.concatenate([first[:1], lax.scan(following, first[0], uniform[1:])[1]])
+
+
+def _which_step(t: Times, c: int, root_seed: Array, seeds: Array) -> Array:
     """Return which of its steps every sample of clock c has, [M+1, L]."""
-    many, stay = t.steps.shape[1], t.stay[c]
     uniform = draws.uniforms(root_seed, seeds, "delay_chain", t.channel[c], t.due.shape[1], 1)[:, 0]
+    return jnp.searchsorted(t.share[c][:-1], uniform, side="right") if t.share.shape[1] else _chain(t, c, uniform)
+
+
+def _chain(t: Times, c: int, uniform: Array) -> Array:
+    """Return the steps that a Markov chain comes to by uniform numbers, [M+1, L]."""
+    many, stay = t.steps.shape[1], t.stay[c]
     weights = 1 / (1 - stay)
     ends = jnp.cumsum(weights / jnp.sum(weights))
     first = jnp.minimum(jnp.sum(uniform[0][None] >= ends[:, None], 0), many - 1)
@@ -120,6 +147,16 @@ def _chain(t: Times, c: int, root_seed: Array, seeds: Array) -> Array:
         return after, after
 
     return jnp.concatenate([first[None], lax.scan(following, first, uniform[1:])[1]])
+
+
+def _believed(t: Times, root_seed: Array, seeds: Array, taken: Array) -> Array:
+    """Return the ticks at which observers believe samples to be taken that are taken at others, [E, L]."""
+    if not t.stamp:
+        return taken - t.error
+    key = draws.run_keys(root_seed, seeds, "stamp", 1)
+    uniform = lax.map(lambda at: draws.uniforms_of(key, [at])[0], taken)
+    off = t.stamp.offset + jnp.round(t.stamp.drift * taken).astype(int)
+    return taken - t.error + off + _whole(uniform, 2 * t.stamp.jitter + 1) - t.stamp.jitter
 
 
 def _whole(uniform: Array, many: Array) -> Array:
@@ -141,7 +178,14 @@ def agenda(t: Times, root_seed: Array, seeds: Array) -> Agenda:
     slot = row - lax.cummax(jnp.where(again, 0, row), 0)
     earlier = jnp.take_along_axis(arrives, jnp.maximum(row - slot - 1, 0), 0)
     since = arrives - jnp.where(row > slot, earlier, 0)
-    return Agenda(jnp.stack([taken, clock, number]), arrives, which, slot, since)
+    return Agenda(
+        samples=jnp.stack([taken, clock, number]),
+        believed=_believed(t, root_seed, seeds, taken),
+        arrives=arrives,
+        which=which,
+        slot=slot,
+        since=since,
+    )
 
 
 def realised(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
@@ -149,15 +193,18 @@ def realised(clocks: list[Clock], ticks: int, channels: int, root_seed: int, see
     t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0))
     out = []
     for c, clock in enumerate(clocks):
-        taken, arrives = clock_times(t, c, jnp.asarray(root_seed), jnp.asarray([seed]))
-        pairs = zip(taken[:, 0].tolist(), arrives[:, 0].tolist(), strict=True)
-        out += [Sample(j, i, a, b) for i, (a, b) in enumerate(pairs) if a <= ticks for j in clock.channels]
+        run = jnp.asarray(root_seed), jnp.asarray([seed])
+        taken, arrives = clock_times(t, c, *run)
+        ahead = _believed(t, *run, taken) - taken
+        each = enumerate(zip(*(a[:, 0].tolist() for a in (taken, arrives, ahead)), strict=True))
+        out += [Sample(j, i, *times) for i, times in each if times[0] <= ticks for j in clock.channels]
     return out
 
 
 def room(clocks: list[Clock], ticks: int, error: int) -> int:
     """Return how many packets the network must be able to hold, whatever the draws."""
-    longest = max(sampling.ages(c, ticks)[1] for c in clocks) + abs(error)
+    back = abs(error) + max(clocks[0].stamp.reach(ticks))
+    longest = max(sampling.ages(c, ticks)[1] for c in clocks) + back
     return sum(longest // sampling.intervals(c, ticks)[0] + 1 for c in clocks)
 
 
@@ -168,20 +215,21 @@ def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
     """
     age = max(sampling.ages(c, ticks)[1] for c in clocks)
     interval = max(sampling.intervals(c, ticks)[-1] for c in clocks)
-    loss = max(c.loss for c in clocks)
+    loss = max(sampling.breaks(c)[1] for c in clocks)
     lost = math.ceil(math.log(1e-12) / math.log(loss)) if 0 < loss < 1 else ticks * int(loss > 0)
-    return age + (2 * overtaking + 1 + lost) * interval
+    return age + sum(clocks[0].stamp.reach(ticks)) + (2 * overtaking + 1 + lost) * interval
 
 
 def overtaking(clocks: list[Clock], ticks: int) -> int:
     """Return how many newer samples may arrive before one, whatever the draws."""
     least = [sampling.intervals(c, ticks)[0] for c in clocks]
+    wrong = sum(clocks[0].stamp.reach(ticks)) if clocks[0].stamp.drift or clocks[0].stamp.jitter else 0
 
     def ahead(own: int, other: int) -> int:
         if own == other:  # ages that differ by so much at most
             apart = clocks[own].latest - min(clocks[own].steps, default=0)
             return max(apart - 1, 0) // least[own]
-        span = sampling.ages(clocks[own], ticks)[1] - sampling.ages(clocks[other], ticks)[0] - 1
+        span = sampling.ages(clocks[own], ticks)[1] - sampling.ages(clocks[other], ticks)[0] - 1 + wrong
         return span // least[other] + 1 if span >= 1 else 0
 
     many = range(len(clocks))

@@ -5,6 +5,23 @@ from typing import NamedTuple
 import numpy as np
 
 
+class Stamp(NamedTuple):
+    """How wrong the time is that a sample's stamp says: later by offset + drift k +- jitter, of a sample taken at tick k."""
+
+    offset: int = 0  # ticks
+    drift: float = 0.0  # ticks a tick
+    jitter: int = 0  # ticks, at most
+
+    def ahead(self, tick: int) -> int:
+        """Return by how much the stamp of a sample taken at a tick is later than that, without jitter."""
+        return self.offset + round(self.drift * tick)
+
+    def reach(self, ticks: int) -> tuple[int, int]:
+        """Return by how much a stamp may be too early and too late over ticks 0 .. `ticks`."""
+        ends = [self.ahead(tick) for tick in (0, ticks)]
+        return max(self.jitter - min(ends), 0), max(max(ends) + self.jitter, 0)
+
+
 class Clock(NamedTuple):
     """One sensor: channels that are sampled, delayed and lost together. Times in ticks."""
 
@@ -19,11 +36,14 @@ class Clock(NamedTuple):
     swing: tuple[float, float] = (0.0, 0.0)  # (a [ticks], w [rad a tick]) of an age delay + a sin(w k), at arrival k
     steps: tuple[int, ...] = ()  # a sample arrives later by one of them, which a Markov chain chooses; empty: by none
     stay: tuple[float, ...] = ()  # of each: probability that the next sample has the same one, below 1
+    share: tuple[float, ...] = ()  # of each: how often it is, drawn for each sample by itself; empty: they are a chain
+    burst: float = 0.0  # mean number of samples lost in a row; 0: each is lost by itself
+    stamp: Stamp = Stamp()  # of all clocks of a scenario the same: one recorder stamps them all
 
     @property
     def random(self) -> bool:
         """Whether every run has times of its own."""
-        return self.profile == "uniform" or self.jitter > 0 or self.latest > 0 or self.loss > 0
+        return self.profile == "uniform" or max(self.jitter, self.latest, self.loss, self.stamp.jitter) > 0
 
     @property
     def latest(self) -> int:
@@ -33,7 +53,7 @@ class Clock(NamedTuple):
     @property
     def later(self) -> int:
         """How much later than its delay a sample arrives in the mean."""
-        mean = sum(p * step for p, step in zip(stationary(self.stay), self.steps, strict=True))
+        mean = sum(p * step for p, step in zip(self.share or stationary(self.stay), self.steps, strict=True))
         return self.spread // 2 + round(mean)
 
 
@@ -44,6 +64,28 @@ def stationary(stay: tuple[float, ...]) -> list[float]:
     """
     weights = [1 / (1 - p) for p in stay]
     return [w / sum(weights) for w in weights]
+
+
+def gamma(mean: float, shape: float) -> tuple[float, ...]:
+    """Return how often a delay of a gamma distribution is nearest to 0, 1, 2 ... ticks; mean in ticks.
+
+    The last one has all that is later, 1e-4 of samples or fewer.
+    """
+    from scipy.special import gammainc, gammaincinv
+
+    last = max(int(np.ceil(gammaincinv(shape, 1 - 1e-4) * mean / shape)), 1)
+    below = gammainc(shape, (np.arange(last) + 0.5) * shape / mean)
+    return tuple(np.diff(below, prepend=0.0, append=1.0).tolist())
+
+
+def breaks(clock: Clock) -> tuple[float, float]:
+    """Return the probability that a sample is lost after one that was not, and after one that was (Gilbert 1960).
+
+    So that a share `loss` is lost, and `burst` in a row in the mean.
+    """
+    if not clock.burst:
+        return clock.loss, clock.loss
+    return clock.loss / (1 - clock.loss) / clock.burst, 1 - 1 / clock.burst
 
 
 PROFILES = {

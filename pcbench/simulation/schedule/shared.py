@@ -32,6 +32,7 @@ class Schedule(NamedTuple):
     event: Bools  # [N+1] anything taken or arriving
     next_event: Ints  # [N+1] the first later tick with an event, or N + 1
     early: Ints  # [E, q] which sample of each channel, of the packets taken before tick 0
+    also: Ints  # [N+1, M] more packets for which observers note the same: their stamps say the same tick
 
 
 class Sample(NamedTuple):
@@ -41,6 +42,7 @@ class Sample(NamedTuple):
     number: int  # which sample of its channel, from 0
     taken: int  # tick
     arrives: int  # tick, not before `taken`; NEVER where it is lost
+    ahead: int = 0  # ticks by which its stamp is later than `taken`
 
 
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
@@ -55,13 +57,14 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
                 if taken == last:  # as late as the time that has passed: nothing new comes
                     continue
                 last = taken
-            out += [Sample(channel, i, taken, arrives) for channel in clock.channels]
+            ahead = clock.stamp.ahead(taken)
+            out += [Sample(channel, i, taken, arrives, ahead) for channel in clock.channels]
     return out
 
 
 def overtaking(found: list[Sample]) -> int:
     """Return how many newer samples may arrive before one: the places an observer needs to keep them in order."""
-    each = np.array(sorted({(s.taken, s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
+    each = np.array(sorted({(s.taken + s.ahead, s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
     taken, arrives = each.T
     counts, shift = np.zeros(len(each), int), 1
     while shift < len(each) and (taken[shift:] < arrives[:-shift]).any():
@@ -72,6 +75,8 @@ def overtaking(found: list[Sample]) -> int:
 
 def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -> Schedule:
     """Lay samples out over ticks 0 .. `ticks`; what is taken or arrives later is left out.
+
+    Samples that are taken at one tick have one stamp.
 
     The observers believe that every sample is `error` ticks older than it is, but that none was taken before tick 0: they
     note what they need where they believe it to be taken. An error below 0 must leave every age at 0 or more. A sample taken
@@ -84,6 +89,8 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
         if s.taken <= ticks and s.arrives <= ticks:
             by_arrival.setdefault(s.arrives, {}).setdefault(s.taken, []).append(s)
     slots = max((len(group) for group in by_arrival.values()), default=1)
+    stamps = {s.taken: max(s.taken - error + s.ahead, 0) for s in samples}
+    noted = _noted(samples, packet, ticks, error)
     n, q = ticks + 1, channels
     out = Schedule(
         sense=np.full(n, -1, np.int32),
@@ -97,6 +104,7 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
         event=np.zeros(n, bool),
         next_event=np.full(n, n, np.int32),
         early=np.full((sum(tick < 0 for tick in instants), q), -1, np.int32),
+        also=np.full((n, max((len(each) for each in noted.values()), default=1) - 1), -1, np.int32),
     )
     for s in samples:
         if s.taken < 0:
@@ -104,13 +112,13 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
         elif s.taken <= ticks:
             out.sense[s.taken] = packet[s.taken]
             out.sample[s.taken, s.channel] = s.number
-        if s.taken <= ticks and 0 <= s.taken - error <= ticks:
-            out.note[s.taken - error] = packet[s.taken]
+    for tick, each in noted.items():
+        out.note[tick], out.also[tick, : len(each) - 1] = each[0], each[1:]
     last = 0
     for tick in sorted(by_arrival):
         for slot, (taken, group) in enumerate(sorted(by_arrival[tick].items())):
             out.arrive[tick, slot] = packet[taken]
-            out.believed[tick, slot] = max(taken - error, 0)
+            out.believed[tick, slot] = stamps[taken]
             out.since[tick, slot] = tick - last
             for s in group:
                 out.fresh[tick, slot, s.channel] = True
@@ -120,6 +128,15 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     due = np.where(out.event, np.arange(n), n)
     out.next_event[:-1] = np.minimum.accumulate(due[::-1])[::-1][1:]
     return out
+
+
+def _noted(samples: list[Sample], packet: dict[int, int], ticks: int, error: int) -> dict[int, list[int]]:
+    """The packets for which observers note at each tick what they will need."""
+    out: dict[int, set[int]] = {}
+    for s in samples:
+        if s.taken <= ticks and 0 <= s.taken - error + s.ahead <= ticks:
+            out.setdefault(s.taken - error + s.ahead, set()).add(packet[s.taken])
+    return {tick: sorted(each) for tick, each in out.items()}
 
 
 def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
@@ -144,6 +161,7 @@ def at_every_tick(ticks: int, channels: int) -> Schedule:
         event=np.ones(ticks + 1, bool),
         next_event=k + np.int32(1),
         early=each[:0],
+        also=np.zeros((ticks + 1, 0), np.int32),
     )
 
 
@@ -153,7 +171,9 @@ def oldest(found: list[Sample], overtaking: int) -> int:
     Of sample i in the order of taking: the latest arrival among samples 0 .. i, less the tick at which sample i - (2 K + 1) was
     taken, K = `overtaking`; the largest over i.
     """
-    each = np.array(sorted({(max(s.taken, 0), s.arrives) for s in found if s.arrives < NEVER}), int).reshape(-1, 2)
+    each = np.array(
+        sorted({(max(s.taken + min(s.ahead, 0), 0), s.arrives) for s in found if s.arrives < NEVER}), int
+    ).reshape(-1, 2)
     taken, arrives = each.T
     back = 2 * overtaking + 1
     before = np.concatenate([np.zeros(back, int), taken])[: len(taken)]
@@ -162,14 +182,21 @@ def oldest(found: list[Sample], overtaking: int) -> int:
 
 def in_flight(plan: Schedule) -> int:
     """Return how many packets the network must be able to hold so that none is overwritten before it arrives."""
-    latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, plan.note)), len(plan.early) - 1)
+    noted = np.concatenate([plan.note[:, None], plan.also], 1)
+    latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, noted.max(1))), len(plan.early) - 1)
     waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
-    return int(waiting.max())
+    before = np.maximum.accumulate(noted.max(1))[:, None]  # stamps may be out of order: a note writes over no newer one
+    return int(max(waiting.max(), np.where(noted >= 0, before - noted + 1, 1).max()))
 
 
 def pad_early(plan: Schedule, packets: int) -> Schedule:
     """Add packets from before tick 0 that nothing reads, so that schedules of one study share a shape."""
     return plan._replace(early=np.pad(plan.early, [(0, packets - len(plan.early)), (0, 0)], constant_values=-1))
+
+
+def pad_notes(plan: Schedule, many: int) -> Schedule:
+    """Add room for notes of one tick, so that schedules of one study share a shape."""
+    return plan._replace(also=np.pad(plan.also, [(0, 0), (0, many - plan.also.shape[1])], constant_values=-1))
 
 
 def pad_slots(plan: Schedule, slots: int) -> Schedule:

@@ -1,0 +1,166 @@
+"""bank: a Kalman filter for each of several delays, weighted by likelihood.
+
+Filter j believes every sample to be taken d_j before it arrives, and is `dkf` of that delay: it updates at that time, and goes
+to now under the stored inputs. With nu and s its innovations and their variances,
+
+    log w_j <- log w_j - (nu^2 / s + log s) / 2,   weights of sum 1,   xhat = sum w_j xhat_j,   tau = sum w_j d_j
+
+and the covariance is that of the mixture. At the start w_j is the prior's density at d_j. With the right delay among the d_j
+and true noise this is the posterior mean: no causal estimator has a smaller mean square over the prior that the d_j are.
+Not claimed: anything of a delay between two of them; the weights then settle on one of its neighbours, and the filter believes
+to know it. Nor of delays that vary. A step between delays should be below the spread that the samples can tell
+(`statistics.delay_bound`), and a finer one costs in proportion.
+Time index: the estimate is of now, after the jump. Samples of one clock, in order; their age is not read.
+Source: Magill, IEEE Trans. Automatic Control 10 (1965), 434.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float, Int
+from pydantic import Field
+
+from pcbench.errors import UserError
+from pcbench.observers.parts import kalman, unknown_delay
+from pcbench.observers.parts.unknown_delay import Gains, read, spread
+from pcbench.protocols import Arrival, Now, Observer, together
+from pcbench.synthesis.certificate import Design, Setting, uncertified
+
+FILTERS = 21  # by default, evenly from 0 to the longest delay
+MOST = 200
+
+
+class Memory(NamedTuple):
+    """M filters, each at the time that it believes the newest sample to be of; and the estimate of now."""
+
+    x: Float[Array, "M n"]
+    P: Float[Array, "M n n"]
+    at: Int[Array, " M"]  # tick
+    weight: Float[Array, " M"]  # logarithm
+    delay: Float[Array, ""]  # s
+    xhat: Float[Array, " n"]
+
+
+class Options(unknown_delay.Options):
+    """What the filters assume."""
+
+    delays: list[float] | None = Field(
+        None, min_length=1, description="s, of each filter; default: 21 evenly to the longest"
+    )
+
+
+def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
+    """Start every filter from the prior, its weight the prior's of its delay."""
+    many = gains.own.shape[0]
+    apart = (gains.own * gains.dt - gains.delay) / gains.delay_std
+    weight = jax.nn.log_softmax(-0.5 * jnp.square(apart))
+    return Memory(
+        x=jnp.broadcast_to(xhat0, (many, *xhat0.shape)),
+        P=jnp.broadcast_to(gains.P0, (many, *gains.P0.shape)),
+        at=jnp.zeros(many, int),
+        weight=weight,
+        delay=mean(gains, weight),
+        xhat=xhat0,
+    )
+
+
+def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
+    """Note nothing: the inputs are stored."""
+    return jnp.zeros(0)
+
+
+def carried(gains: Gains, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
+    """Return means [M, n] and covariances of ticks `stop` [M] from those of ticks `start`, under the stored inputs."""
+
+    def tick(i: Array, xP: tuple[Array, Array]) -> tuple[Array, Array]:
+        x, P = xP
+        k = start + i
+        u, goes = jax.vmap(now.past_u)(jnp.maximum(now.tick - k, 1)), k < stop
+        moved = x @ gains.Phi.T + u @ gains.Gamma.T
+        spread = jnp.einsum("ab,mbc,dc->mad", gains.Phi, P, gains.Phi) + gains.Q[None]
+        return jnp.where(goes[:, None], moved, x), jnp.where(goes[:, None, None], spread, P)
+
+    return lax.fori_loop(0, jnp.max(stop - start), tick, (x, P))
+
+
+def updated(gains: Gains, arrival: Arrival, x: Array, P: Array) -> tuple[Array, Array, Array]:
+    """Return mean and covariance of one filter after a sample of its tick, and the logarithm of what that was likely."""
+    likelihood = jnp.zeros(())
+    for channel in range(gains.C.shape[0]):
+        c, r, fresh = gains.C[channel], gains.R[channel], arrival.fresh[channel]
+        nu, s = arrival.value[channel] - c @ x, c @ P @ c + r
+        likelihood = likelihood - jnp.where(fresh, 0.5 * (nu * nu / s + jnp.log(s)), 0.0)
+        K = kalman.gain(P @ c, s, fresh)
+        x, P = x + jnp.where(fresh, K * nu, 0.0), kalman.covariance(P, K, c, r)
+    return x, P, likelihood
+
+
+def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    taken = jnp.maximum(now.tick - gains.own, 0)
+    x, P = carried(gains, now, memory.x, memory.P, memory.at, taken)
+    x, P, likelihood = jax.vmap(partial(updated, gains, arrival))(x, P)
+    weight = jax.nn.log_softmax(memory.weight + likelihood)
+    present = carried(gains, now, x, P, taken, jnp.full_like(taken, now.tick))[0]
+    return Memory(x, P, taken, weight, mean(gains, weight), jnp.exp(weight) @ present)
+
+
+def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+    """Update every filter at the time that it believes, and weigh it by what it expected."""
+    after: Memory = together(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
+    return after
+
+
+def flow(gains: Gains, memory: Memory, now: Now) -> Memory:
+    """Move the estimate of now by one tick."""
+    return memory._replace(xhat=gains.Phi @ memory.xhat + gains.Gamma @ now.u)
+
+
+def mean(gains: Gains, weight: Float[Array, " M"]) -> Float[Array, ""]:
+    """Return the posterior mean of the delay [s]."""
+    return jnp.sum(jnp.exp(weight) * gains.own * gains.dt)
+
+
+def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
+    """Return xhat of now, and the delay where the plant has one that is unknown."""
+    return read(gains, memory.xhat, memory.delay)
+
+
+def _believed(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
+    """Return the covariance of the mixture: of each filter, and of their means and delays about those of all."""
+    x, P = carried(gains, now, memory.x, memory.P, memory.at, jnp.full_like(memory.at, now.tick))
+    share, n = jnp.exp(memory.weight), gains.C.shape[1]
+    z = jnp.concatenate([x, (gains.dt * gains.own)[:, None]], 1)
+    apart = z - (share @ z)[None]
+    whole = (share[:, None] * apart).T @ apart
+    return spread(gains, whole.at[:n, :n].add(jnp.tensordot(share, P, 1)))
+
+
+def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
+    """Return what is believed of the error now."""
+    P: Array = together(lambda memory: _believed(gains, memory, now))(memory)
+    return P
+
+
+OBSERVER = Observer(init, note, jump, flow, estimate, covariance=covariance)
+
+
+def design(setting: Setting, options: Options) -> Design:
+    """Gather what the filters assume; raise UserError for delays that are none, or too many."""
+    where, dt = f"bank in {setting.scenario}", setting.dt
+    asked = options.delays
+    if asked and options.longest is None:
+        options = options.model_copy(update={"longest": max(*asked, dt)})
+    gains = unknown_delay.design(setting, options, "bank")
+    longest = int(gains.longest)
+    ticks = np.unique(np.round(np.asarray(asked) / dt if asked else np.linspace(0, longest, FILTERS)).astype(int))
+    if ticks[0] < 0 or ticks[-1] > longest:
+        raise UserError(
+            f"{where}: delays: got {ticks[0] * dt:g} to {ticks[-1] * dt:g} s, expected 0 to the longest, {longest * dt:g} s."
+        )
+    if len(ticks) > MOST:
+        raise UserError(f"{where}: delays: got {len(ticks)} filters, expected at most {MOST}; write fewer delays.")
+    return Design(gains._replace(own=ticks), uncertified("the weights are not linear in what is measured"))

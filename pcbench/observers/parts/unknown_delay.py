@@ -1,0 +1,117 @@
+"""What filters share that do not know how late samples are: a linear model, tick by tick, and what they believe of the delay.
+
+All samples are late by one delay tau, the same for all channels and constant, which nobody tells: the age of an arrival is not
+read. A prior N(m, s^2) of it, cut off at 0 and at `longest`, is the unknown of the plant where it has one that is a delay
+(`unknown0`, `unknown_std`), or else the believed delay and half of it. What is between a sample's time and now is
+gone through again under the stored inputs.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+from jaxtyping import Float
+from pydantic import Field
+
+from pcbench.dynamics import linear
+from pcbench.errors import UserError
+from pcbench.observers.parts import assumed_noise
+from pcbench.protocols import Leaf, Now, Room
+from pcbench.synthesis.certificate import Setting
+
+MOST = 2000  # ticks that are gone through again at every arrival
+
+
+class Gains(NamedTuple):
+    """n states, m inputs, q outputs; what one of them has besides stands in `own`."""
+
+    Phi: Float[Leaf, "n n"]
+    Gamma: Float[Leaf, "n m"]
+    Q: Float[Leaf, "n n"]  # a tick's process noise
+    C: Float[Leaf, "q n"]
+    R: Float[Leaf, " q"]
+    P0: Float[Leaf, "n n"]
+    delay: Leaf  # s, the prior's mean, and
+    delay_std: Leaf  # s, its standard deviation
+    dt: Leaf  # s
+    longest: Leaf  # ticks, beyond which no delay is looked for
+    told: Room  # [1] the delay is part of the estimate; [0]: it is not
+    own: Any = ()
+
+
+class Moves(NamedTuple):
+    """A linear model by ticks; N of its states."""
+
+    Phi: Float[Leaf, "N N"]
+    Gamma: Float[Leaf, "N m"]
+    Q: Float[Leaf, "N N"]
+
+
+class Options(assumed_noise.Options):
+    """What the filter assumes of noise, and of the delay."""
+
+    delay: float | None = Field(None, ge=0, description="s, mean of the prior of the delay; default: the scenario's")
+    delay_std: float | None = Field(None, gt=0, description="s, its standard deviation; default: the scenario's")
+    longest: float | None = Field(None, gt=0, description="s, the longest delay; default: mean and three deviations")
+
+
+def carried(by: Moves, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of tick `stop` from those of tick `start`, under the stored inputs."""
+
+    def tick(k: Array, xP: tuple[Array, Array]) -> tuple[Array, Array]:
+        x, P = xP
+        return by.Phi @ x + by.Gamma @ now.past_u(now.tick - k), by.Phi @ P @ by.Phi.T + by.Q
+
+    return lax.fori_loop(start, stop, tick, (x, P))
+
+
+def design(setting: Setting, options: Options, name: str) -> Gains:
+    """Gather what is assumed; raise UserError for a plant with feedthrough or an unknown input, or a delay that is too long."""
+    where, model, dt = f"{name} in {setting.scenario}", setting.model, setting.dt
+    if model.E is not None or np.any(model.feedthrough):
+        raise UserError(
+            f"{where}: got a plant with {'an unknown input' if model.E is not None else 'feedthrough D'}, expected "
+            "x' = A x + B u, y = C x: a sample's time is what it looks for; leave it out, or take dkf."
+        )
+    known = len(setting.unknown_std) == 1
+    mean = setting.unknown0[0] if known else setting.delay[0] * dt
+    mean = mean if options.delay is None else options.delay
+    std = options.delay_std or (setting.unknown_std[0] if known else max(0.5 * mean, dt))
+    longest = round((options.longest or mean + 3 * std) / dt)
+    if not 1 <= longest <= min(MOST, setting.ticks):
+        most = min(MOST, setting.ticks) * dt
+        raise UserError(
+            f"{where}: got a longest delay of {longest * dt:g} s, expected a tick, {dt:g} s, to {most:g} s: "
+            "so far it goes back at every arrival; write longest, or take a longer tick."
+        )
+    Phi, Gamma = linear.one_tick(model, dt)
+    q = assumed_noise.through(options.q, model.B.shape[1], setting.input_intensity, where)
+    Q = linear.input_noise(model, q, dt, np.zeros(0)) + assumed_noise.process(setting, options.Q, where)
+    mix, C, R = assumed_noise.independent(setting, options.R, model.C, where)
+    if mix is not None:
+        raise UserError(f"{where}: R: got noise that is correlated between outputs, expected a number for each.")
+    return Gains(
+        Phi=Phi,
+        Gamma=Gamma,
+        Q=Q,
+        C=C,
+        R=R,
+        P0=setting.P0,
+        delay=np.asarray(float(mean)),
+        delay_std=np.asarray(float(std)),
+        dt=np.asarray(dt),
+        longest=np.asarray(longest),
+        told=np.zeros(int(known)),
+    )
+
+
+def read(gains: Gains, xhat: Array, delay: Array) -> Array:
+    """Return what is estimated: the state, and the delay [s] where the plant has one that is unknown."""
+    return jnp.append(xhat, delay) if gains.told.shape[0] else xhat
+
+
+def spread(gains: Gains, P: Float[Array, "N N"]) -> Array:
+    """Return the covariance of what is estimated from that of state and delay."""
+    n = gains.C.shape[1] + gains.told.shape[0]
+    return P[:n, :n]

@@ -1,0 +1,62 @@
+"""The mobile cart under a camera of unknown delay: the plant of `cart`, with the delay of its samples as a signal.
+
+`sensor_delay` is not set: it is the delay of the scenario's samples, which nobody is told.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from pcbench.dynamics.linear import Model, held
+from pcbench.protocols import Leaf, Now, Plant
+
+SIGNALS = (("position", "m"), ("velocity", "m/s"))
+UNKNOWNS = (("delay", "s"),)
+
+
+class Numbers(NamedTuple):
+    """The cart's parameters; `plant.lam` and `plant.b` are axes."""
+
+    lam: float = 122.0  # 1/s
+    b: float = 355.0  # velocity gained per second and unit of input
+    sensor_delay: float = 0.0  # s
+
+
+class Params(NamedTuple):
+    """x(t_k+1) = Phi x(t_k) + Gamma u_k."""
+
+    Phi: Leaf  # [2, 2]
+    Gamma: Leaf  # [2, 1]
+    delay: Leaf  # s
+
+
+def nominal(numbers: Numbers) -> Model:
+    """Return the model that observers know."""
+    return Model(np.array([[0.0, 1.0], [0.0, -numbers.lam]]), np.array([[0.0], [numbers.b]]), np.array([[1.0, 0.0]]))
+
+
+def prepare(numbers: Numbers, dt: float, ticks: int) -> Params:
+    """Return the map of a tick of `dt` seconds."""
+    model = nominal(numbers)
+    Phi, Gamma = held(model.A, model.B, dt)
+    return Params(Phi, Gamma, np.asarray(numbers.sensor_delay))
+
+
+def step(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "2"]:
+    """Advance x by one tick under the held now.u."""
+    return params.Phi @ x + params.Gamma @ now.u
+
+
+def output(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "1"]:
+    """Return the measured position [m]."""
+    return x[:1]
+
+
+def unknown(params: Params, now: Now, x: Float[Array, "2"]) -> Float[Array, "1"]:
+    """Return the delay of samples [s]."""
+    return params.delay[None]
+
+
+PLANT = Plant(step, output, unknown=unknown)

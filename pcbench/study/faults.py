@@ -1,0 +1,138 @@
+"""Whether faults of samples go together with the rest of a cell: each has an effect, and can be drawn as asked."""
+
+from pcbench.errors import UserError
+from pcbench.scenarios import Sampling, Scenario
+from pcbench.simulation.schedule import sampling
+from pcbench.study.times import clocks, whole
+
+
+def fits(s: Scenario, where: str) -> None:
+    """Raise UserError where a fault of samples can have no effect, or cannot be as asked."""
+    _noise(s, where)
+    _chain(s, where)
+    _one_by_one(s, where)
+    _losses(s, where)
+    _rounding(s, where)
+    _stamps(s, where)
+
+
+def _noise(s: Scenario, where: str) -> None:
+    """Raise UserError where a fault of samples can have no effect."""
+    measured = s.sampling
+    scale = s.belief.assumed_noise_scale
+    if scale != 1 and not any((*measured.noise_std, *s.belief.assumed_noise_std)):
+        raise UserError(
+            f"{where}: got assumed_noise_scale = {scale:g} in {s.name}, where no noise is believed in, expected a noise_std "
+            "above 0; give one, or leave it out."
+        )
+    if measured.noise_tail and not any(measured.noise_std):
+        raise UserError(
+            f"{where}: got noise_tail = {measured.noise_tail:g} in {s.name}, whose samples have no noise, expected a noise_std "
+            "above 0; give one, or leave it out."
+        )
+    if measured.outlier_probability and not any(measured.noise_std):
+        raise UserError(
+            f"{where}: got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise to "
+            "be larger, expected a noise_std above 0; give one, or leave it out."
+        )
+    if not measured.outlier_probability and measured.outlier_scale != Sampling._field_defaults["outlier_scale"]:
+        raise UserError(
+            f"{where}: got outlier_scale = {measured.outlier_scale:g} in {s.name} with an outlier_probability of 0, where it "
+            "has no effect, expected both or neither; leave it out there."
+        )
+
+
+def _chain(s: Scenario, where: str) -> None:
+    """Raise UserError where delays cannot be a Markov chain as asked."""
+    steps, stay = s.sampling.delay_steps, s.sampling.delay_stay
+    if stay and not steps:
+        raise UserError(
+            f"{where}: got delay_stay in {s.name} without delay_steps, where it has no effect, expected both or neither; write "
+            "delay_steps = [0.0, ...], or leave it out."
+        )
+    if len(steps) == 1 or len(set(steps)) < len(steps):
+        raise UserError(
+            f"{where}: got delay_steps of {', '.join(f'{v:g}' for v in steps)} s, expected two different values or more; a "
+            "delay that is always so much longer is written as delay."
+        )
+    if len(stay) not in (0, 1, len(steps)):
+        raise UserError(
+            f"{where}: got {len(stay)} values of delay_stay for {len(steps)} delay_steps, expected one, or one for each."
+        )
+
+
+def _one_by_one(s: Scenario, where: str) -> None:
+    """Raise UserError where delays that are drawn one by one cannot be as asked."""
+    measured = s.sampling
+    steps, share = measured.delay_steps, measured.delay_share
+    if share and len(share) != len(steps):
+        raise UserError(
+            f"{where}: got {len(share)} values of delay_share for {len(steps)} delay_steps, expected one for each: a histogram "
+            "has as many bars as places."
+        )
+    if share and not all(each > 0 for each in share):
+        raise UserError(f"{where}: got a delay_share of 0, expected shares greater than 0; leave that step out.")
+    if share and measured.delay_stay:
+        raise UserError(
+            f"{where}: got delay_share and delay_stay, expected one of them: delays are drawn one by one or are a Markov chain."
+        )
+    if measured.delay_gamma and steps:
+        raise UserError(
+            f"{where}: got delay_gamma = {measured.delay_gamma:g} and delay_steps, expected one of them; leave one out."
+        )
+    if not measured.delay_gamma and measured.delay_shape != Sampling._field_defaults["delay_shape"]:
+        raise UserError(
+            f"{where}: got delay_shape = {measured.delay_shape:g} in {s.name} with a delay_gamma of 0, where it has no effect, "
+            "expected both or neither; leave it out there."
+        )
+
+
+def _losses(s: Scenario, where: str) -> None:
+    """Raise UserError where losses cannot come in bursts as asked."""
+    loss, burst = s.sampling.loss, s.sampling.burst
+    if burst and not 0 < loss < 1:
+        raise UserError(
+            f"{where}: got burst = {burst:g} in {s.name} with a loss of {loss:g}, expected a loss between 0 and 1 to come "
+            "in bursts; give one, or leave burst out."
+        )
+    if burst and burst < max(1, loss / (1 - loss)) * (1 - 1e-12):
+        raise UserError(
+            f"{where}: got burst = {burst:g} in {s.name} with a loss of {loss:g}, expected gaps of at least "
+            f"{max(1, loss / (1 - loss)):g} samples in the mean, which so many losses leave at least; write a larger burst."
+        )
+
+
+def _rounding(s: Scenario, where: str) -> None:
+    """Raise UserError where there is dither and nothing is rounded."""
+    if s.sampling.dither and not any(s.sampling.resolution):
+        raise UserError(
+            f"{where}: got dither = 1 in {s.name}, where samples are not rounded, expected a resolution above 0; give one, or "
+            "leave it out."
+        )
+
+
+def _stamps(s: Scenario, where: str) -> None:
+    """Raise UserError where stamps would not be in the order of the samples of a sensor."""
+    drift = abs(s.sampling.stamp_drift)
+    if drift > 1e5:
+        raise UserError(
+            f"{where}: got a stamp_drift of {drift:g} ppm, expected at most 100,000: a clock that fast is none."
+        )
+    for clock in clocks(s):
+        least = sampling.intervals(clock, whole(s.horizon, s))[0]
+        if clock.stamp.jitter and 2 * clock.stamp.jitter >= least * (1 - 1e-6 * drift) - 1:
+            raise UserError(
+                f"{where}: got a stamp_jitter of {s.sampling.stamp_jitter:g} s with intervals down to {least * s.dt:g} s, "
+                "expected less than half the shortest interval, so that stamps stay in order; write at most "
+                f"{max((least - 2) // 2, 0) * s.dt:g}."
+            )
+
+
+def require_stamps_before_arrivals(s: Scenario, late: int, youngest: int, where: str) -> None:
+    """Raise UserError where stamps may be `late` ticks ahead of samples that arrive at a believed age of `youngest` ticks."""
+    if late > youngest:
+        raise UserError(
+            f"{where}: got stamps up to {late * s.dt:g} s ahead in {s.name}, where samples may be only {youngest * s.dt:g} s "
+            "late, expected none to arrive before its stamp; take smaller errors of stamps, a negative stamp_offset, or a "
+            "longer delay."
+        )

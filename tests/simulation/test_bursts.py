@@ -1,0 +1,125 @@
+"""Losses that come in bursts, and delays of a histogram or a gamma distribution: their shares, their lengths, their limits."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from honest import STUDY
+from scipy import stats
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.simulation.schedule import per_lane, sampling
+from pcbench.simulation.schedule.sampling import Clock
+from pcbench.simulation.schedule.shared import NEVER
+from pcbench.study import read
+
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+PLAIN = STUDY | {"observers": ["dkf"], "options": {}}
+MANY, RUNS = 2000, 16
+
+
+def arrivals(clock):
+    """(taken, arrives) [MANY, RUNS] of one clock that samples at every tick."""
+    t = jax.tree.map(jnp.asarray, per_lane.times([clock], MANY - 1, 1, 0))
+    return [np.asarray(a) for a in per_lane.clock_times(t, 0, jnp.asarray(0), jnp.arange(RUNS))]
+
+
+def gaps(lost):
+    """The lengths of the gaps of every run, those at its ends left out."""
+    padded = np.pad(lost.T.astype(int), [(0, 0), (1, 1)])
+    begins, ends = (np.argwhere(np.diff(padded, axis=1) == sign) for sign in (1, -1))
+    whole = (begins[:, 1] > 0) & (ends[:, 1] < lost.shape[0])
+    return (ends[:, 1] - begins[:, 1])[whole]
+
+
+@pytest.mark.parametrize(("loss", "burst"), [(0.2, 5.0), (0.5, 2.5), (0.1, 20.0)])
+def test_as_many_are_lost_as_without_and_so_many_in_a_row(loss, burst):
+    """Gaps are geometric: the mean within four of its errors; the share within four, where 2 burst samples are one."""
+    lost = arrivals(Clock((0,), 1, 3, loss=loss, burst=burst))[1] == NEVER
+    found = gaps(lost)
+    assert abs(found.mean() - burst) < 4 * np.sqrt(burst * (burst - 1) / found.size)
+    assert abs(lost.mean() - loss) < 4 * np.sqrt(loss * (1 - loss) * 2 * burst / lost.size)
+
+
+def test_the_burst_that_losses_of_their_own_leave_is_those_losses():
+    alone, told = (arrivals(Clock((0,), 1, 3, loss=0.3, burst=burst))[1] for burst in (0.0, 1 / 0.7))
+    np.testing.assert_array_equal(alone, told)
+
+
+def test_a_histogram_has_its_shares_and_each_delay_is_by_itself():
+    clock = Clock((0,), 1, 3, steps=(0, 7, 2), share=(0.5, 0.2, 0.3))
+    taken, arrives = arrivals(clock)
+    late = arrives - taken - 3
+    shares = [(late == step).mean() for step in clock.steps]
+    np.testing.assert_allclose(shares, clock.share, rtol=0, atol=4 * 0.5 / np.sqrt(late.size))
+    again = ((late[1:] == 7) & (late[:-1] == 7)).mean()
+    assert abs(again - 0.2**2) < 4 * np.sqrt(0.04 / late.size)
+
+
+@pytest.mark.parametrize(("mean", "shape"), [(12.0, 1.0), (40.0, 4.0), (3.0, 0.5)])
+def test_a_gamma_distribution_is_in_whole_ticks_as_scipy_has_it(mean, shape):
+    share = np.array(sampling.gamma(mean, shape))
+    law = stats.gamma(shape, scale=mean / shape)
+    ticks = np.arange(len(share) - 1)
+    np.testing.assert_allclose(share[:-1], law.cdf(ticks + 0.5) - law.cdf(ticks - 0.5), rtol=0, atol=1e-12)
+    assert share.sum() == pytest.approx(1.0, abs=1e-12)
+    assert law.sf(len(share) - 1.5) < 2e-4 < law.sf(0.9 * len(share) - 2)
+    taken, arrives = arrivals(Clock((0,), 1, 3, steps=tuple(range(len(share))), share=tuple(share)))
+    late = (arrives - taken - 3).ravel()
+    assert late.mean() == pytest.approx(mean, abs=4 * mean / np.sqrt(shape * late.size) + 0.05)
+
+
+def test_a_study_says_them_in_seconds_and_designers_know_the_mean():
+    (cell,) = read.grid_of(PLAIN | {"lti": PLAIN["lti"] | {"delay_gamma": 0.4, "delay_shape": 2.0}}, {}, []).cells
+    (clock,) = cell.times.clocks
+    np.testing.assert_allclose(clock.share, sampling.gamma(4.0, 2.0), rtol=1e-12)
+    assert (clock.steps, clock.later) == (tuple(range(len(clock.share))), 4)
+    told = {"delay_steps": [0.0, 0.3], "delay_share": [3.0, 1.0]}
+    (cell,) = read.grid_of(PLAIN | {"lti": PLAIN["lti"] | told}, {}, []).cells
+    assert (cell.times.clocks[0].share, cell.times.clocks[0].steps) == ((0.75, 0.25), (0, 3))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "given",
+    [{"loss": 0.3, "burst": 4.0}, {"delay_gamma": 0.4}, {"delay_steps": [0.0, 0.9], "delay_share": [0.8, 0.2]}],
+    ids=["burst", "gamma", "histogram"],
+)
+def test_exact_answers_are_averaged_over_drawn_schedules_and_runs_come_to_them(given):
+    """Both have errors of their own: within four of the two together."""
+    study = PLAIN | {"lti": PLAIN["lti"] | given}
+    keys = "metric == 'tail_mse' and signal == 'a'"
+    exact = pcbench.exact(study, schedules=64).stats.query(keys).iloc[0]
+    runs = pcbench.run(study, seeds=2048).stats.query(keys).iloc[0]
+    assert (exact.method, exact.n) == ("exact", 64)
+    assert abs(exact["mean"] - runs["mean"]) < 4 * np.hypot(exact.se, runs.se)
+
+
+REFUSED = [
+    ({"burst": 5.0}, "with a loss of 0, expected a loss between 0 and 1 to come in bursts"),
+    ({"burst": 5.0, "loss": 1.0}, "with a loss of 1, expected a loss between 0 and 1"),
+    ({"burst": 2.0, "loss": 0.8}, "expected gaps of at least 4 samples in the mean"),
+    ({"burst": 0.5, "loss": 0.2}, "expected gaps of at least 1 samples"),
+    ({"burst": -1.0, "loss": 0.2}, "expected a number of at least 0"),
+    ({"delay_share": [0.5, 0.5]}, "got 2 values of delay_share for 0 delay_steps"),
+    ({"delay_steps": [0.0, 0.1], "delay_share": [1.0, 0.0]}, "expected shares greater than 0"),
+    ({"delay_steps": [0.0, 0.1], "delay_share": [0.5, 0.5], "delay_stay": 0.5}, "got delay_share and delay_stay"),
+    ({"delay_steps": [0.0, 0.1], "delay_gamma": 0.1}, "and delay_steps, expected one of them"),
+    ({"delay_shape": 2.0}, "with a delay_gamma of 0, where it has no effect"),
+    ({"delay_gamma": 0.1, "delay_shape": 0.0}, "expected a shape greater than 0"),
+    ({"delay_gamma": float("nan")}, "finite number"),
+]
+
+
+@pytest.mark.parametrize(("given", "sentence"), REFUSED, ids=str)
+def test_what_cannot_be_is_one_sentence(given, sentence):
+    with pytest.raises(UserError, match=sentence) as caught:
+        pcbench.run(PLAIN | {"lti": PLAIN["lti"] | given}, seeds=1)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("axes", [{"delay_gamma": [0.1]}, {"loss": [0.2]}], ids=str)
+def test_who_works_with_constant_delays_alone_says_so_of_a_gamma_distribution(axes):
+    with pytest.raises(UserError, match="got delay_gamma, expected one constant delay"):
+        pcbench.run("cart/white", observers=["kfbo"], axes={"delay_gamma": [0.1]} | axes, seeds=1)

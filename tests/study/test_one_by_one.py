@@ -1,0 +1,124 @@
+"""A study that varies its axes one by one; how much of each fault is borne; and the guide's figures of `faults`."""
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+from documents import PAGES
+from honest import STUDY
+
+import pcbench
+from pcbench import plots
+from pcbench.errors import UserError
+from pcbench.plots import faults_borne
+from pcbench.report import pictures, sentences
+from pcbench.study import as_toml, read
+
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+AXES = {"outlier_probability": [0.0, 0.1, 0.2], "noise_std": [0.3], "loss": [0.0, 0.5]}
+EACH = STUDY | {"observers": ["dkf", "open-loop"], "options": {}, "seeds": 4, "axes": AXES, "vary": "each"}
+LABELS = ("dkf", "dkf-gate", "dkf-huber", "pccebo")
+
+
+def test_each_axis_leaves_its_first_value_while_the_others_stand_at_theirs():
+    found = [tuple(c.values[name] for name in AXES) for c in read.grid_of(EACH, {}, []).cells]
+    assert found == [(0.0, 0.3, 0.0), (0.1, 0.3, 0.0), (0.2, 0.3, 0.0), (0.0, 0.3, 0.5)]
+    assert len(read.grid_of(EACH | {"vary": "all"}, {}, []).cells) == 6
+
+
+def test_a_file_says_so_only_where_it_is_so():
+    each, every = (read.grid_of(EACH | {"vary": how}, {}, []).study for how in ("each", "all"))
+    assert as_toml.as_dict(each)["vary"] == "each"
+    assert "vary" not in as_toml.as_dict(every)
+
+
+def test_it_is_all_or_each():
+    with pytest.raises(UserError, match=r"vary: got 'one'.*'all' or 'each'") as caught:
+        read.grid_of(EACH | {"vary": "one"}, {}, [])
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_borne_is_where_the_model_alone_becomes_better():
+    rows = [
+        ("a", 0.0, "x", 0.5), ("a", 1.0, "x", 0.75), ("a", 3.0, "x", 1.25),
+        ("a", 0.0, "y", 0.5), ("a", 1.0, "y", 0.6), ("a", 3.0, "y", np.nan),
+        ("b", 1.0, "x", 0.5), ("b", 0.2, "x", 3.0), ("b", 4.0, "x", 0.9),
+        ("b", 1.0, "y", 1.5), ("b", 0.2, "y", 0.9), ("b", 4.0, "y", 0.9),
+    ]  # fmt: skip
+    found = faults_borne.borne(pd.DataFrame(rows, columns=["axis", "value", "observer", "part"]))
+    each = {
+        (r.axis, r.observer): found[(found.axis == r.axis) & (found.observer == r.observer)].most.tolist()
+        for r in found.itertuples()
+    }
+    assert each["a", "x"] == [pytest.approx(2.0)]
+    assert each["a", "y"] == [1.0]
+    assert each["b", "x"] == [float("inf"), pytest.approx(1.0 - 0.8 * 0.5 / 2.5)]
+    assert np.isnan(each["b", "y"]).all()
+    assert sentences.borne(found).startswith(
+        "Better than the model alone: a: x to 2, y to 1; b: x everywhere, x to 0.84"
+    )
+
+
+@pytest.mark.slow
+def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
+    axes = {"noise_std": [0.3, 0.6, 0.9], "process_std": [[0.02, 0.1]], "assumed_noise_scale": [1.0, 2.0]}
+    result = pcbench.run(EACH | {"axes": axes})
+    parts = faults_borne.part_of_alone(result, "lti", "a", "tail_rmse")
+    stats = result.stats[(result.stats.signal == "a") & (result.stats.metric == "tail_rmse")].set_index(
+        ["observer", "cell"]
+    )["mean"]
+    np.testing.assert_allclose(
+        parts.part, [stats["dkf", c] / stats["open-loop", c] for c in (0, 1, 2, 0, 3)], rtol=1e-12
+    )
+    assert len(plots.bearing(result).axes) == 2
+    where = pictures.Place(result, "lti", 0, None, None, pictures.SHOWN)
+    names = {picture.name for picture in pictures.of_signal(where, "a")}
+    assert {"lti-a-bearing", "lti-a-over-noise_std", "lti-a-over-assumed_noise_scale"} <= names
+    assert not {"lti-a-winners", "lti-a-map"} & names
+    assert pictures.cell_of(result, "lti", pictures.SHOWN) == 0
+    others = SimpleNamespace(study=result.study.model_copy(update={"vary": "all"}), **{
+        name: getattr(result, name) for name in ("stats", "stats_of", "scenarios", "signals", "ranks")})  # fmt: skip
+    with pytest.raises(UserError, match='got vary = "all"'):
+        plots.bearing(others)
+
+
+@pytest.mark.slow
+def test_the_guides_figures_of_faults_are_what_comes_out():
+    """One run of the whole study: three tables."""
+    result, page = pcbench.run("faults"), PAGES["outliers.md"]
+    stats = result.stats[result.stats.signal == "position"]
+    mean = stats.set_index(["observer", "metric", "cell"])["mean"]
+    cells = stats.drop_duplicates("cell").set_index("cell")
+    usual = cells.loc[0]
+
+    def at(axis, value):
+        alone = cells[axis] == value if value != usual[axis] else cells.index == 0
+        (cell,) = cells.index[alone]
+        return cell
+
+    rows = re.findall(r"^\| `([\w-]+)`(?: with `(\w+) = [\d.]+`)? \| ([\d.]+ \|.*) \|$", page, re.M)
+    assert len(rows) == 5
+    for name, option, said in rows:
+        label, (*errors, nees) = f"{name}-{option}" if option else name, said.split(" |")
+        found = [mean[label, "tail_rmse", at("outlier_probability", p)] for p in (0.0, 0.01, 0.05, 0.2)]
+        np.testing.assert_allclose(found, [float(e) for e in errors], rtol=0.01)
+        if nees.strip():
+            assert mean[label, "nees", at("outlier_probability", 0.05)] == pytest.approx(float(nees), rel=0.01)
+    rows = re.findall(r"^\| (none|\w+ = [\d.-]+) \| (.*) \|$", page, re.M)
+    assert len(rows) == 16
+    for name, said in rows:
+        cell = at(*((n, float(v)) for n, v in [name.split(" = ")]).__next__()) if "=" in name else 0
+        *errors, nees = map(float, said.split(" | "))
+        np.testing.assert_allclose([mean[o, "tail_rmse", cell] for o in LABELS], errors, rtol=0.01)
+        assert mean["dkf", "nees", cell] == pytest.approx(nees, rel=0.01)
+    found = faults_borne.borne(faults_borne.part_of_alone(result, "cart/gaussian", "position", "tail_rmse"))
+    bounded = found[np.isfinite(found.most)].set_index(["axis", "observer"]).most
+    rows = re.findall(r"^\| `(\w+)` \[\w+\] \| (.*) \|$", page, re.M)
+    told = {
+        (axis, o): float(v) for axis, said in rows for o, v in zip(LABELS, said.split(" | "), strict=True) if v != "all"
+    }
+    assert set(told) == set(bounded.index)
+    for key, value in told.items():
+        assert bounded[key] == pytest.approx(value, rel=0.01)
