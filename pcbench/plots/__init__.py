@@ -23,5 +23,5 @@ from pcbench.plots.paper import Paper
 from pcbench.plots.quantile_plot import quantiles
 from pcbench.plots.time_series import time
 
-__all__ = ["Paper", "bearing", "convergence", "cost", "curves", "delays", "distributions", "divergence", "fair", "heatmaps", "nees",
-           "quantiles", "save", "styles", "time", "trade_off", "winners"]  # fmt: skip
+__all__ = ["Paper", "bearing", "convergence", "cost", "curves", "delays", "distributions", "divergence", "fair", "heatmaps",
+           "nees", "quantiles", "save", "styles", "time", "trade_off", "winners"]  # fmt: skip
