@@ -39,7 +39,7 @@ STUDIES = {
     "quick": Study(name="quick", scenarios=["cart/nominal", "cart/white"], seeds=256),
     "cart": Study(
         name="cart",
-        scenarios=[s for s in SCENARIOS if s.startswith("cart/") and not s.startswith("cart/variable")],
+        scenarios=[name for name, s in SCENARIOS.items() if s.plant == "cart" and not name.startswith("cart/variable")],
         seeds=1024,
     ),
     "unequal-delays": Study(
