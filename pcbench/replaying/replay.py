@@ -3,9 +3,10 @@
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from pcbench.errors import UserError
 from pcbench.logs import reading
@@ -22,19 +23,16 @@ from pcbench.study import read
 from pcbench.study.cells import Cell
 from pcbench.study.raw import Described
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 LENGTH = 1 << 16  # ticks of a part
 
 
 class Replayed(NamedTuple):
     """What came of a log."""
 
-    innovations: "pd.DataFrame"  # a row each observer that says what it expects of samples
-    distances: "pd.DataFrame"  # rms of estimate less smoothed, by observer and signal; empty: no smoother
-    metrics: "pd.DataFrame"  # by observer and signal, as a study has them; empty: no truth
-    estimates: "pd.DataFrame | None"  # every tick; None where they stand in a folder
+    innovations: pd.DataFrame  # a row each observer that says what it expects of samples
+    distances: pd.DataFrame  # rms of estimate less smoothed, by observer and signal; empty: no smoother
+    metrics: pd.DataFrame  # by observer and signal, as a study has them; empty: no truth
+    estimates: pd.DataFrame | None  # every tick; None where they stand in a folder
     summary: dict[str, Any]  # the log, the tick, how far times were rounded, and sentences
 
 
@@ -184,8 +182,6 @@ def _results(
     a: Asked, p: Prepared, sums: dict[str, judging.Sums], score: Any, smoothed: Any, into: Path, loose: bool
 ) -> Replayed:
     """Make tables of what a run left."""
-    import pandas as pd
-
     signals = signals_of(a.cell.scenario)
     innovations = pd.DataFrame([{"observer": label, **judging.judgement(each)} for label, each in sums.items()])
     distances = scoring.distances(into, smoothed, list(a.cell.options), signals)
