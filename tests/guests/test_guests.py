@@ -117,6 +117,7 @@ REFUSALS = {
     "a run is missing": (lambda t: t[t.seed != 1], "got 2 of 3 runs (seed 1 is missing), expected all"),
     "a tick is missing": (lambda t: t[(t.seed != 2) | (t.tick != 7)], "ticks of seed 2, expected each of 0 .. 2,999 once"),
     "a tick stands twice": (lambda t: pd.concat([t, t[t.tick == 3]]), "expected each of 0 .. 2,999 once"),
+    "a tick stands for another": (lambda t: t.assign(tick=t.tick.where(t.tick != 7, 6)), "each of 0 .. 2,999 once"),
     "a cell is missing": (lambda t: t[t.cell == 0], "cell 1: got no rows, expected 3 runs"),
     "a state is missing": (lambda t: t.drop(columns="position"), "got no column 'position', expected every state"),
     "no signal": (lambda t: t[["scenario", "cell", "seed", "tick"]], "expected one for each signal, position, velocity"),
