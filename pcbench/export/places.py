@@ -4,6 +4,7 @@ C reads them from an array of its own; one whose entries are from several places
 the array as jax keeps them: a slice is moved inside, a row is clipped, or is NaN (of integers the least) where it is outside.
 """
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,18 @@ def dynamic_update_slice(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     return stored(name, operand.shape)
 
 
+def _starts(
+    axes: int, indices: Entries, row: tuple[int, ...], places: Iterable[int], batching: Iterable[tuple[int, int]]
+) -> list[Any]:
+    """Where a slice begins: the columns of a row of indices say it of `places`, the row itself of batching axes."""
+    starts: list[Any] = [np.int64(0)] * axes
+    for column, axis in enumerate(places):
+        starts[axis] = indices[(*row, column)]
+    for own, theirs in batching:
+        starts[own] = np.int64(row[theirs])
+    return starts
+
+
 def gather(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write slices of an array, each from where a row of indices says."""
     operand, indices = args
@@ -46,11 +59,8 @@ def gather(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     batch = [i for i in range(len(aval.shape)) if i not in d.offset_dims]
     windowed = [i for i in range(operand.ndim) if i not in (*d.collapsed_slice_dims, *d.operand_batching_dims)]
     for b in np.ndindex(indices.shape[:-1]):
-        starts: list[Any] = [np.int64(0)] * operand.ndim
-        for column, axis in enumerate(d.start_index_map):
-            starts[axis] = indices[(*b, column)]
-        for own, theirs in zip(d.operand_batching_dims, d.start_indices_batching_dims, strict=True):
-            starts[own] = np.int64(b[theirs])
+        batching = zip(d.operand_batching_dims, d.start_indices_batching_dims, strict=True)
+        starts = _starts(operand.ndim, indices, b, d.start_index_map, batching)
         limits = [n - s for n, s in zip(operand.shape, sizes, strict=True)]
         there = _is_inside(w, starts, limits) if mode in FILL else ""
         starts = [_inside(w, s, limit) for s, limit in zip(starts, limits, strict=True)]
@@ -78,11 +88,8 @@ def scatter(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
         sizes[axis] = updates.shape[own]
     name = _copied(w, eqn, operand)
     for b in np.ndindex(indices.shape[:-1]):
-        starts: list[Any] = [np.int64(0)] * operand.ndim
-        for column, axis in enumerate(d.scatter_dims_to_operand_dims):
-            starts[axis] = indices[(*b, column)]
-        for own, theirs in zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True):
-            starts[own] = np.int64(b[theirs])
+        batching = zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True)
+        starts = _starts(operand.ndim, indices, b, d.scatter_dims_to_operand_dims, batching)
         limits = [n - s for n, s in zip(operand.shape, sizes, strict=True)]
         there = _is_inside(w, starts, limits)
         first = _offset(w, operand.shape, [_inside(w, s, limit) for s, limit in zip(starts, limits, strict=True)])

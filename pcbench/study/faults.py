@@ -35,10 +35,17 @@ def _noise(s: Scenario, where: str) -> None:
             f"{where}: got outlier_probability = {measured.outlier_probability:g} in {s.name}, whose samples have no noise to "
             "be larger, expected a noise_std above 0; give one, or leave it out."
         )
-    if not measured.outlier_probability and measured.outlier_scale != Sampling._field_defaults["outlier_scale"]:
+    _has_effect(s, "outlier_scale", "outlier_probability", where)
+
+
+def _has_effect(s: Scenario, name: str, needs: str, where: str) -> None:
+    """Raise UserError where one field is not as usual, and another that it needs is 0."""
+    found = s.value(name)
+    if not s.value(needs) and found != Sampling._field_defaults[name]:
+        article = "an" if needs[0] in "aeiou" else "a"
         raise UserError(
-            f"{where}: got outlier_scale = {measured.outlier_scale:g} in {s.name} with an outlier_probability of 0, where it "
-            "has no effect, expected both or neither; leave it out there."
+            f"{where}: got {name} = {found:g} in {s.name} with {article} {needs} of 0, where it has no effect, expected both "
+            "or neither; leave it out there."
         )
 
 
@@ -80,11 +87,7 @@ def _one_by_one(s: Scenario, where: str) -> None:
         raise UserError(
             f"{where}: got delay_gamma = {measured.delay_gamma:g} and delay_steps, expected one of them; leave one out."
         )
-    if not measured.delay_gamma and measured.delay_shape != Sampling._field_defaults["delay_shape"]:
-        raise UserError(
-            f"{where}: got delay_shape = {measured.delay_shape:g} in {s.name} with a delay_gamma of 0, where it has no effect, "
-            "expected both or neither; leave it out there."
-        )
+    _has_effect(s, "delay_shape", "delay_gamma", where)
 
 
 def _losses(s: Scenario, where: str) -> None:

@@ -103,22 +103,18 @@ def multirate(
 
 Taken = tuple[int, int]  # a sample: the tick at which it is taken, its channel
 Stage = tuple[int, Matrix]  # a tick and the covariance of then
-
-
 After = Callable[[Matrix, int, int], Matrix]  # (P, ticks, channel) -> P that many ticks on, with its sample
 
 
 class Steps(NamedTuple):
     """What covariance recursions of one model, noise and R have found on their way, for others of the same."""
 
-    after: dict[
-        tuple[bytes, int, int], Matrix
-    ]  # (P to the bit, ticks, channel) -> P that many ticks on, with its sample
+    # (P to the bit, ticks, channel) -> P that many ticks on, with its sample
+    after: dict[tuple[bytes, int, int], Matrix]
     over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, the covariance that noise adds
     flow: dict[str, Matrix]  # the same for 0, 1, 2, ... ticks, one by one: "maps" and "noise" [ticks, n, n]
-    chains: dict[
-        tuple[bytes, tuple[Taken, ...]], list[Stage]
-    ]  # (P0 to the bit, samples) -> after none, one, two ... of them
+    # (P0 to the bit, samples) -> the stages after none, one, two ... of them
+    chains: dict[tuple[bytes, tuple[Taken, ...]], list[Stage]]
 
 
 ROOM = 1 << 16  # covariances that `Steps` hold: some ten megabytes
@@ -151,9 +147,7 @@ def posterior_variance(
     steps = no_steps() if steps is None else steps
     since = _newest(partial(_after, steps, doubled, noise, C, R), P0, samples, steps)
     edges = [tick for tick in since if tick < ticks.stop] + [ticks.stop]
-    spans: dict[
-        tuple[int, int], tuple[int, Matrix]
-    ] = {}  # ticks from a sample on -> how often, the sum of its covariances
+    spans: dict[tuple[int, int], tuple[int, Matrix]] = {}  # ticks after a sample -> how often, the sum of covariances
     for (taken, P), (start, stop) in zip((since[tick] for tick in edges[:-1]), pairwise(edges), strict=True):
         if stop > ticks.start:
             span = max(start, ticks.start) - taken, stop - taken
