@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from pcbench.dataset import run_study
+from pcbench.dataset import as_file, run_study
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
 from pcbench.errors import UserError
 from pcbench.gains import versions
-from pcbench.logs.runs import write_run
+from pcbench.logs import runs as run_as_log
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import alone, cost, drafts, padding, samples_of
@@ -157,7 +157,9 @@ def trace(
     signals = [name for name, _ in signals_of(p.cell.scenario)]
     if log is not None:
         samples = samples_of(p.cell, (study.root_seed, seed))
-        write_run(log, samples, p.problem.schedule, out, p.cell.scenario.dt, signals)
+        tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals)
+        for name, table in tables.items():
+            as_file.put(Path(log) / f"{name}.parquet", table)
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}
     columns |= {signal: out.x[:, i] for i, signal in enumerate(signals)}
     for name, (called, _) in zip(p.labels, p.layout.observers, strict=True):

@@ -23,12 +23,24 @@ def kind_of(out: str | Path) -> str:
 
 def put(out: str | Path, table: pa.Table) -> None:
     """Put a table into a file, whole or not at all."""
-    kind, (folder, _, name) = kind_of(out), str(out).replace("\\", "/").rpartition("/")
-    target = store.target(folder or ("/" if str(out).startswith("/") else "."))
-    store.make(target)
-    if kind == ".parquet":
+    if kind_of(out) == ".parquet":
+        target, name = _place(out)
         store.put_table(target, name, table)
         return
     content = io.BytesIO()
     csv.write_csv(table, content, csv.WriteOptions(quoting_style="needed"))
-    store.put(target, name, content.getvalue())
+    put_content(out, content.getvalue())
+
+
+def put_content(out: str | Path, content: bytes) -> None:
+    """Put bytes into a file, whole or not at all; raise UserError where it cannot be written."""
+    target, name = _place(out)
+    store.put(target, name, content)
+
+
+def _place(out: str | Path) -> tuple[store.Target, str]:
+    """The folder of a file, which is made, and its name there."""
+    folder, _, name = str(out).replace("\\", "/").rpartition("/")
+    target = store.target(folder or ("/" if str(out).startswith("/") else "."))
+    store.make(target)
+    return target, name

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pcbench.dataset import store
 from pcbench.errors import UserError
 from pcbench.export import functions, library, numbers, replay, vector
 from pcbench.export.library import About
@@ -107,17 +108,11 @@ def _rows(p: padding.Plan) -> int:
 
 def write(found: Exported, out: str | Path) -> list[Path]:
     """Write the files into a folder, which may be there; raise UserError where that cannot be done."""
-    folder, made = Path(out).expanduser(), []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in found.files.items():
-            made.append(folder / name)
-            made[-1].write_bytes(content if isinstance(content, bytes) else content.encode())
-    except OSError as error:
-        raise UserError(
-            f"{out}: cannot be written ({error.strerror}), expected a folder; give another one with --out."
-        ) from None
-    return made
+    target = store.target(Path(out).expanduser())
+    store.make(target)
+    for name, content in found.files.items():
+        store.put(target, name, content if isinstance(content, bytes) else content.encode())
+    return [Path(target.root) / name for name in found.files]
 
 
 def compiler() -> str | None:

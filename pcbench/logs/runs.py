@@ -1,27 +1,20 @@
 """A simulated run as a log: what its samples brought and when, the input held over every tick, and the true state."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from pcbench.errors import UserError
 from pcbench.logs import writing
 from pcbench.logs.log import Batch
 
 
-def write_run(
-    folder: str | Path,
-    samples: list[Any],
-    schedule: Any,
-    recording: Any,
-    dt: float,
-    signals: list[str],
-    kind: str = ".parquet",
-) -> None:
-    """Write a run: its samples (channel, number, taken, arrives [ticks]) with the schedule and the recording they are from.
+def tables_of(samples: list[Any], schedule: Any, recording: Any, dt: float, signals: list[str]) -> dict[str, pa.Table]:
+    """Return the tables of a run by name.
 
-    A sample that was lost, or is on its way when the run ends, never arrives. Raises UserError where measuring began before
+    `samples` are (channel, number, taken, arrives [ticks]), with the schedule and the recording they are from. One that was
+    lost, or is on its way when the run ends, never arrives. Raises UserError where measuring began before
     tick 0: such samples have measured nothing that a log holds.
     """
     if len(schedule.early):
@@ -44,4 +37,4 @@ def write_run(
     )
     t = np.arange(last + 1) * dt
     channels = [f"y{i + 1}" for i in range(schedule.fresh.shape[2])]
-    writing.write(folder, batch, channels, (t, recording.u), (signals, t, recording.x), kind)
+    return writing.as_tables(batch, channels, (t, recording.u), (signals, t, recording.x))

@@ -8,6 +8,7 @@ from typing import Any
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
+from pcbench.dataset import as_file
 from pcbench.errors import UserError
 
 KINDS = ("svg", "pdf", "png")
@@ -29,11 +30,11 @@ def saved(figure: Figure, kind: str) -> bytes:
 
 
 def save(figure: Figure, file: str | Path) -> None:
-    """Write a figure as SVG, PDF or PNG, as the file's suffix says; raise UserError for another."""
+    """Write a figure as SVG, PDF or PNG, as its suffix says; raise UserError for another, or where it cannot be written."""
     kind = Path(file).suffix.removeprefix(".").lower()
     if kind not in KINDS:
         raise UserError(f"plots.save: got {str(file)!r}, expected a name that ends in .{', .'.join(KINDS)}; give one.")
-    Path(file).write_bytes(saved(figure, kind))
+    as_file.put_content(file, saved(figure, kind))
 
 
 def inline(figure: Figure, name: str) -> str:

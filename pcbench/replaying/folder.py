@@ -1,8 +1,7 @@
 """What a replay leaves in a folder: estimates tick by tick, written as they come, and what is known of each observer."""
 
-import json
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pcbench.dataset import store
 from pcbench.dataset.columns import SCHEMA
 from pcbench.errors import UserError
 
@@ -49,6 +49,9 @@ def writing(folder: Path) -> Iterator[Callable[[pa.Table], None]]:
         part.rename(folder / ESTIMATES)
     except OSError as error:
         raise UserError(f"--out {folder}: {error.strerror}, expected a folder to write to; give another.") from None
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def table(schema: pa.Schema, t: np.ndarray, estimates: list[np.ndarray]) -> pa.Table:
@@ -69,7 +72,7 @@ def parts(folder: Path) -> Iterator[tuple[int, pa.Table]]:
 
 def summarise(folder: Path, summary: dict[str, Any]) -> None:
     """Write what else is known beside the estimates; NaN is null."""
-    (folder / SUMMARY).write_text(json.dumps(plain(summary), indent=2) + "\n")
+    store.put_json(store.target(folder), SUMMARY, plain(summary))
 
 
 def plain(thing: Any) -> Any:

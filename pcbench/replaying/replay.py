@@ -39,6 +39,7 @@ class Replayed(NamedTuple):
 class Asked(NamedTuple):
     """A log with what is to run on it."""
 
+    name: str  # as it was asked for
     log: Log
     found: Survey
     cell: Cell
@@ -106,7 +107,15 @@ def asked(
         said.append(f"{opened.name} has no inputs: they are taken to be 0.")
     if start is not None and found.start < start:
         said.append(f"what was sampled before {start:g} s is left out.")
-    return Asked(opened, found, cell, Clocked(begin, s.dt), int(last[0]), said)
+    return Asked(
+        name=Path(log).name,
+        log=opened,
+        found=found,
+        cell=cell,
+        clock=Clocked(begin, s.dt),
+        last=int(last[0]),
+        said=said,
+    )
 
 
 def table_ends(table: Table) -> tuple[float, float]:
@@ -197,7 +206,7 @@ def _results(
             f"{round_['better_dt']:g} s they hardly would be."
         )
     summary = {
-        "log": a.log.name,
+        "log": a.name,
         "plant": a.cell.scenario.name,
         "rows": a.found.rows,
         "start": a.clock.start,

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import tomli_w
 from commands import call
@@ -10,6 +11,7 @@ from logged import MOTOR, plain, rows
 
 import pcbench
 from pcbench import plots
+from pcbench.replaying import folder
 
 
 @pytest.fixture
@@ -26,7 +28,7 @@ def here(tmp_path):
 def test_log_says_what_is_in_a_log_and_draws_it(here):
     done = call("log", "flight", "--out", "late.svg", cwd=here)
     assert done.returncode == 0, done.stderr
-    assert "y1: 1 gaps of more than five intervals, the longest 1.05 s before row 21." in done.stdout
+    assert "y1: 1 gap of more than five intervals, the longest 1.05 s before row 21." in done.stdout
     assert (here / "late.svg").read_text().count("<svg") == 1
     (row,) = json.loads(call("log", "flight", "--json", cwd=here).stdout)["channels"]
     assert (row["samples"], row["gaps"], row["drift_ppm"]) == (40, 1, pytest.approx(0, abs=1e-3))
@@ -42,6 +44,34 @@ def test_replay_leaves_a_folder_and_a_mistake_is_one_sentence(here):
     wrong = call(*words[:1], "none", *words[2:], cwd=here)
     assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1)
     assert "no such file or folder" in wrong.stderr
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["log", "flight", "--out", "flight/measurements.csv/late.svg"],
+        ["replay", "flight", "--plant", "motor.toml", "--observers", "dkf", "--out", "motor.toml"],
+        ["trace", "motor.toml", "--observer", "dkf", "--out", "run.csv", "--log", "motor.toml"],
+        ["export", "motor.toml", "dkf", "--out", "motor.toml"],
+    ],
+    ids=" ".join,
+)
+def test_what_cannot_be_written_is_one_sentence(here, words):
+    before = sorted(here.rglob("*"))
+    wrong = call(*words, cwd=here)
+    assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1), wrong.stderr
+    assert sorted(here.rglob("*")) == before
+
+
+def test_a_replay_that_is_stopped_leaves_nothing_half_written(tmp_path):
+    def stopped():
+        with folder.writing(tmp_path) as write:
+            write(pa.table({"t": [0.0, 1.0]}))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_picture_has_every_arrival_and_all_shares(here):

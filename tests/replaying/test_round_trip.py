@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from logged import MOTOR
+from logged import MOTOR, written
 
 import pcbench
-from pcbench.logs import runs, tables, writing
+from pcbench.logs import tables
 from pcbench.logs.log import Batch
 from pcbench.replaying import replay as replaying
 
@@ -29,9 +29,7 @@ def as_csv(folder, into):
     batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
     (inputs,) = log.inputs.read()
     (truth,) = log.truth.read()
-    writing.write(
-        into, batch, log.channels, (inputs.t, inputs.values), (log.truth.names, truth.t, truth.values), ".csv"
-    )
+    written(into, batch, log.channels, (inputs.t, inputs.values), (log.truth.names, truth.t, truth.values), ".csv")
     return into
 
 
@@ -77,7 +75,7 @@ def test_a_slip_of_one_tick_is_seen(traced, tmp_path):
     log = tables.opened(folder)
     batch = Batch(*(np.concatenate(c) for c in zip(*log.measurements(), strict=True)))
     (inputs,) = log.inputs.read()
-    writing.write(tmp_path, batch._replace(arrived=batch.arrived + 0.01), log.channels, (inputs.t, inputs.values))
+    written(tmp_path, batch._replace(arrived=batch.arrived + 0.01), log.channels, (inputs.t, inputs.values))
     found = pcbench.replay(tmp_path, study, OBSERVERS).estimates
     assert not np.array_equal(found["dkf.angle"][: len(frame)], frame["dkf.angle"][: len(found)])
 
@@ -101,7 +99,7 @@ def test_truth_at_some_ticks_is_scored_there(traced, tmp_path):
     (inputs,), (truth,) = log.inputs.read(), log.truth.read()
     some = slice(5, None, 7)
     known = log.truth.names, truth.t[some], truth.values[some]
-    writing.write(tmp_path, batch, log.channels, (inputs.t, inputs.values), known)
+    written(tmp_path, batch, log.channels, (inputs.t, inputs.values), known)
     found = pcbench.replay(tmp_path, study, OBSERVERS).metrics.set_index(["observer", "signal", "metric"]).value
     e = (frame["angle"] - frame["dkf.angle"]).to_numpy()[: len(frame) - 1][some]
     assert found["dkf", "angle", "mae"] == pytest.approx(np.abs(e).mean(), rel=1e-10)
@@ -115,7 +113,6 @@ def test_what_never_arrived_stands_in_the_log_without_an_arrival(traced):
     assert 0 < lost.sum() < len(lost)
     assert (np.isnan(batch.value) <= lost).all()
     assert batch.arrived[~lost].max() <= frame.t.iloc[-1]
-    assert runs.write_run.__doc__
 
 
 def test_a_folder_has_estimates_with_units_and_what_is_known(traced, tmp_path):

@@ -3,6 +3,8 @@
 import numpy as np
 import pandas as pd
 
+from pcbench.dataset import as_file
+from pcbench.logs import writing
 from pcbench.logs.log import Batch, Log
 
 MOTOR = {
@@ -32,6 +34,12 @@ def rows(folder, measured, inputs=None, kind="csv"):
             path = folder / f"{name}.{kind}"
             frame.to_csv(path, index=False) if kind == "csv" else frame.to_parquet(path, index=False)
     return folder
+
+
+def written(folder, batch, channels, inputs=None, truth=None, kind=".parquet"):
+    """Put a batch of samples, with inputs and truth where there are any, into a folder as a log."""
+    for name, table in writing.as_tables(batch, channels, inputs, truth).items():
+        as_file.put(folder / f"{name}{kind}", table)
 
 
 def plain(many=40, every=0.05, late=0.1):

@@ -35,15 +35,23 @@ def odd(row: dict[Any, Any]) -> list[str]:
     out = []
     if row["gaps"]:
         length, where = row["longest_gap"], int(row["longest_gap_row"])
-        out.append(f"{row['gaps']} gaps of more than five intervals, the longest {length:.4g} s before row {where}")
+        out.append(
+            f"{_many(row['gaps'], 'gap')} of more than five intervals, the longest {length:.4g} s before row {where}"
+        )
     if row["out_of_order"]:
-        out.append(f"{row['out_of_order']:,} samples stand behind one with a later stamp")
+        stand = "stands" if row["out_of_order"] == 1 else "stand"
+        out.append(f"{_many(row['out_of_order'], 'sample')} {stand} behind one with a later stamp")
     if row["doubled"]:
-        out.append(f"{row['doubled']:,} stamps stand there twice, the first in row {int(row['doubled_row'])}")
+        stand = "stands" if row["doubled"] == 1 else "stand"
+        out.append(f"{_many(row['doubled'], 'stamp')} {stand} there twice, the first in row {int(row['doubled_row'])}")
     if row["jumps"]:
         size, where = row["largest_jump"], int(row["largest_jump_row"])
-        out.append(f"the delay jumps {row['jumps']} times, by up to {size:.4g} s in row {where}")
+        out.append(f"the delay jumps {_many(row['jumps'], 'time')}, by up to {size:.4g} s in row {where}")
     return out
+
+
+def _many(number: int, word: str) -> str:
+    return f"{number:,} {word}{'' if number == 1 else 's'}"
 
 
 def replayed(found: Any, folder: str, console: Console) -> None:
