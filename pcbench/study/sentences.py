@@ -46,5 +46,8 @@ def _expected(message: str) -> str:
     """Pydantic's message as what was expected."""
     text = message.removeprefix("Value error, ").removeprefix("Input should be ")
     text = re.sub(r"dictionary( or instance of \w+)?", "table", text)
+    text = re.sub(
+        r"List should have at (least|most) (\d+) items? after validation, not \d+", r"a list of at \1 \2", text
+    )
     text = text.replace("String should", "a string that should").replace("List should", "a list that should")
     return (text[0].lower() + text[1:]).rstrip(".")

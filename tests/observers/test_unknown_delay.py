@@ -128,7 +128,7 @@ def test_a_study_of_it_has_no_bound():
 
 REFUSED = [
     ({"bank": {"delays": [-0.1, 0.2]}}, "expected 0 to the longest"),
-    ({"bank": {"delays": []}}, "delays"),
+    ({"bank": {"delays": []}}, r"delays: got \[\], expected a list of at least 1\."),
     ({"bank": {"longest": 1000.0}}, "got a longest delay of 1000 s"),
     ({"bank": {"delays": [0.5 * i for i in range(4)], "longest": 0.5}}, "expected 0 to the longest, 0.5 s"),
     ({"ekf-delay": {"longest": 0.001}}, "got a longest delay of 0 s"),
