@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 import pcbench
+from pcbench.dataset import as_file
 from pcbench.logs import writing
 from pcbench.logs.log import Batch
 
@@ -40,7 +41,8 @@ def made(folder: Path, many: int) -> None:
     rng, t = np.random.default_rng(0), np.arange(many) * DT
     y = np.sin(t) + NOISE * rng.normal(size=many)
     batch = Batch(np.zeros(many, int), t, t + LATE * DT, y, np.arange(1, many + 1))
-    writing.write(folder, batch, ["y1"], (t, np.sin(t)[:, None]))
+    for name, table in writing.as_tables(batch, ["y1"], (t, np.sin(t)[:, None])).items():
+        as_file.put(folder / f"{name}.parquet", table)
 
 
 def plain(many: int) -> np.ndarray:
