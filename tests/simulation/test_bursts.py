@@ -8,7 +8,9 @@ from honest import STUDY
 from scipy import stats
 
 import pcbench
+from pcbench import planning
 from pcbench.errors import UserError
+from pcbench.moments import realised
 from pcbench.simulation.schedule import per_lane, sampling
 from pcbench.simulation.schedule.sampling import Clock
 from pcbench.simulation.schedule.shared import NEVER
@@ -78,6 +80,13 @@ def test_a_study_says_them_in_seconds_and_designers_know_the_mean():
     told = {"delay_steps": [0.0, 0.3], "delay_share": [3.0, 1.0]}
     (cell,) = read.grid_of(PLAIN | {"lti": PLAIN["lti"] | told}, {}, []).cells
     assert (cell.times.clocks[0].share, cell.times.clocks[0].steps) == ((0.75, 0.25), (0, 3))
+
+
+def test_losses_in_a_row_have_no_recursion():
+    """Their exact numbers are averaged over drawn schedules; of losses that come one by one they move over both cases."""
+    for given, alone in (({"loss": 0.3}, True), ({"loss": 0.3, "burst": 4.0}, False)):
+        (p,) = planning.plan(read.parse(PLAIN | {"lti": PLAIN["lti"] | given}, "bursts"))
+        assert realised.losses_alone(p) is alone
 
 
 @pytest.mark.slow
