@@ -10,11 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pcbench import planning
 from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer
 from pcbench.simulation import batch, metrics
-from pcbench.simulation.lifted import chunks, form, maps, products, reach
+from pcbench.simulation.lifted import chunks, form, orthogonal, products, reach
+from pcbench.simulation.start import begin
+from pcbench.study import read as read_study
 from tests.support.harness import LINEAR, ODD, Case, problem, recorder
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -140,6 +143,22 @@ def test_an_observer_of_ones_own_is_lifted_where_its_flow_is_affine(kind):
     assert ways(own(flow)) == way
 
 
+@pytest.mark.parametrize(
+    ("label", "drift", "expected"), [("dkf", 0.0, "all"), ("dkf", 0.5, "own"), ("kfbo", 0.0, "none")]
+)
+def test_what_is_the_same_at_every_tick_is_known(label, drift, expected):
+    """A plant that drifts changes what comes of its state, not what comes of a memory; kfbo begins a delay late."""
+    study = {"name": "x", "scenarios": ["cart/gaussian"], "observers": [label], "seeds": 1, "axes": {"drift": [drift]}}
+    planned = planning.plan(read_study.parse(study, "x"))[0]
+    layout = planned.layout._replace(width=1)
+    with process.float64():
+        state = jax.eval_shape(partial(begin, layout), planned.problem, jnp.asarray(0), jnp.zeros(1, int))
+        (mine,) = (each for each in form.forms(layout, planned.problem, state) if each.label == label)
+        found = form.steady(layout, planned.problem, state, mine)
+    assert mine.shared
+    assert found == {"all": (*mine.own, *mine.shared), "own": mine.own, "none": ()}[expected]
+
+
 def test_a_plant_that_bends_lifts_nobody():
     layout, p = problem(CASE, {"dkf": {}})
     bent = LINEAR._replace(step=lambda params, now, x: jnp.sin(x))
@@ -195,9 +214,10 @@ def test_sums_of_squares_are_those_of_the_errors_whatever_part_of_them_lanes_sha
         rng.normal(size=common - 1),
     )
     with process.float64():
-        R = np.asarray(maps.roots(jnp.asarray(E), 2))[0]
-        fixed = products.same(jnp.asarray(R[..., own:]), jnp.asarray(shared))
-        found = products.square(jnp.asarray(R[:, :own, :own]), fixed, jnp.asarray(z) if own else jnp.zeros((0, 1)))
+        found = orthogonal.basis(jnp.asarray(E[..., :own]), 2)
+        a = (E[0, :, own:] @ np.append(1.0, shared)).reshape(64, 2).T
+        along, beside = orthogonal.parts(found.Q[0], jnp.asarray(a))
+        squares = orthogonal.square(found.R[0], along, beside, jnp.asarray(z) if own else jnp.zeros((0, 1)))
     e = E[0, :, :own] @ z + (E[0, :, own:] @ np.append(1.0, shared))[:, None]
     expected = (e**2).reshape(64, 2, lanes).sum(0)
-    np.testing.assert_allclose(np.broadcast_to(found, expected.shape), expected, rtol=1e-12)
+    np.testing.assert_allclose(np.broadcast_to(squares, expected.shape), expected, rtol=1e-12)

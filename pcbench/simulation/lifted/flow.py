@@ -114,12 +114,12 @@ def _blocks(every: All, each: Chunks, take: Take, label: str, c: Array, z: Movin
     """Take the errors of a chunk, block by block."""
     m = every[label]
     common = products.same(m.common[c], z.shared)
-    n, ticks = len(common) // TICKS, WRITTEN if products.written(z.own) else BLOCK
+    n, ticks = len(common) // TICKS, WRITTEN if products.few(len(z.own)) else BLOCK
     E = jnp.concatenate([common[:, None], m.own[c]], 1)
 
     def block(i: Array, kept: Any) -> Any:
         rows = lax.dynamic_slice_in_dim(E, i * ticks * n, ticks * n)
-        if products.written(z.own):  # tick by tick: what is cut out of a whole would be kept
+        if products.few(len(z.own)):  # tick by tick: what is cut out of a whole would be kept
             e = [products.of_lanes(row[:, 1:], row[:, 0], z.own) for row in rows.reshape(ticks, n, -1)]
         else:
             e = list(products.of_lanes(rows[:, 1:], rows[:, 0], z.own).reshape(ticks, n, -1))

@@ -7,6 +7,7 @@ number of z. An observer's z has the plant's x in it, whose own A and b are the 
 """
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -16,7 +17,8 @@ from jax import Array, lax
 from pcbench.simulation import lanes
 from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.lifted.chunks import TICKS, Chunks
-from pcbench.simulation.lifted.form import PLANT, Form, Z, one_lane, slopes
+from pcbench.simulation.lifted.form import PLANT, Form, Z, one_lane, slopes, steady
+from pcbench.simulation.lifted.orthogonal import Basis, basis
 from pcbench.simulation.problem import Layout, Problem, State
 
 
@@ -25,8 +27,7 @@ class Maps(NamedTuple):
 
     own: Array  # [C, TICKS n, r] what each own number adds to the errors
     common: Array  # [C, TICKS n, 1 + S] what is the same in all lanes, and what shared numbers add
-    own_root: Array  # [C, n, r, r] R of the QR of a signal's map: its sum of squares is |R (z, 1, shared)|^2
-    common_root: Array  # [C, n, F, 1 + S]; of F = r + 1 + S rows the first r depend on a lane's own numbers
+    basis: Basis  # the QR of `own`, by which squares are summed
     own_after: Array  # [C, r', r] the same of own numbers behind the chunk
     common_after: Array  # [C, r', 1 + S]
     shared_after: Array  # [C, S', 1 + S] and of shared ones
@@ -39,66 +40,68 @@ class Moving(NamedTuple):
     shared: Array  # [S]
 
 
+class Columns(NamedTuple):
+    """What M chunks do to some columns: to z = 0, and to directions of z; F numbers."""
+
+    errors: Array  # [M, TICKS n, columns]
+    after: Array  # [M, F, columns]
+
+
 def maps(layout: Layout, p: Problem, state: State, form: Form, each: Chunks) -> Maps:
     """Return the maps of one form."""
-    tree, shapes = one_lane(state, form.label)
+    _, shapes = one_lane(state, form.label)
     order = [*form.own, *form.shared]
     sizes = [math.prod(shapes[i].shape) for i in order]
-    F, C, r = sum(sizes), each.start.shape[0], sum(sizes[: len(form.own)])
-    zeros = [jnp.zeros(a.shape, a.dtype) for a in shapes]  # what no error depends on may be anything
-
-    def column(k: Array, first: Array, z: Z) -> tuple[Array, Z]:
-        (e, after), (de, dz) = slopes(layout, p, form.label, tree, k, zeros, z)
-        return de + jnp.where(first, e, 0.0), {i: dz[i] + jnp.where(first, after[i], 0.0) for i in z}
-
-    parts = jnp.split(jnp.tile(jnp.eye(F, 1 + F, 1), C), np.cumsum(sizes)[:-1])
-    start = {i: lanes.split(a.reshape(*shapes[i].shape, -1)) for i, a in zip(order, parts, strict=True)}
-    e, z = _carried(column, form.signals, start, each, 1 + F)
-    errors = jnp.moveaxis(e.reshape(-1, C, 1 + F), 1, 0)  # [C, TICKS n, 1 + F]
-    after = jnp.moveaxis(jnp.concatenate([lanes.join(z[i]).reshape(-1, C, 1 + F) for i in order]), 1, 0)
+    F, r = sum(sizes), sum(sizes[: len(form.own)])
+    same = steady(layout, p, state, form)
+    once = 1 + np.flatnonzero(np.repeat([i in same for i in order], sizes))
+    moving, carried = np.setdiff1d(np.arange(1 + F), once), partial(_columns, layout, p, state, form)
+    found = carried(moving, each)
+    if len(once):  # of every length
+        lengths = Chunks(jnp.zeros(TICKS + 1, int), jnp.arange(TICKS + 1), each.before)
+        back, steadily = np.argsort(np.r_[moving, once]), carried(once, lengths)
+        both = zip(found, steadily, strict=True)
+        found = Columns(*(jnp.concatenate([a, b[each.length]], -1)[..., back] for a, b in both))
+    errors, after = found
     moves = np.repeat([i != 0 or form.label == PLANT for i in order], sizes)
-    own, shared = np.flatnonzero(moves[:r]), r + np.flatnonzero(moves[r:])
-    common = np.r_[0, 1 + r : 1 + F]
-    root = roots(jnp.concatenate([errors[..., 1 : 1 + r], errors[..., common]], -1), form.signals)
+    own, shared, common = np.flatnonzero(moves[:r]), r + np.flatnonzero(moves[r:]), np.r_[0, 1 + r : 1 + F]
     return Maps(
         own=errors[..., 1 : 1 + r],
         common=errors[..., common],
-        own_root=root[:, :, :r, :r],
-        common_root=root[..., r:],
+        basis=basis(errors[..., 1 : 1 + r], form.signals),
         own_after=after[:, own, 1 : 1 + r],
         common_after=after[:, own][..., common],
         shared_after=after[:, shared][..., common],
     )
 
 
-def roots(E: Array, signals: int) -> Array:
-    """Return R of each chunk's and signal's rows, [C, TICKS n, F] to [C, n, F, F]: rows = Q R, R 0 below its diagonal.
+def _columns(layout: Layout, p: Problem, state: State, form: Form, which: np.ndarray, each: Chunks) -> Columns:
+    """Return what chunks do to some columns: the first is of z = 0, the others are directions."""
+    tree, shapes = one_lane(state, form.label)
+    order, many, C = [*form.own, *form.shared], len(which), each.start.shape[0]
+    sizes = [math.prod(shapes[i].shape) for i in order]
+    F = sum(sizes)
+    zeros = [jnp.zeros(a.shape, a.dtype) for a in shapes]  # what no error depends on may be anything
 
-    By the modified method of Gram and Schmidt, whose R is as accurate as that of reflections (Bjorck 1967), for all chunks at
-    once. LAPACK is not called: from a program that was kept it waits for Python, and Python for it.
-    """
-    chunks, F = len(E), E.shape[-1]
-    rows = jnp.moveaxis(E.reshape(chunks, TICKS, signals, F), (1, 3), (0, 1)).reshape(TICKS, F, chunks * signals)
+    def column(k: Array, first: Array, z: Z) -> tuple[Array, Z]:
+        (e, after), (de, dz) = slopes(layout, p, form.label, tree, k, zeros, z)
+        return de + jnp.where(first, e, 0.0), {i: dz[i] + jnp.where(first, after[i], 0.0) for i in z}
 
-    def column(V: Array, j: Array) -> tuple[Array, Array]:
-        v = lax.dynamic_index_in_dim(V, j, 1, keepdims=False)
-        size = jnp.sqrt(jnp.sum(v * v, 0, keepdims=True))
-        q = v / jnp.where(size > 0, size, 1.0)
-        row = jnp.where(jnp.arange(F)[:, None] < j, 0.0, jnp.sum(q[:, None] * V, 0))
-        return V - q[:, None] * row[None], row
-
-    _, R = lax.scan(column, rows, jnp.arange(F))  # [F, F, C n]
-    return jnp.moveaxis(R, 2, 0).reshape(chunks, signals, F, F)
+    parts = jnp.split(jnp.tile(jnp.eye(F, 1 + F, 1)[:, which], C), np.cumsum(sizes)[:-1])
+    start = {i: lanes.split(a.reshape(*shapes[i].shape, -1)) for i, a in zip(order, parts, strict=True)}
+    e, z = _carried(column, form.signals, start, each, jnp.asarray(which == 0))
+    after = jnp.concatenate([lanes.join(z[i]).reshape(-1, C, many) for i in order])
+    return Columns(jnp.moveaxis(e.reshape(-1, C, many), 1, 0), jnp.moveaxis(after, 1, 0))
 
 
-def _carried(column: Any, signals: int, z: Z, each: Chunks, columns: int) -> tuple[Array, Z]:
+def _carried(column: Any, signals: int, z: Z, each: Chunks, first: Array) -> tuple[Array, Z]:
     """Carry columns of every chunk through its ticks: e [TICKS, n, C columns], 0 beyond a chunk's end, and z behind it.
 
-    The first column is of z = 0, the others are directions.
+    The `first` [columns] are of z = 0, the others are directions.
     """
-    start, length = jnp.repeat(each.start, columns), jnp.repeat(each.length, columns)
+    start, length = jnp.repeat(each.start, len(first)), jnp.repeat(each.length, len(first))
     width = start.shape[0]
-    first = lanes.split(jnp.arange(width) % columns == 0)
+    first = lanes.split(jnp.tile(first, len(each.start)))
 
     def one_tick(k: Array, goes_on: Array, first: Array, z: Z) -> tuple[Array, Z]:
         e, after = column(k, first, z)

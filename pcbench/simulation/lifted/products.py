@@ -17,24 +17,13 @@ def same(M: Array, shared: Array) -> Array:
     return M @ jnp.append(1.0, shared)
 
 
-def written(own: Array) -> bool:
-    """Say whether products with own numbers [r, L] are written out."""
-    return len(own) <= FEW
+def few(own: int) -> bool:
+    """Say whether products with so many numbers of a lane's own are written out."""
+    return own <= FEW
 
 
 def of_lanes(M: Array, fixed: Array, own: Array) -> Array:
     """Return fixed [m] + M [m, r] with the own numbers of every lane [r, L]: [m, L]."""
-    if not written(own):
+    if not few(len(own)):
         return jnp.concatenate([fixed[:, None], M], 1) @ jnp.concatenate([jnp.ones((1, own.shape[1])), own])
     return reduce(jnp.add, (M[:, j, None] * own[None, j] for j in range(len(own))), fixed[:, None])
-
-
-def square(R: Array, fixed: Array, own: Array) -> Array:
-    """Return the sum over m of (fixed [n, m] + R [n, m, r] with own [r, L])^2: [n, L]; R is 0 below its diagonal."""
-    rest = jnp.sum(fixed[:, R.shape[1] :] ** 2, 1)[:, None]
-    if not written(own):
-        n, m, r = R.shape
-        mixed = of_lanes(R.reshape(n * m, r), fixed[:, :m].ravel(), own).reshape(n, m, -1)
-        return rest + jnp.sum(mixed * mixed, 1)
-    each = (of_lanes(R[:, k, k:], fixed[:, k], own[k:]) for k in range(R.shape[1]))
-    return reduce(jnp.add, (row * row for row in each), rest)

@@ -23,7 +23,7 @@ class Exits(NamedTuple):
 
 def none(m: Maps, z: Moving) -> Exits:
     """Return the exits before tick 0; z says the shapes."""
-    (r, width), n = z.own.shape, m.own_root.shape[1]
+    (r, width), n = z.own.shape, m.basis.R.shape[1]
     return Exits(jnp.full((n, width), -1), jnp.zeros((n, r, width)), jnp.zeros((len(m.own), len(z.shared))))
 
 

@@ -9,7 +9,8 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation.lifted import products
+from pcbench.simulation.lifted import orthogonal, products
+from pcbench.simulation.lifted.chunks import TICKS
 from pcbench.simulation.lifted.maps import Maps, Moving
 from pcbench.simulation.metrics import Stream, Watch
 from pcbench.simulation.problem import Problem
@@ -30,11 +31,10 @@ def sized(e: list[Array], sizes: Array) -> Array:
 
 
 def squares(m: Maps, c: Array, z: Moving) -> Array:
-    """Return the sum of e^2 over chunk c, [n, L]: |R (1, z)|^2 with R of the QR of what maps z to the errors.
-
-    As accurate as the sum over ticks: R (1, z) is rounded as the errors are.
-    """
-    return products.square(m.own_root[c], products.same(m.common_root[c], z.shared), z.own)
+    """Return the sum of e^2 over chunk c, [n, L]."""
+    shared, Q = products.same(m.common[c], z.shared), m.basis.Q[c]
+    along, beside = orthogonal.parts(Q, shared.reshape(TICKS, len(Q)).T)
+    return orthogonal.square(m.basis.R[c], along, beside, z.own)
 
 
 def scored(stream: Stream, sizes: Array, square: Array) -> Stream:
