@@ -97,7 +97,7 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     call, ways = compiling.compiled(simulate, given, device, options, asked), _ways(layout, given[0], asked)
     took = perf_counter() - start
     return Program(
-        call=lambda *a: call(*jax.device_put(a, device)),
+        call=call,
         device=device,
         width=layout.width,
         compile_seconds=took,
