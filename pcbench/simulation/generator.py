@@ -25,6 +25,7 @@ def key(seed: Array | int) -> Array:
     return jax.random.wrap_key_data(generators.threefry_prng_impl.seed(jnp.asarray(seed)), impl=_GENERATOR)
 
 
+@jax.jit  # a program of its own within others: its rounds are traced once for each shape
 def hashed(words: Array, high: Array, low: Array) -> tuple[Array, Array]:
     """Return the two words of counters (high, low) of any one shape, uint32, under the words [2] of a key."""
     keys = (words[0], words[1], words[0] ^ words[1] ^ jnp.uint32(PARITY))
