@@ -1,5 +1,6 @@
 """The columns of the tables that other programs read, with units and meaning: a change is a new SCHEMA number. No jax."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -137,11 +138,11 @@ def runs_table(
     bad = np.broadcast_to(results["diverged"], results["unsettled"].shape)
     columns = {
         "seed": np.repeat(seeds, many),
-        "signal": _words(names, np.tile(np.arange(many), len(seeds))),
-        "unit": _words(units, np.tile(np.arange(many), len(seeds))),
+        "signal": words(names, np.tile(np.arange(many), len(seeds))),
+        "unit": words(units, np.tile(np.arange(many), len(seeds))),
         "carries_input": None,
         **{m: _column(results.get(m), many, len(seeds)) for m in loop_columns.shown(results)},
-        "status": _words(("settled", "unsettled", "diverged"), np.where(bad, 2, results["unsettled"]).T.ravel()),
+        "status": words(("settled", "unsettled", "diverged"), np.where(bad, 2, results["unsettled"]).T.ravel()),
         "diverged": np.repeat(results["diverged"], many),
         "first_bad_time": np.repeat(results["first_bad_time"], many),
     }
@@ -150,9 +151,9 @@ def runs_table(
     return table({name: same.get(name, columns.get(name)) for name in order}, bools=("diverged",))
 
 
-def _words(words: tuple[str, ...], which: Any) -> pa.Array:
-    """A column of few words."""
-    return pa.DictionaryArray.from_arrays(_array(np.asarray(which, np.int32), pa.int32()), pa.array(words)).cast(
+def words(known: Sequence[str], which: Any) -> pa.Array:
+    """Return a column of few words: which of the known ones stands in each row."""
+    return pa.DictionaryArray.from_arrays(_array(np.asarray(which, np.int32), pa.int32()), pa.array(known)).cast(
         pa.string()
     )
 

@@ -75,7 +75,7 @@ class Exact:
                 variance, middle = m.rows.covariance[::every, z, 0].mean(-1), mean[:, 0]
                 if m.random:
                     variance, middle = variance + mean.var(-1), mean.mean(-1)
-                said = (np.full(len(t), word, object) for word in (label, names[i]))
+                said = (np.broadcast_to(np.array(word, object), len(t)) for word in (label, names[i]))
                 yield dict(zip(OVER_TIME, (*said, t, middle, np.sqrt(np.maximum(variance, 0.0))), strict=True))
 
     def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:

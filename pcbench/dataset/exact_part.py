@@ -67,8 +67,15 @@ def _cells(owned: Owned, exact: "Exact", rows: list[Row], progress: Progress) ->
             rows += exact.rows(m)
             frames += exact.over_time(m, max(1, m.planned.cell.times.ticks // POINTS))
         if frames:
-            yield place(*key), columns.table({name: np.concatenate([f[name] for f in frames]) for name in frames[0]})
+            yield place(*key), columns.table({name: _column([f[name] for f in frames]) for name in frames[0]})
         progress.step(1)
+
+
+def _column(parts: list[Any]) -> Any:
+    """One column of several parts; of words each part is one word."""
+    if parts[0].dtype != object:
+        return np.concatenate(parts)
+    return columns.words([part[0] for part in parts], np.repeat(np.arange(len(parts)), [len(part) for part in parts]))
 
 
 def _put(target: store.Target, files: Iterator[tuple[str, pa.Table]]) -> None:

@@ -1,5 +1,6 @@
 """Compiled programs of exact moments and calls of them: `FEW` or `MANY` cells side by side."""
 
+from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
 
@@ -11,7 +12,7 @@ from pcbench.moments.given import Given, own_of, together
 from pcbench.moments.program import Found, Shape
 from pcbench.moments.realised import Realised
 from pcbench.moments.vector import form_of
-from pcbench.simulation import batch
+from pcbench.simulation import batch, compiling, kept_programs
 from pcbench.simulation.problem import Layout
 from pcbench.simulation.schedule import shared
 
@@ -43,13 +44,36 @@ _COMPILING = Lock()
 
 def _program(layout: Layout, one: Realised, own: tuple[bool, ...], width: int, recorded: str, given: Given) -> Any:
     leaves, tree = jax.tree.flatten(given)
-    with _COMPILING:  # the second thread to ask waits for the first one's program
-        key = layout, own, width, recorded, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
-        if key not in _MADE:
-            shape = Shape(width, form_of(layout, one.problem), own, recorded)
-            lowered = jax.jit(program.run, static_argnums=(0, 1)).lower(layout, shape, given)
-            _MADE[key] = lowered.compile(batch.OPTIONS if jax.devices()[0].platform == "cpu" else None)
-        return _MADE[key]
+    key = layout, own, width, recorded, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
+    with _ASKING:
+        waiting = _MADE.setdefault(key, Making())
+    with waiting.lock:  # the second thread to ask waits for the first one's program; another is made beside it
+        if waiting.made is None:
+            waiting.made = _compiled(layout, Shape(width, form_of(layout, one.problem), own, recorded), given)
+        return waiting.made
 
 
-_MADE: dict[Any, Any] = {}
+def _compiled(layout: Layout, shape: Shape, given: Given) -> Any:
+    """A program for arrays of the shapes of `given`, loaded where it is kept."""
+    device = jax.devices()[0]
+    options = batch.OPTIONS if device.platform == "cpu" else None
+    placed = jax.sharding.SingleDeviceSharding(device)
+    shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=placed), given)
+
+    def moments(given: Given) -> Found:
+        return program.run(layout, shape, given)
+
+    asked = kept_programs.asked(("moments", layout, shape), jax.tree.map(kept_programs.kind, given), device, options)
+    return compiling.compiled(moments, (shapes,), device, options, asked)
+
+
+@dataclass
+class Making:
+    """A program that is made by the thread that holds its lock."""
+
+    lock: Any = field(default_factory=Lock)
+    made: Any = None
+
+
+_ASKING = Lock()
+_MADE: dict[Any, Making] = {}

@@ -26,7 +26,7 @@ from pcbench.study.cells import Cell
 
 ALONE = "observer"  # what an observer is called that goes by itself
 LARGE = 100  # numbers that the observers of a cell remember
-WAITING = 8 * MANY  # realisations that wait for others to share a call with, at most
+WAITING = 8 * MANY  # realisations that wait for others to share a call with, and cells behind one that waits, at most
 
 
 class CellMoments(NamedTuple):
@@ -138,15 +138,27 @@ def _batches(plans: Iterable[Plan], asked: Asked) -> Iterator[list[Item]]:
         light = p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={}))
         for seed in range(many):
             one = mixed or realised(p, asked.root_seed, seed)
-            group = groups.setdefault((one.layout, shared_of(one.problem)), [])
+            key = one.layout, shared_of(one.problem)
+            group = groups.setdefault(key, [])
             group.append(Item(light, number, place=seed, many=many, random=drawn, sizes=_signals(p), one=one))
             if len(group) == MANY:
-                yield group[:]
-                group.clear()
-        if sum(map(len, groups.values())) > WAITING:
-            yield from filter(None, groups.values())
-            groups = {}
-    yield from filter(None, groups.values())
+                yield groups.pop(key)
+        while groups and (due := _due(groups, number)):
+            yield groups.pop(due)
+    yield from groups.values()
+
+
+def _due(groups: dict[Hashable, list[Item]], number: int) -> Hashable | None:
+    """Which group is not to wait for more cells when so many were planned; None: all may.
+
+    That is one that holds back the answers of many cells behind it, and where too many wait, the fullest: a call takes as long
+    for few cells as for many.
+    """
+    oldest = next(iter(groups))
+    if number - groups[oldest][0].cell > WAITING:
+        return oldest
+    many = sum(map(len, groups.values()))
+    return max(groups, key=lambda key: len(groups[key])) if many > WAITING else None
 
 
 def _computed(
@@ -179,7 +191,9 @@ def _gathered(parts: list[Part]) -> CellMoments:
     """Put the realisations of one cell together."""
     parts = sorted(parts, key=lambda part: part.item.place)
     p = parts[0].item.planned
-    whole = jax.tree.map(lambda *a: np.stack(a, -1), *(part.found for part in parts))
+    whole = jax.tree.map(
+        lambda *a: a[0][..., None] if len(a) == 1 else np.stack(a, -1), *(part.found for part in parts)
+    )
     called = dict(zip((name for name, _ in p.layout.observers), p.labels, strict=True))
     at, places = 0, {}
     for name, many in sorted(parts[0].item.sizes.items()):
