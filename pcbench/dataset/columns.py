@@ -1,6 +1,5 @@
 """The columns of the tables that other programs read, with units and meaning: a change is a new SCHEMA number. No jax."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -151,7 +150,7 @@ def runs_table(
     return table({name: same.get(name, columns.get(name)) for name in order}, bools=("diverged",))
 
 
-def words(known: Sequence[str], which: Any) -> pa.Array:
+def words(known: tuple[str, ...] | list[str], which: Any) -> pa.Array:
     """Return a column of few words: which of the known ones stands in each row."""
     return pa.DictionaryArray.from_arrays(_array(np.asarray(which, np.int32), pa.int32()), pa.array(known)).cast(
         pa.string()
