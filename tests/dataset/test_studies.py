@@ -2,6 +2,7 @@
 
 import shutil
 
+import hurried
 import numpy as np
 import pandas as pd
 import pytest
@@ -128,12 +129,16 @@ def test_files_that_other_systems_leave_are_passed_over(copy):
     assert verify.status(copy).closed
 
 
-def test_a_cell_has_the_same_bits_alone_and_among_others(whole, tmp_path):
-    """Room for a longer delay, for more samples at a time, and for drift changes no number."""
-    among = STUDY | {"axes": {"noise_std": [0.1, 0.5], "delay": [1.0, 3.0], "drift": [0.0, 1.0]}, "seeds": 16}
-    pcbench.run(among, out=tmp_path / "many")
-    a, b = rows(whole), rows(tmp_path / "many")
-    a, b = a[a.seed < 16], b[(b.delay == 1.0) & (b.drift == 0.0)]
+def test_a_cell_has_the_same_bits_alone_and_among_others(tmp_path):
+    """Room for a longer delay, for more samples at a time, and for drift changes no number, compiled as a user has it."""
+    alone = STUDY | {"seeds": 16}
+    with hurried.not_here():
+        pcbench.run(alone, out=tmp_path / "one")
+        pcbench.run(
+            alone | {"axes": {"noise_std": [0.1, 0.5], "delay": [1.0, 3.0], "drift": [0.0, 1.0]}}, out=tmp_path / "many"
+        )
+    a, b = rows(tmp_path / "one"), rows(tmp_path / "many")
+    b = b[(b.delay == 1.0) & (b.drift == 0.0)]
     by = ["noise_std", "observer", "seed", "signal"]
     a, b = (f.sort_values(by, ignore_index=True).drop(columns="cell") for f in (a, b))
     pd.testing.assert_frame_equal(a, b, check_exact=True)

@@ -57,8 +57,8 @@ def maps(layout: Layout, p: Problem, state: State, form: Form, each: Chunks) -> 
     once = 1 + np.flatnonzero(np.repeat([i in same for i in order], sizes))
     moving, carried = np.setdiff1d(np.arange(1 + F), once), partial(_columns, layout, p, state, form)
     found = carried(moving, each)
-    if len(once):  # of every length
-        lengths = Chunks(jnp.zeros(TICKS + 1, int), jnp.arange(TICKS + 1), each.before)
+    if len(once):  # of every length; so many that they fill vectors
+        lengths = Chunks(jnp.zeros(2 * TICKS, int), jnp.minimum(jnp.arange(2 * TICKS), TICKS), each.before)
         back, steadily = np.argsort(np.r_[moving, once]), carried(once, lengths)
         both = zip(found, steadily, strict=True)
         found = Columns(*(jnp.concatenate([a, b[each.length]], -1)[..., back] for a, b in both))
@@ -101,7 +101,7 @@ def _carried(column: Any, signals: int, z: Z, each: Chunks, first: Array) -> tup
     """
     start, length = jnp.repeat(each.start, len(first)), jnp.repeat(each.length, len(first))
     width = start.shape[0]
-    first = lanes.split(jnp.tile(first, len(each.start)))
+    of_zero = lanes.split(jnp.tile(first, len(each.start)))
 
     def one_tick(k: Array, goes_on: Array, first: Array, z: Z) -> tuple[Array, Z]:
         e, after = column(k, first, z)
@@ -109,7 +109,7 @@ def _carried(column: Any, signals: int, z: Z, each: Chunks, first: Array) -> tup
 
     def tick(t: Array, carried: tuple[Z, Array]) -> tuple[Z, Array]:
         z, table = carried
-        e, after = over(one_tick)(lanes.split(start + t), lanes.split(t < length), first, z)
+        e, after = over(one_tick)(lanes.split(start + t), lanes.split(t < length), of_zero, z)
         if signals:
             table = lax.dynamic_update_index_in_dim(table, lanes.join(e), t, 0)
         return lanes.like(after, z, width), table
