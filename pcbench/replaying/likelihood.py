@@ -98,7 +98,9 @@ def _run(
 
     def numbers(by: Array) -> tuple[Array, Array]:
         left = iter(along)
-        moved = [a + jnp.tensordot(by, next(left), 1) if is_real else a for a, is_real in zip(leaves, real, strict=True)]
+        moved = [
+            a + jnp.tensordot(by, next(left), 1) if is_real else a for a, is_real in zip(leaves, real, strict=True)
+        ]
         problem = p._replace(gains={label: jax.tree.unflatten(tree, moved)})
         state, score = stretch.begun(layout, problem, slots, False, jnp.asarray(0))
         found = stretch.run(layout, problem, state, score, ticks, w, truth, ends)[2].surprise[label]

@@ -123,7 +123,9 @@ def remarks(o: Outcome, each: list[Intensity], held_out: dict[str, Any]) -> list
     if not o.arrived:
         out.append("the budget ended before the likelihood was flat: no interval is given; give a larger --budget.")
     elif untold := [i.name for i in each if np.isnan(i.low)]:
-        out.append(f"{', '.join(untold)}: the log does not tell, so no interval is given; --only tunes the others alone.")
+        out.append(
+            f"{', '.join(untold)}: the log does not tell, so no interval is given; --only tunes the others alone."
+        )
     if held_out["p_white"] < UNLIKELY:
         out.append(
             f"innovations of the held-out part are not white (p = {held_out['p_white']:.2g}): the model or a delay is wrong, "

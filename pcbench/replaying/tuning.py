@@ -63,7 +63,9 @@ def tune_log(
         record = likelihood.recorded(a)
         known = record.prepared.setting
         designed = planning.designed(label, entry, known, options)
-        every, at = tune.freed(label, entry, known, options, designed, _free(entry, options, designed, only, where), where)
+        every, at = tune.freed(
+            label, entry, known, options, designed, _free(entry, options, designed, only, where), where
+        )
         if any(f.kind == "covariance" for f in every):
             raise UserError(
                 f"{where}: got a covariance in full to tune, expected one number for each output or state; write its diagonal."
