@@ -128,7 +128,7 @@ def _require(entry: Entry, budget: int, where: str) -> None:
 
 
 def _free(entry: Entry, options: BaseModel, designed: Design, only: list[str] | None, where: str) -> list[str]:
-    """The options to tune: `only`, or all intensities of noise that are not 0; what is not believed to be there is not looked for."""
+    """The options to tune: `only`, or all intensities of noise that are not 0."""
     if only is not None:
         return only
     there = [name for name in NOISE if name in parameters.tunable(entry)]
@@ -156,7 +156,7 @@ def _require_samples(first: Found, cut: int, free: int, where: str) -> None:
             )
     if not np.isfinite(first.each).all():
         raise tune.NoStart(
-            f"{where}: its likelihood at the start is not finite, expected a start that works; write another one under [options]."
+            f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."
         )
 
 
