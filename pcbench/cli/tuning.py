@@ -102,7 +102,7 @@ def _alone(given: list[str]) -> None:
     """Raise UserError where what is of simulated runs is asked for with a log."""
     if given:
         raise UserError(
-            f"{given[0]}: got it with --log, expected it for simulated runs alone: on a log the likelihood is made large; leave "
+            f"{given[0]}: got it with --log, expected it for simulated runs alone: a log is tuned on by its likelihood; leave "
             f"{' and '.join(given)} out, or --log."
         )
 

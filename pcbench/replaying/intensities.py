@@ -2,8 +2,8 @@
 
     z = log of an intensity,   H = - d/dz sum_i s_i(z),   var z = (H^-1)_jj,   interval: exp(z_j -+ 1.96 sqrt(var z_j))
 
-s_i is the score of sample i, so H takes central differences of exact derivatives. Scores of an observer whose model is true do not
-depend on the past, so no correction for dependence is made; where innovations are not white (`p_white`), intervals are too
+s_i is the score of sample i, so H takes central differences of exact derivatives. Scores of an observer whose model is true do
+not depend on the past, so no correction for dependence is made; where innovations are not white (`p_white`), intervals are too
 short. On a logarithm the interval stays positive and is nearly symmetric. An intensity that the log does not tell, because its
 likelihood hardly changes with it or is largest at 0, has no interval: NaN.
 Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), section 3.4.5 (large-sample theory).

@@ -3,7 +3,7 @@
     l_i = -1/2 (d_i log 2 pi + log det S_i + nu_i' S_i^-1 nu_i),   the score of sample i is its derivative by the parameters
 
 An observer whose model is true has independent innovations, so the sum of l_i is the log-likelihood of the log (by its
-prediction errors). Derivatives go forwards through the replay: there are few parameters, and so each sample has its own score, and
+prediction errors). Derivatives go forwards through the replay: there are few parameters, so each sample has its own score, and
 no tick is kept. From the parameters to the gains lead the observer's own designs (`gains.gradient.directions`).
 Source: Schweppe, Evaluation of likelihood functions for Gaussian signals, IEEE Trans. Information Theory 11 (1965).
 """
