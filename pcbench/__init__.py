@@ -40,6 +40,7 @@ if TYPE_CHECKING:  # the same names, for type checkers and editors
     from pcbench.protocols import Surprise as Surprise
     from pcbench.protocols import together as together
     from pcbench.replaying.replay import replay as replay
+    from pcbench.replaying.tuning import tune_log as tune_log
     from pcbench.study.interop import lti as lti
     from pcbench.study.interop import to_control as to_control
     from pcbench.study.interop import to_scipy as to_scipy
@@ -63,6 +64,7 @@ _LAZY = {
     "suffices": "sufficing.asking",
     "log": "logs.described",
     "replay": "replaying.replay",
+    "tune_log": "replaying.tuning",
     "opened": "dataset.result",
     "Result": "dataset.result",
     "Exact": "dataset.exact",

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from pcbench.cli.logs import Late
 from pcbench.cli.shared import AsJson, Quiet, Set, console, names, out, setup
 from pcbench.cli.stopping import stoppable
 from pcbench.dataset.seeds import Seeds
@@ -28,6 +29,10 @@ def tune(
     only: Annotated[str | None, typer.Option(help="comma-separated options to tune [default: all that can be]")] = None,
     train: SeedRange = None,
     judge: SeedRange = None,
+    log: Annotated[
+        str | None, typer.Option(help="tune noise intensities by the likelihood of this log, judged on its last part")
+    ] = None,
+    delay: Late = None,
     changes: Set = None,
     folder: Annotated[str | None, out("folder for tuned.toml and the history; run again, it goes on")] = None,
     quiet: Quiet = False,
@@ -35,9 +40,19 @@ def tune(
 ) -> None:
     """Tune an observer's free parameters on some seeds, and judge them on others.
 
+    Or, with --log, its noise intensities on a recording.
+
     Example: pcbench tune cart/gaussian pccebo --objective tail_rmse --out tuned
+    Example: pcbench tune motor.toml dkf --log flight --out tuned
     """
     setup()
+    if log is not None:
+        others = {"--objective": objective, "--signal": signal, "--method": method, "--train": train, "--judge": judge}
+        _alone([name for name, value in (others | {"--exact": exact or None}).items() if value is not None])
+        _on_log(log, scenario, observer, budget, only, delay, changes, folder, quiet, as_json)
+        return
+    if delay is not None:
+        raise UserError("--delay: got one without --log, expected it with a log alone; leave it out, or give --log.")
     from pcbench.cli.screen import gains
     from pcbench.cli.screen.progress import bar
     from pcbench.gains import history, tune
@@ -81,3 +96,49 @@ def _seeds(text: str | None, where: str, default: Seeds) -> Seeds:
     if not (colon and first.strip().isdecimal() and end.strip().isdecimal() and int(first) < int(end)):
         raise UserError(f"{where}: got '{text}', expected FIRST:END such as 0:256; write that.")
     return Seeds(int(first), int(end))
+
+
+def _alone(given: list[str]) -> None:
+    """Raise UserError where what is of simulated runs is asked for with a log."""
+    if given:
+        raise UserError(
+            f"{given[0]}: got it with --log, expected it for simulated runs alone: a log is tuned on by its likelihood; leave "
+            f"{' and '.join(given)} out, or --log."
+        )
+
+
+def _on_log(
+    log: str,
+    plant: str,
+    observer: str,
+    budget: int | None,
+    only: str | None,
+    delay: float | None,
+    changes: Any,
+    folder: str | None,
+    quiet: bool,
+    as_json: bool,
+) -> None:
+    """Tune on a log and print what was found."""
+    from pcbench.cli.screen import likelihood
+    from pcbench.cli.screen.json import readable
+    from pcbench.cli.screen.progress import bar
+    from pcbench.gains.tune import BUDGET
+    from pcbench.replaying.tuning import tune_log
+
+    with bar(quiet or as_json, "designing gains") as progress:
+        found = tune_log(
+            log,
+            plant,
+            observer,
+            budget=BUDGET if budget is None else budget,
+            only=None if only is None else names(only),
+            delay=delay,
+            out=folder,
+            overrides=changes,
+            progress=stoppable(progress),
+        )
+    if as_json:
+        print(readable(likelihood.summary(found)))
+    elif not quiet:
+        likelihood.tuned(found, observer, log, folder, console())

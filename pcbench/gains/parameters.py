@@ -70,6 +70,8 @@ def start(
         value = getattr(options, name)
         value = designed.get(name) if value is None or isinstance(value, str) else value
         one = None if value is None else _free(entry, name, value, sum(f.size for f in found))
+        if one is not None and not one[0].shape and not _holds(options, *one):  # it takes a list, if only of one
+            one = one[0]._replace(shape=(1,)), one[1]
         if one is None or not _holds(options, *one):
             if names is None:
                 continue

@@ -116,7 +116,7 @@ def tune(
         trials = History(target, about, parameters.entries(every))
         progress.begin("points", budget)
         progress.note("compiling")
-        _descend(how, trials, start, evaluate, budget, where, progress)
+        descend(how, trials, start, evaluate, budget, where, progress)
         found = parameters.written(every, np.array(trials.best.at))
         if exact:
             judged, kept = [expected.judgement(aim, trials.points[0].value, trials.best.value)], ""
@@ -126,7 +126,7 @@ def tune(
             kept = against(judged)
         chosen = parameters.put(options, every, start if kept else np.array(trials.best.at))
         tuned = Tuning(
-            study=_study(study, observer, {} if kept else found),
+            study=with_options(study, observer, {} if kept else found),
             start=parameters.written(every, start),
             found=found,
             kept_start=kept,
@@ -187,7 +187,7 @@ def freed(
     return parameters.start(observer, entry, options, designed.certificate.numbers, used, where)
 
 
-def _descend(
+def descend(
     how: str,
     trials: History,
     start: Vector,
@@ -196,6 +196,8 @@ def _descend(
     where: str,
     progress: Progress,
 ) -> None:
+    """Ask for points downhill from a start, and write their history; raise NoStart where there is no value at the start."""
+
     def ask(at: Vector) -> tuple[float, Vector]:
         first = not trials.points
         value, slope = trials.ask(at, evaluate)
@@ -234,8 +236,8 @@ def _check(budget: int, training: Seeds, judges: Seeds, exact: bool, where: str)
         )
 
 
-def _study(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:
-    """The study with the observer's options put in, as TOML writes it."""
+def with_options(study: Study, observer: str, chosen: dict[str, Any]) -> dict[str, Any]:
+    """Return the study with the observer's options put in, as TOML writes it."""
     raw = absolute(study.model_dump(exclude_none=True, exclude_defaults=True))
     options = raw.get("options", {})
     mine = options.get(observer, {}) | chosen

@@ -1,0 +1,166 @@
+"""Noise intensities that make a log most likely, found on its first part and judged on the rest.
+
+The same parameters, descent, history and refusals as `gains.tune`; the objective is minus the mean log-likelihood of a number.
+What is held out is the part that a replay holds out (`judging.HELD_OUT` of the ticks).
+"""
+
+from hashlib import sha256
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from pcbench import planning
+from pcbench.dataset import store
+from pcbench.errors import UserError
+from pcbench.gains import parameters, tune
+from pcbench.gains.history import History
+from pcbench.gains.parameters import Vector
+from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
+from pcbench.observers import Entry
+from pcbench.replaying import judging, likelihood, tuned
+from pcbench.replaying.likelihood import Found, Recorded
+from pcbench.replaying.replay import asked
+from pcbench.study import read
+from pcbench.study.as_toml import digest
+from pcbench.study.labels import label_of
+from pcbench.study.raw import Described
+from pcbench.synthesis.certificate import Design
+
+NOISE = ("R", "q", "Q")  # options of an observer that are intensities of noise
+FEWEST = 10  # numbers in the part that is tuned on, and in the rest, for each free parameter
+FLAT = 1e-6  # slope of the mean log-likelihood of a number at which a descent has arrived
+
+
+def tune_log(
+    log: str | Path,
+    plant: Described,
+    observer: str,
+    *,
+    budget: int = tune.BUDGET,
+    only: list[str] | None = None,
+    delay: float | None = None,
+    start: float | None = None,
+    out: str | Path | None = None,
+    overrides: list[str] | None = None,
+    progress: Progress = SILENT,
+) -> tuned.LogTuning:
+    """Find an observer's noise intensities (`only` some options) on the first part of a log, and judge them on the rest.
+
+    `log`, `plant`, `delay` and `start` are as in `replay`; `budget` is how often the log is replayed. With `out`, a folder, the
+    history stands there, and tuned.toml, which `replay` and `run` take. Raises UserError for whatever the user can mend.
+    """
+    label = label_of(observer)
+    with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
+        a = asked(log, plant, [observer], delay=delay, start=start, overrides=overrides)
+        study, _ = read.one_cell(plant, [observer], overrides or [])
+        where = f"tune {label} on {a.name}"
+        entry, options = a.cell.entry(label), a.cell.options[label]
+        _require(entry, budget, where)
+        record = likelihood.recorded(a)
+        known = record.prepared.setting
+        designed = planning.designed(label, entry, known, options)
+        every, at = tune.freed(
+            label, entry, known, options, designed, _free(entry, options, designed, only, where), where
+        )
+        if any(f.kind == "covariance" for f in every):
+            raise UserError(
+                f"{where}: got a covariance in full to tune, expected one number for each output or state; write its diagonal."
+            )
+
+        def design(point: Vector) -> Any:
+            return planning.designed(label, entry, known, parameters.put(options, every, point)).gains
+
+        look = likelihood.evaluator(record, design)
+        cut = int((1 - judging.HELD_OUT) * a.last)
+        first = look(at)
+        _require_samples(first, cut, len(at), where)
+        target = store.target(str(out) if out is not None else spare)
+        names = parameters.entries(every)
+        about = f"{where}: {', '.join(names)} of {_digest(record)}, for {digest(study, [a.cell])[:12]}"
+        trials = History(target, about, names)
+        progress.begin("points", budget)
+        tune.descend("descent", trials, at, lambda point: _value(look(point), cut), budget, where, progress)
+        return tuned.finish(
+            tuned.Outcome(
+                where=where,
+                label=label,
+                study=study,
+                said=a.said,
+                free=every,
+                start=at,
+                best=np.array(trials.best.at),
+                arrived=not any(trials.best.slope),
+                points=trials.points,
+                look=look,
+                cut=cut,
+            ),
+            target,
+            about,
+        )
+
+
+def _value(found: Found, cut: int) -> tuple[float, Vector]:
+    """Minus the mean log-likelihood of a number before a tick, and its slope, 0 where it is flat."""
+    early = found.tick < cut
+    degrees = found.numbers[early, 1].sum()
+    slope = -found.score[early].sum(0) / degrees
+    flat = float(np.abs(slope).max()) < FLAT
+    return -float(found.each[early].sum() / degrees), np.zeros_like(slope) if flat else slope
+
+
+def _require(entry: Entry, budget: int, where: str) -> None:
+    """Raise UserError where an observer has no likelihood, or none with a slope."""
+    if budget < 1:
+        raise UserError(f"{where}: --budget: got {budget}, expected 1 or more; leave it out for {tune.BUDGET}.")
+    if entry.observer.innovation is None:
+        raise UserError(
+            f"{where}: got an observer that does not say what it expects of a sample, expected one that does, for else a log "
+            "has no likelihood; tune dkf, or another that `pcbench list observers` shows to know its covariance."
+        )
+    if not entry.smooth:
+        raise UserError(
+            f"{where}: got an observer whose steps cannot be differentiated, expected one that goes downhill; tune dkf."
+        )
+
+
+def _free(entry: Entry, options: BaseModel, designed: Design, only: list[str] | None, where: str) -> list[str]:
+    """The options to tune: `only`, or all intensities of noise that are not 0."""
+    if only is not None:
+        return only
+    there = [name for name in NOISE if name in parameters.tunable(entry)]
+    values = {name: getattr(options, name) for name in there}
+    numbers = designed.certificate.numbers
+    values = {k: numbers.get(k) if v is None or isinstance(v, str) else v for k, v in values.items()}
+    found = [name for name, value in values.items() if value is not None and np.any(np.asarray(value, float) > 0)]
+    if not found:
+        raise parameters.NothingFree(
+            f"{where}: got an observer without intensities of noise above 0, expected one; write one under [options], or name "
+            "what to tune with --only."
+        )
+    return found
+
+
+def _require_samples(first: Found, cut: int, free: int, where: str) -> None:
+    """Raise UserError where there is too little to tune on, or to judge on."""
+    early = first.tick < cut
+    for part, which in (("the part that is tuned on", early), ("the part that is held out", ~early)):
+        many, least = int(first.numbers[which, 1].sum()), FEWEST * free
+        if many < least:
+            raise UserError(
+                f"{where}: got {many} measured numbers in {part}, expected {least} or more, {FEWEST} for each of {free} free "
+                "parameters; take a longer log, or tune fewer with --only."
+            )
+    if not np.isfinite(first.each).all():
+        raise tune.NoStart(
+            f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."
+        )
+
+
+def _digest(record: Recorded) -> str:
+    """What tells one log from another."""
+    w = record.part.window
+    return sha256(b"".join(np.ascontiguousarray(each).tobytes() for each in (*w, record.part.inputs))).hexdigest()[:12]

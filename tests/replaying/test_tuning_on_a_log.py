@@ -1,0 +1,110 @@
+"""Tuning on a log finds what makes it most likely: as the book's recursion and SciPy do, and the truth within its interval."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from logged import rows
+from reference import logs as reference
+from scipy.optimize import minimize
+from scipy.stats import binom
+
+import pcbench
+from pcbench.errors import UserError
+from pcbench.replaying.tuning import tune_log
+
+DT, LATE, MANY = 0.05, 2, 401
+R, Q, P0 = 0.01, 0.0025, 0.01  # of the truth
+A, B = np.exp(-DT), 1 - np.exp(-DT)
+PLANT = {
+    "name": "lag",
+    "lti": {
+        **{"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "tick": DT, "states": ["level [m]"], "input": "zero"},
+        **{
+            "sampling_period": DT,
+            "delay": LATE * DT,
+            "noise_std": 0.2,
+            "process_std": [0.02],
+        },  # four times and a sixth off
+        **{"prior_std": [P0**0.5], "horizon": 1.0},
+    },
+}
+
+
+def recording(folder, seed, many=MANY):
+    """Write a run of the lag as a log; return inputs and values at every tick."""
+    random = np.random.default_rng(seed)
+    u, y, x = np.sin(0.3 * np.arange(many)), np.empty(many), random.normal(0, P0**0.5)
+    for k in range(many):
+        y[k] = x + random.normal(0, R**0.5)
+        x = A * x + B * u[k] + random.normal(0, Q**0.5)
+    t = np.arange(many) * DT
+    measured = {"channel": ["y1"] * many, "sampled": t, "arrived": t + LATE * DT, "value": y}
+    rows(folder, measured, {"t": t, "u1": u})
+    return u, y
+
+
+def most_likely(u, y, cut):
+    """The logarithms of R and Q by the book, of the samples that arrived before a tick, and their deviations by differences."""
+    one = np.eye(1)
+
+    def cost(z):
+        nu, s = reference.kalman(
+            A * one, B * one, np.exp(z[1]) * one, one, np.exp(z[0]), np.zeros(1), P0 * one, u[:, None], y[: cut - LATE]
+        )
+        return 0.5 * np.sum(np.log(s) + nu**2 / s)
+
+    z = minimize(cost, np.log([R, Q]), method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-11}).x
+    h, e = 1e-3, 1e-3 * np.eye(2)
+    H = [[(cost(z + a + b) - cost(z + a - b) - cost(z - a + b) + cost(z - a - b)) / (4 * h * h) for a in e] for b in e]
+    return z, np.sqrt(np.diag(np.linalg.inv(H)))
+
+
+def covers(found):
+    return [i.low <= true <= i.high for i, true in zip(found.intensities, (R, Q), strict=True)]
+
+
+def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp_path):
+    u, y = recording(tmp_path / "log", 1)
+    found = tune_log(tmp_path / "log", PLANT, "dkf", out=tmp_path / "tuned")
+    z, sd = most_likely(u, y, int(0.7 * (MANY - 1 + LATE)))  # the log ends with its last arrival
+    assert [i.name for i in found.intensities] == ["R", "Q"]
+    for i, at, wide in zip(found.intensities, z, sd, strict=True):
+        assert np.log(i.found) == pytest.approx(at, abs=1e-3)  # the slope is flat to 1e-6 of a number
+        assert np.log([i.low, i.high]) == pytest.approx([at - 1.96 * wide, at + 1.96 * wide], abs=3e-3)
+    assert all(covers(found))
+    assert found.gain > 2 * found.gain_se
+    assert not found.kept_start
+    record = tomllib.loads((tmp_path / "tuned" / "tuned.toml").read_text())
+    assert record["options"]["dkf"] == found.found
+    assert record["resolved"]["tuning"]["intensities"][1] == found.intensities[1]._asdict()
+    (row,) = pcbench.replay(tmp_path / "log", tmp_path / "tuned" / "tuned.toml", "dkf").innovations.to_dict("records")
+    assert row["log_likelihood_held_out"] == pytest.approx(found.held_out["tuned"]["log_likelihood"], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("observer", "more", "many", "sentence"),
+    [
+        ("pccebo", {}, 60, "expected one that does, for else a log has no likelihood"),
+        ("dkf", {}, 20, "measured numbers in the part that is tuned on, expected 20 or more"),
+        ("dkf", {"only": ["walk"]}, 60, "got 'walk' to tune, expected R or q or Q"),
+        ("dkf", {"budget": 0}, 60, "--budget: got 0"),
+    ],
+)
+def test_what_cannot_be_tuned_is_one_sentence(tmp_path, observer, more, many, sentence):
+    recording(tmp_path / "log", 1, many)
+    with pytest.raises(UserError) as caught:
+        tune_log(tmp_path / "log", PLANT, observer, **more)
+    assert sentence in str(caught.value)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_of_95_of_100_logs(tmp_path):
+    held = []
+    for seed in range(100):
+        recording(tmp_path / str(seed), 1000 + seed)
+        held.append(covers(tune_log(tmp_path / str(seed), PLANT, "dkf")))
+        print(seed, np.sum(held, 0), flush=True)
+    low, high = binom.ppf([0.025, 0.975], 100, 0.95)  # 90 and 99: where 95 % lies with a chance of 95 %
+    counts = np.sum(held, 0)
+    assert np.all((low <= counts) & (counts <= high)), counts
