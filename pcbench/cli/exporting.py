@@ -22,6 +22,9 @@ def export(
     Example: pcbench export cart/white dkf --out dkf-in-c
     """
     setup()
+    from pcbench.dataset import store
+
+    store.require_place(store.target(folder))
     from pcbench.export import files
 
     found = files.exported(study, observer, seed, changes)

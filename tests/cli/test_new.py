@@ -19,6 +19,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_an_observer_passes_every_check(here, capsys):
     creating.new("observer", "gentle-push")
     assert "pcbench check gentle_push.py:gentle_push" in capsys.readouterr().out

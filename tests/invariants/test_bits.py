@@ -43,6 +43,7 @@ def test_alone_equals_in_a_block(alone):
     same(alone, results(np.arange(20))["cart/gaussian-fast0"], 7)
 
 
+@pytest.mark.slow
 def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
     """Alone in a call of 64 lanes."""
     block = results(np.concatenate([np.arange(100, 100 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"]

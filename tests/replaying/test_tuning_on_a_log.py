@@ -2,6 +2,7 @@
 
 import tomllib
 
+import numba
 import numpy as np
 import pytest
 from logged import rows
@@ -16,6 +17,7 @@ from pcbench.replaying.tuning import tune_log
 DT, LATE, MANY = 0.05, 2, 401
 R, Q, P0 = 0.01, 0.0025, 0.01  # of the truth
 A, B = np.exp(-DT), 1 - np.exp(-DT)
+CUT = int(0.7 * (MANY - 1 + LATE))  # the log ends with its last arrival
 PLANT = {
     "name": "lag",
     "lti": {
@@ -33,31 +35,57 @@ PLANT = {
 
 def recording(folder, seed, many=MANY):
     """Write a run of the lag as a log; return inputs and values at every tick."""
-    random = np.random.default_rng(seed)
-    u, y, x = np.sin(0.3 * np.arange(many)), np.empty(many), random.normal(0, P0**0.5)
-    for k in range(many):
-        y[k] = x + random.normal(0, R**0.5)
-        x = A * x + B * u[k] + random.normal(0, Q**0.5)
+    u, y = run(seed, many)
     t = np.arange(many) * DT
     measured = {"channel": ["y1"] * many, "sampled": t, "arrived": t + LATE * DT, "value": y}
     rows(folder, measured, {"t": t, "u1": u})
     return u, y
 
 
-def most_likely(u, y, cut):
-    """The logarithms of R and Q by the book, of the samples that arrived before a tick, and their deviations by differences."""
+def run(seed, many=MANY):
+    """Inputs and values of a run of the lag at every tick."""
+    random = np.random.default_rng(seed)
+    u, y, x = np.sin(0.3 * np.arange(many)), np.empty(many), random.normal(0, P0**0.5)
+    for k in range(many):
+        y[k] = x + random.normal(0, R**0.5)
+        x = A * x + B * u[k] + random.normal(0, Q**0.5)
+    return u, y
+
+
+def most_likely(u, y):
+    """The logarithms of R and Q by the book, of the samples that arrived before the cut, and their deviations."""
     one = np.eye(1)
 
-    def cost(z):
+    def cost(z, u, y):
         nu, s = reference.kalman(
-            A * one, B * one, np.exp(z[1]) * one, one, np.exp(z[0]), np.zeros(1), P0 * one, u[:, None], y[: cut - LATE]
+            A * one, B * one, np.exp(z[1]) * one, one, np.exp(z[0]), np.zeros(1), P0 * one, u[:, None], y[: CUT - LATE]
         )
         return 0.5 * np.sum(np.log(s) + nu**2 / s)
 
-    z = minimize(cost, np.log([R, Q]), method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-11}).x
-    h, e = 1e-3, 1e-3 * np.eye(2)
-    H = [[(cost(z + a + b) - cost(z + a - b) - cost(z - a + b) + cost(z - a - b)) / (4 * h * h) for a in e] for b in e]
+    return by_descent(cost, u, y)
+
+
+def by_descent(cost, u, y):
+    """The most likely z of a run, and its deviations."""
+    z = minimize(cost, np.log([R, Q]), (u, y), method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-11}).x
+    h, e, at = 1e-3, 1e-3 * np.eye(2), lambda z: cost(z, u, y)
+    H = [[(at(z + a + b) - at(z + a - b) - at(z - a + b) + at(z - a - b)) / (4 * h * h) for a in e] for b in e]
     return z, np.sqrt(np.diag(np.linalg.inv(H)))
+
+
+def minus_mean(u, y, z):
+    """Minus the mean log-likelihood of a number before the cut, and its slope by z: the filter with complex steps."""
+
+    def total(log_r, log_q):
+        x, p, out = 0.0, P0, 0.0
+        for value, given in zip(y[: CUT - LATE], u, strict=False):
+            s = p + np.exp(log_r)
+            out += 0.5 * (np.log(2 * np.pi * s) + (value - x) ** 2 / s)
+            x, p = A * (x + p / s * (value - x)) + B * given, A * A * (p - p * p / s) + np.exp(log_q)
+        return out / (CUT - LATE)
+
+    step = 1e-30j
+    return [total(*z), total(z[0] + step, z[1]).imag / 1e-30, total(z[0], z[1] + step).imag / 1e-30]
 
 
 def covers(found):
@@ -67,11 +95,13 @@ def covers(found):
 def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp_path):
     u, y = recording(tmp_path / "log", 1)
     found = tune_log(tmp_path / "log", PLANT, "dkf", out=tmp_path / "tuned")
-    z, sd = most_likely(u, y, int(0.7 * (MANY - 1 + LATE)))  # the log ends with its last arrival
+    z, sd = most_likely(u, y)
     assert [i.name for i in found.intensities] == ["R", "Q"]
     for i, at, wide in zip(found.intensities, z, sd, strict=True):
         assert np.log(i.found) == pytest.approx(at, abs=1e-3)  # the slope is flat to 1e-6 of a number
         assert np.log([i.low, i.high]) == pytest.approx([at - 1.96 * wide, at + 1.96 * wide], abs=3e-3)
+    at_start = found.points[0]
+    assert [at_start.value, *at_start.slope] == pytest.approx(minus_mean(u, y, np.log([0.04, 0.0004])), rel=1e-10)
     assert all(covers(found))
     assert found.gain > 2 * found.gain_se
     assert not found.kept_start
@@ -96,6 +126,29 @@ def test_what_cannot_be_tuned_is_one_sentence(tmp_path, observer, more, many, se
     with pytest.raises(UserError) as caught:
         tune_log(tmp_path / "log", PLANT, observer, **more)
     assert sentence in str(caught.value)
+
+
+@pytest.mark.slow
+def test_of_3000_logs_the_method_by_itself_holds_the_truth_in_95_percent():
+    """The book's filter alone, compiled by numba: to which the intervals of pcbench are equal."""
+
+    @numba.njit
+    def cost(log_r, log_q, u, y):
+        r, q, x, p, out = np.exp(log_r), np.exp(log_q), 0.0, P0, 0.0
+        for k in range(CUT - LATE):
+            s = p + r
+            nu, g = y[k] - x, p / s
+            out += 0.5 * (np.log(s) + nu * nu / s)
+            x, p = A * (x + g * nu) + B * u[k], A * A * (p - g * p) + q
+        return out
+
+    held = []
+    for seed in range(5000, 8000):
+        z, sd = by_descent(lambda z, u, y: cost(z[0], z[1], u, y), *run(seed))
+        held.append(np.abs(z - np.log([R, Q])) <= 1.96 * sd)
+    low, high = binom.ppf([0.025, 0.975], 3000, 0.95) / 3000
+    share = np.mean(held, 0)
+    assert np.all((low <= share) & (share <= high)), share
 
 
 @pytest.mark.slow
