@@ -22,11 +22,9 @@ def export(
     Example: pcbench export cart/white dkf --out dkf-in-c
     """
     setup()
-    from pcbench.dataset import store
-
-    store.require_place(store.target(folder))
     from pcbench.export import files
 
+    files.require_place(folder)
     found = files.exported(study, observer, seed, changes)
     made = files.write(found, folder)
     if quiet:

@@ -7,7 +7,6 @@ one piece, so it appears whole or not at all as far as the store keeps that prom
 name write the same bytes. Nothing is locked anywhere: what is done is what is there.
 """
 
-import errno
 import itertools
 import json
 import os
@@ -186,18 +185,6 @@ def make(target: Target) -> None:
         if target.local:
             for left in unfinished(target):
                 left.unlink(missing_ok=True)
-
-
-def require_place(target: Target) -> None:
-    """Raise UserError where the target cannot be made, before anything is computed for it; nothing is made."""
-    if not target.local:
-        return
-    with said(target.name):
-        there = next(p for p in (Path(target.root), *Path(target.root).parents) if os.path.lexists(p))
-        if not there.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-        if not os.access(there, os.W_OK | os.X_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
 def unfinished(target: Target) -> list[Path]:

@@ -1,5 +1,7 @@
 """`pcbench export`: the files of one observer of one cell, and what comes of compiling and replaying them."""
 
+import errno
+import os
 import re
 import shutil
 import subprocess
@@ -104,6 +106,17 @@ def _rows(p: padding.Plan) -> int:
     if not entry.loops:  # it looks back further than a loop keeps its inputs
         return ticks + 1
     return min(controller.oldest(p.cell, setting(p.cell).overtaking, ticks) + 2, ticks + 1)
+
+
+def require_place(out: str | Path) -> None:
+    """Raise UserError where no folder can be, before anything is computed for it; nothing is made."""
+    target = store.target(Path(out).expanduser())
+    with store.said(target.name):
+        there = next(p for p in (Path(target.root), *Path(target.root).parents) if os.path.lexists(p))
+        if not there.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        if not os.access(there, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
 
 def write(found: Exported, out: str | Path) -> list[Path]:
