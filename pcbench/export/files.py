@@ -1,6 +1,5 @@
 """`pcbench export`: the files of one observer of one cell, and what comes of compiling and replaying them."""
 
-import errno
 import os
 import re
 import shutil
@@ -110,13 +109,14 @@ def _rows(p: padding.Plan) -> int:
 
 def require_place(out: str | Path) -> None:
     """Raise UserError where no folder can be, before anything is computed for it; nothing is made."""
-    target = store.target(Path(out).expanduser())
-    with store.said(target.name):
-        there = next(p for p in (Path(target.root), *Path(target.root).parents) if os.path.lexists(p))
-        if not there.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-        if not os.access(there, os.W_OK | os.X_OK):
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    root = Path(store.target(Path(out).expanduser()).root)
+    there = next(p for p in (root, *root.parents) if os.path.lexists(p))
+    if not there.is_dir():
+        raise UserError(f"--out {out}: got {there}, which is no folder, expected a folder or a new name; give another.")
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise UserError(
+            f"--out {out}: got {there}, which you may not write, expected a folder that you may; give another."
+        )
 
 
 def write(found: Exported, out: str | Path) -> list[Path]:

@@ -7,8 +7,8 @@ not depend on the past, so no correction for dependence is made; where innovatio
 short. On a logarithm the interval stays positive and is nearly symmetric. An intensity that the log does not tell, because its
 likelihood hardly changes with it or is largest at 0, has no interval: NaN.
 Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), section 3.4.5 (large-sample theory).
-Of 3,000 simulated logs of 280 samples they hold the truth in 94.4 and 95.2 % (tests/replaying/test_tuning_on_a_log.py). Not
-claimed: the coverage of fewer samples.
+Coverage: such intervals by the book's filter alone, of 3,000 simulated logs of 279 samples, hold R in 94.4 % and Q in 95.2 %;
+those found here hold both in 90 to 99 of 100 logs (tests/replaying/test_tuning_on_a_log.py). Not claimed: that of fewer samples.
 """
 
 from collections.abc import Callable

@@ -1,6 +1,8 @@
 """The commands for recorded data: what they print, what they leave, and that a mistake is one sentence with exit code 2."""
 
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -11,6 +13,8 @@ from logged import MOTOR, plain, rows
 
 import pcbench
 from pcbench import plots
+from pcbench.cli import exporting
+from pcbench.export import files
 from pcbench.replaying import folder
 
 
@@ -61,6 +65,17 @@ def test_what_cannot_be_written_is_one_sentence(here, words):
     wrong = call(*words, cwd=here)
     assert (wrong.returncode, wrong.stderr.count("\n")) == (2, 1), wrong.stderr
     assert sorted(here.rglob("*")) == before
+
+
+@pytest.mark.parametrize("place", ["motor.toml", "motor.toml/c", "shut/c"])
+def test_an_export_without_a_place_is_refused_before_it_is_made(here, place, monkeypatch):
+    monkeypatch.chdir(here)
+    monkeypatch.setattr(files, "exported", lambda *words: pytest.fail("it is made first"))
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "shut")  # root may write everywhere
+    (here / "shut").mkdir()
+    with pytest.raises(pcbench.UserError, match=r"^--out .*: got .*, expected a folder .*; give another\.$"):
+        exporting.export("motor.toml", "dkf", place)
+    assert not list((here / "shut").iterdir())
 
 
 def test_a_replay_that_is_stopped_leaves_nothing_half_written(tmp_path):
