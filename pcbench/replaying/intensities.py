@@ -8,7 +8,7 @@ short. On a logarithm the interval stays positive and is nearly symmetric. An in
 likelihood hardly changes with it or is largest at 0, has no interval: NaN.
 Source: Harvey, Forecasting, Structural Time Series Models and the Kalman Filter (1989), section 3.4.5 (large-sample theory).
 Coverage: such intervals by the book's filter alone, of 3,000 simulated logs of 279 samples, hold R in 94.4 % and Q in 95.2 %;
-those found here hold both in 90 to 99 of 100 logs (tests/replaying/test_tuning_on_a_log.py). Not claimed: that of fewer samples.
+those found here hold both in 90 to 99 of 100 logs (tests/replaying). Not claimed: that of fewer samples.
 """
 
 from collections.abc import Callable
