@@ -1,6 +1,6 @@
-"""Lane-ticks a second: pcbench beside a NumPy loop, NumPy over runs and numba, all in one process.
+"""Lane-ticks a second: pcbench beside a NumPy loop, NumPy over runs and numba, all in one process for a number of cores.
 
-    python benchmarks/throughput.py [--small] [--json] [--history benchmarks/history.csv]
+    python benchmarks/throughput.py [--small] [--json] [--cores N] [--history benchmarks/history.csv]
 
 With --small it has few lanes, few ticks and one turn, with every row and every check: its figures mean nothing then.
 
@@ -8,10 +8,9 @@ One lane-tick is one run of cart/white advanced by one tick: plant, pccebo and k
 of both observers, in float64. Before anything is timed, the metrics of every row are compared with pcbench's for the same
 draws, with the fixed and with a random start; a difference above 1e-9 ends the program with exit code 1.
 
-Timing: rows take turns (see `turns`); best and median of the turns. 'busy' is CPU time over wall time. A baseline on one
-core is held to it. pcbench on one device computes on one thread, but the runtime's other worker waits by spinning (busy 2),
-and held to the same core it would take half of it: so that row is not held. `taskset -c 0 python benchmarks/throughput.py`
-gives the whole process one core.
+Timing: rows take turns (see `turns`); best and median of the turns. 'busy' is CPU time over wall time. Each number of cores
+has a process of its own, whose runtime is given as many threads and no more (NPROC): one that waits does so by spinning, so
+that with two a row on one core would be busy 2. All rows on one core are held to it.
 A turn of pcbench is what a user gets: jobs stacked, sent, simulated and read. All draw their noise inside the time.
 With --history a table of ratios on one core gets a line, one a release: they are of one process, whatever the machine.
 Not claimed: that the baselines could not be faster; only that they are what a person would write.
@@ -20,6 +19,8 @@ Not claimed: that the baselines could not be faster; only that they are what a p
 import argparse
 import csv
 import json
+import os
+import subprocess
 import sys
 from pathlib import Path
 from time import perf_counter
@@ -56,7 +57,8 @@ CAPTION = (
     "1e-9. NumPy and numba simulate the plant in every lane. With the fixed start and no process noise the plant is the "
     "same in all lanes, and pcbench computes it once: like for like are its random-start rows, where the plant differs "
     "from lane to lane. (b) and (c) have what depends on the input alone prepared beforehand; the full product adds "
-    "settling time and divergence. Stepped: tick by tick in every lane. Ratios are of the best; busy is CPU over wall time."
+    "settling time and divergence. Stepped: tick by tick in every lane. Ratios are of the best of one process, a "
+    "process for a number of cores; busy is CPU over wall time."
 )
 
 
@@ -75,19 +77,18 @@ def agree(what: str, got: Array, expected: Array, ticks: int) -> None:
 
 
 def pcbench_rows(
-    layout: Layout, problems: dict[bool, Problem], counts: list[int], ticks: int
+    layout: Layout, problems: dict[bool, Problem], cores: int, ticks: int
 ) -> tuple[list[Row], dict[bool, Array]]:
-    """Return pcbench's rows by kind and number of cores, and its sums for seeds 0 .. L-1 by random start."""
+    """Return pcbench's rows by kind, and its sums for seeds 0 .. L-1 by random start."""
     rows, sums, width = [], {}, layout.width
     for kind, (watch, random, lifted) in KINDS.items():
-        for devices in counts:
-            jobs = [batch.Job(problems[random], 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
-            mine = layout._replace(watch=watch, random_start=random, lifted=layout.lifted if lifted else 0)
-            made = batch.program(mine, jobs[0])
-            got = sums_of(next(batch.serial(made, jobs[:1]))[1])
-            agree(kind, got, sums.setdefault(random, got), ticks)
-            work = lambda mine=mine, jobs=jobs, n=devices: [None for _ in batch.run(mine, jobs, n)]  # noqa: E731
-            rows.append(Row(kind, devices, width * devices, width * len(jobs), work, made.compile_seconds, False))
+        jobs = [batch.Job(problems[random], 0, np.arange(width) + i * width) for i in range(JOBS * cores)]
+        mine = layout._replace(watch=watch, random_start=random, lifted=layout.lifted if lifted else 0)
+        made = batch.program(mine, jobs[0])
+        got = sums_of(next(batch.serial(made, jobs[:1]))[1])
+        agree(kind, got, sums.setdefault(random, got), ticks)
+        work = lambda mine=mine, jobs=jobs: [None for _ in batch.run(mine, jobs, cores)]  # noqa: E731
+        rows.append(Row(kind, cores, width * cores, width * len(jobs), work, made.compile_seconds))
     return rows, sums
 
 
@@ -105,30 +106,26 @@ def check_baselines(case: Case, problems: dict[bool, Problem], sums: dict[bool, 
         agree("numba", runs_alone(case, x0, noise), expected, ticks)
 
 
-def baseline_rows(case: Case, problem: Problem, width: int) -> list[Row]:
-    """Return the baselines' rows."""
+def baseline_rows(case: Case, problem: Problem, width: int, cores: int) -> list[Row]:
+    """Return the baselines' rows, those of NumPy on one core."""
     samples, rng = -(-len(case.u) // case.period), np.random.default_rng(0)
 
     def given(lanes: int) -> tuple[Case, Array, Array]:
         return case, np.tile(problem.x0[:, None], lanes), rng.standard_normal((samples, lanes))
 
-    def compiled(threads: int) -> None:
-        numba.set_num_threads(threads)
-        runs_alone(*given(threads * width))
+    def compiled() -> None:
+        numba.set_num_threads(cores)
+        runs_alone(*given(cores * width))
 
     start = perf_counter()
     runs_alone(*given(1))
     compile_seconds = perf_counter() - start
-    every = dict.fromkeys((1, numba.config.NUMBA_NUM_THREADS))
     return [
         Row(
             "(a) NumPy, a loop per run", 1, 1, 1, lambda: one_run(case, problem.x0, rng.standard_normal(samples)), None
         ),
         Row("(b) NumPy over runs", 1, width, width, lambda: over_runs(*given(width)), None),
-        *(
-            Row("(c) numba, a loop per run", n, n * width, n * width, lambda n=n: compiled(n), compile_seconds)
-            for n in every
-        ),
+        Row("(c) numba, a loop per run", cores, cores * width, cores * width, compiled, compile_seconds),
     ]
 
 
@@ -191,32 +188,51 @@ def remember(found: list[dict[str, Any]], path: Path) -> None:
         table.writerow(line)
 
 
-def main() -> None:
-    """Parse, check, time, print."""
-    parser = argparse.ArgumentParser(description="Lane-ticks a second of pcbench, NumPy and numba on cart/white.")
-    parser.add_argument("--small", action="store_true", help="few ticks and one turn; every row and check")
-    parser.add_argument("--json", action="store_true", help="print JSON for a program instead of the table")
-    parser.add_argument("--history", type=Path, help="a table of ratios that gets a line")
-    options = parser.parse_args()
+def measured(cores: int, small: bool) -> list[dict[str, Any]]:
+    """Check and time all rows on so many cores in this process, whose runtime has not begun."""
+    os.environ["NPROC"] = str(cores)
     process.setup()
     jax.config.update("jax_platforms", "cpu")
-    if not options.small:
+    if not small:
         jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
     problems: dict[bool, Problem] = {}
     for random in (False, True):
         given = {"observers": OBSERVERS, "options": {"scenario": {"random_start": random}}}
         (planned,) = planning.plan(read.study_of(read.load(SCENARIO, []), given, []))
-        ticks = 500 if options.small else planned.cell.times.ticks
+        ticks = 500 if small else planned.cell.times.ticks
         windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
         problems[random] = planned.problem._replace(windows=windows)
-        layout = planned.layout._replace(width=FEW if options.small else batch.WIDTH)
+        layout = planned.layout._replace(width=FEW if small else batch.WIDTH)
     case = prepare(problems[False], ticks)
-    every = list(dict.fromkeys((1, batch.cores())))
-    rows, sums = pcbench_rows(layout, problems, every, ticks)
-    others = baseline_rows(case, problems[False], layout.width)
+    rows, sums = pcbench_rows(layout, problems, cores, ticks)
+    others = baseline_rows(case, problems[False], layout.width, cores)
     check_baselines(case, problems, sums)
     rows = others + rows
-    found = report(rows, take(rows, 1 if options.small else 5), ticks)
+    return report(rows, take(rows, 1 if small else 5), ticks)
+
+
+def in_its_own_process(cores: int, small: bool) -> list[dict[str, Any]]:
+    """Return the same of a process of its own; of more than one core without the rows that use one."""
+    command = [sys.executable, __file__, "--json", "--cores", str(cores), *(["--small"] if small else [])]
+    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(done.returncode)
+    return [row for row in json.loads(done.stdout)["rows"] if row["cores"] == cores]
+
+
+def main() -> None:
+    """Parse, check, time, print."""
+    parser = argparse.ArgumentParser(description="Lane-ticks a second of pcbench, NumPy and numba on cart/white.")
+    parser.add_argument("--small", action="store_true", help="few ticks and one turn; every row and check")
+    parser.add_argument("--json", action="store_true", help="print JSON for a program instead of the table")
+    parser.add_argument("--cores", type=int, help="measure on so many only; left out: on one, then on all")
+    parser.add_argument("--history", type=Path, help="a table of ratios on one core that gets a line")
+    options = parser.parse_args()
+    if options.cores:
+        found = measured(options.cores, options.small)
+    else:
+        every = dict.fromkeys((1, batch.cores()))
+        found = [row for cores in every for row in in_its_own_process(cores, options.small)]
     if options.history:
         remember(found, options.history)
     if options.json:

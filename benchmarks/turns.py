@@ -1,7 +1,7 @@
 """Timing in turns: every row once, then every row again, so that the machine's drift meets all alike.
 
-A row on one core has every thread of the process held to that core, another one each turn, where the system can do so,
-unless it says that it is not to be held; a row on all has none held.
+A row on one core has every thread of the process held to that core, another one each turn, where the system can do so; a
+row on more has none held.
 """
 
 import os
@@ -24,7 +24,6 @@ class Row(NamedTuple):
     runs: int  # in a turn
     work: Callable[[], Any]  # one turn
     compile_seconds: float | None
-    held: bool = True  # to one core, where it uses one
 
 
 class Timed(NamedTuple):
@@ -49,7 +48,7 @@ def take(rows: list[Row], turns: int) -> Timed:
     timed = Timed(np.zeros((len(rows), turns)), np.zeros((len(rows), turns)))
     for turn in range(turns):
         for i, row in enumerate(rows):
-            hold(every if row.cores > 1 or not row.held else [every[turn % len(every)]])
+            hold(every if row.cores > 1 else [every[turn % len(every)]])
             sleep(0.02)  # threads that still spin after the row before go to sleep
             wall, cpu = perf_counter(), process_time()
             row.work()
