@@ -101,7 +101,7 @@ INTERVALS = (
     "order statistics"
 )
 TEXT = {"profile", "study", "scenario", "plant", "observer", "observer_a", "observer_b", "signal", "unit", "metric"}
-TEXT |= {"status", "method", "reason", "delay_steps", "delay_share"}
+TEXT |= {"status", "method", "reason", "delay_steps", "delay_turns", "delay_share"}
 WHOLE = {"cell", "seed", "n"}
 YES_OR_NO = {name + end for name in ("carries_input", "certified") for end in ("", "_a", "_b")}
 SECONDS = {"settling_time", "recovery_time", "first_bad_time"}

@@ -6,6 +6,7 @@ from pcbench.statistics import ASKED, RUN_METRICS
 
 AXIS_UNITS = {"command_jitter": "s", "command_loss": "1", "command_std": "unit of the input"}
 AXIS_UNITS |= {"delay_steps": "s", "delay_stay": "1", "delay_share": "1", "delay_gamma": "s", "delay_shape": "1"}
+AXIS_UNITS |= {"delay_turns": "s"}
 AXIS_UNITS |= {"resolution": "unit of the output", "dither": "1", "burst": "samples"}
 AXIS_UNITS |= {"stamp_offset": "s", "stamp_drift": "ppm", "stamp_jitter": "s"}
 AXIS_UNITS |= {"outlier_probability": "1", "outlier_scale": "1", "noise_tail": "1", "assumed_noise_scale": "1"}
@@ -29,6 +30,7 @@ MEANING = {
     "delay_steps": "a sample arrives later by one of these [s], which a Markov chain from sample to sample chooses",
     "delay_stay": "probability that the next sample has the same one of delay_steps, or else any other alike; a list where it "
     "depends on the one that is",
+    "delay_turns": "samples arrive later by these [s] in turn, the same in all runs; lost: that one never arrives",
     "delay_share": "shares of samples, each by itself, that arrive later by each of delay_steps, in proportion to these",
     "delay_gamma": "a sample arrives later by a time of a gamma distribution with this mean, in whole ticks",
     "delay_shape": "shape of that distribution: its mean over its standard deviation, squared",

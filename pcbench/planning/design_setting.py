@@ -96,5 +96,5 @@ def _overtaking(clocks: list[sampling.Clock], ticks: int) -> int:
     """How many newer samples may arrive before one; of one clock with samples of one age, none."""
     if sampling.any_random(clocks):
         return per_lane.overtaking(clocks, ticks)
-    alone = len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing)
+    alone = len(clocks) == 1 and clocks[0].delay is not None and not any(clocks[0].swing) and not clocks[0].turns
     return 0 if alone else shared.overtaking(shared.samples(clocks, ticks))

@@ -26,7 +26,7 @@ TOLD = (  # fields of which is said that they are not as published
         "profile",
         "jitter",
         "delay_jitter",
-        *("delay_steps", "delay_gamma", "loss", "resolution"),
+        *("delay_steps", "delay_turns", "delay_gamma", "loss", "resolution"),
     ),
     *("input", "unknown_input", "actuator_delay", "assumed_delay_error", "horizon"),
 )
@@ -105,6 +105,7 @@ def _facts(s: Scenario) -> list[Field]:
         Field("delay_jitter", "delay jitter", lambda v: f"up to {number(v)} s more", 0.0),
         Field("delay_steps", "delays longer by, a Markov chain", lambda v: _each(v, ["s"] * len(v)), ()),
         Field("delay_stay", "chance to stay so", lambda v: ", ".join(map(number, v)), ()),
+        Field("delay_turns", "delays longer by, in turn", _in_turn, ()),
         Field("delay_share", "shares of these, each by itself", lambda v: ", ".join(map(number, v)), ()),
         Field("delay_gamma", "delays longer by a gamma distribution's, mean", lambda v: f"{number(v)} s", 0.0),
         Field("delay_shape", "its shape", number, 1.0),
@@ -210,6 +211,12 @@ def _vector(values: Any, signals: Any) -> str:
     """Numbers with the names and units of the signals that they are of."""
     named = zip(np.ravel(values), signals, strict=False)
     return ", ".join(f"{name.replace('_', ' ')} {number(float(v))} {unit}".strip() for v, (name, unit) in named)
+
+
+def _in_turn(values: Any) -> str:
+    """Delays in turn: the first of them, and how many there are."""
+    said = [f"{number(v)} s" if not isinstance(v, str) else v for v in values[:MANY]]
+    return ", ".join(said) + (f" ... ({len(values)} in turn)" if len(values) > MANY else "")
 
 
 def _each(values: Any, units: list[str]) -> str:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from pcbench.scenarios.sources import Sources
 
 NOTHING: Mapping[str, Any] = MappingProxyType({})
+LOST = "lost"  # among delays in turn: this sample never arrives
 INTERVAL = "interval"  # a delay: a sample arrives when the next is taken; in ticks it is None
 
 
@@ -65,6 +66,7 @@ class Sampling(NamedTuple):
     stamp_offset: float = 0.0  # s, a sample's stamp says that it was taken so much later than it was
     stamp_drift: float = 0.0  # ppm, by which the clock of the stamps is fast, from t = 0 on
     stamp_jitter: float = 0.0  # s, a stamp is wrong by up to this much, either way
+    delay_turns: tuple[float | str, ...] = ()  # s, samples arrive later by these in turn, the same in all runs; or LOST
 
 
 class Belief(NamedTuple):
@@ -108,9 +110,20 @@ FAULTS = (  # of samples, which nobody is told of
     *STAMPS,
 )
 CHAIN = ("delay_steps", "delay_stay")
+TURNS = ("delay_turns",)
 SPREAD = ("delay_share", "delay_gamma", "delay_shape")  # delays that are drawn one by one
 OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
-UNSAID = (*OF_COMMANDS, *STAMPS, "noise_tail", "resolution", "dither", "burst", "delay_share", "delay_gamma")  # where 0
+UNSAID = (
+    *OF_COMMANDS,
+    *STAMPS,
+    *TURNS,
+    "noise_tail",
+    "resolution",
+    "dither",
+    "burst",
+    "delay_share",
+    "delay_gamma",
+)  # where 0
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
 

@@ -9,7 +9,7 @@ from typing import Any
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import drifts, entry_of, parameters_in
 from pcbench.scenarios import INTERVAL, Scenario
-from pcbench.scenarios.scenario import CHAIN, FAULTS, SPREAD
+from pcbench.scenarios.scenario import CHAIN, FAULTS, LOST, SPREAD, TURNS
 from pcbench.simulation.schedule.sampling import PROFILES
 
 SMALLEST = 1e-12
@@ -23,8 +23,8 @@ TIMES = (  # whole ticks
 )
 SIGNED = ("drift", "assumed_delay_error", "stamp_offset", "stamp_drift")
 SHARES = ("loss", "command_loss", "outlier_probability")
-ASKED = (*STATES, *CHAIN, *SPREAD, *FAULTS)  # a column of the tables only where it is an axis
-LISTS = ("profile", "delay_steps", "delay_share")  # a value may be a list
+ASKED = (*STATES, *CHAIN, *TURNS, *SPREAD, *FAULTS)  # a column of the tables only where it is an axis
+LISTS = ("profile", "delay_steps", "delay_turns", "delay_share")  # a value may be a list
 Value = str | float | tuple[float | str, ...]  # of an axis, as a scenario holds it
 AXES = (
     *CHANNELS,
@@ -37,6 +37,7 @@ AXES = (
     "actuator_delay",
     *STATES,
     *CHAIN,
+    *TURNS,
     *SPREAD,
     *FAULTS,
 )
@@ -73,6 +74,8 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
         return _profile(value, base, where)
     if name in (*CHAIN, "delay_share"):
         return _of_the_chain(name, value, base, where)
+    if name in TURNS:
+        return _turns(value, base, where)
     if name not in (*CHANNELS, *STATES, *OUTPUTS):
         least = None if name in SIGNED or name.startswith("plant.") else 0.0
         n = number(value, where, least)
@@ -167,6 +170,18 @@ def _of_the_chain(name: str, value: Any, base: Scenario, where: str) -> tuple[fl
     return out
 
 
+def _turns(value: Any, base: Scenario, where: str) -> tuple[float | str, ...]:
+    if not isinstance(value, list | tuple):
+        raise UserError(
+            f"{where}: got {shown(value)}, expected a list of seconds and '{LOST}', one for each sample in turn."
+        )
+    out = tuple(v if v == LOST else number(v, where, least=0.0) for v in value)
+    for v in out:
+        if not isinstance(v, str):
+            _whole_ticks("delay", v, base, where)
+    return out
+
+
 def _whole_ticks(name: str, value: float, base: Scenario, where: str) -> None:
     ticks = value / base.dt
     if abs(ticks - round(ticks)) > 1e-6:
@@ -187,6 +202,6 @@ def plain(name: str, value: Value, apart: bool = False) -> Any:
     if not isinstance(value, tuple):
         return value
     if name in LISTS:
-        return ", ".join(f"{v:g}" for v in value)
+        return ", ".join(v if isinstance(v, str) else f"{v:g}" for v in value)
     each = [None if v == INTERVAL else v for v in value]
     return each if not each or apart or len(set(each)) > 1 else each[0]

@@ -2,6 +2,7 @@
 
 from pcbench.errors import UserError
 from pcbench.scenarios import Sampling, Scenario
+from pcbench.scenarios.scenario import LOST
 from pcbench.simulation.schedule import sampling
 from pcbench.study.times import clocks, whole
 
@@ -11,6 +12,7 @@ def fits(s: Scenario, where: str) -> None:
     _noise(s, where)
     _chain(s, where)
     _one_by_one(s, where)
+    _in_turn(s, where)
     _losses(s, where)
     _rounding(s, where)
     _stamps(s, where)
@@ -88,6 +90,20 @@ def _one_by_one(s: Scenario, where: str) -> None:
             f"{where}: got delay_gamma = {measured.delay_gamma:g} and delay_steps, expected one of them; leave one out."
         )
     _has_effect(s, "delay_shape", "delay_gamma", where)
+
+
+def _in_turn(s: Scenario, where: str) -> None:
+    """Raise UserError where delays in turn stand beside what is drawn, or let nothing arrive."""
+    turns = s.sampling.delay_turns
+    if turns and set(turns) == {LOST}:
+        raise UserError(f"{where}: got delay_turns in {s.name} of which all are '{LOST}', expected a delay among them.")
+    drawn = ("jitter", "delay_jitter", "delay_steps", "delay_gamma", "loss", "stamp_jitter")
+    beside = [name for name in drawn if s.value(name)] + ["profile 'uniform'"] * (s.sampling.profile == "uniform")
+    if turns and beside:
+        raise UserError(
+            f"{where}: got {beside[0]} beside delay_turns in {s.name}, expected one of them: delays in turn are the "
+            "same in all runs, and a network that is drawn is another in each; leave one out."
+        )
 
 
 def _losses(s: Scenario, where: str) -> None:

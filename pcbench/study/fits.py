@@ -15,7 +15,11 @@ from pcbench.study import faults, limits
 from pcbench.study.axes import plain
 from pcbench.study.times import clocks, whole
 
-LATENESS = ("delay_steps", "delay_gamma")  # what makes delays differ from sample to sample, besides a jitter
+LATENESS = (
+    "delay_steps",
+    "delay_turns",
+    "delay_gamma",
+)  # what makes delays differ from sample to sample, besides a jitter
 STAMPED = ("stamp_drift", "stamp_jitter")  # and what makes them seem to
 
 
@@ -60,6 +64,7 @@ def _at_every_stage(s: Scenario, where: str) -> None:
         "jitter": 0.0,
         "delay_jitter": 0.0,
         "delay_steps": (),
+        "delay_turns": (),
         "delay_gamma": 0.0,
         "loss": 0.0,
         "resolution": (),
@@ -91,6 +96,11 @@ def _loop(s: Scenario, where: str) -> None:
         return
     if not measured.early:  # of a loop for any plant: its sampler is any, its commands have a delay of their own
         return
+    if measured.delay_turns:
+        raise UserError(
+            f"{where}: got delay_turns in {s.name}, whose measuring began before t = 0, expected one delay of samples; leave "
+            "them out, or close the loop of another scenario (guide: loops)."
+        )
     if any(clock.random for clock in clocks(s)):
         raise UserError(
             f"{where}: got random sampling in {s.name}, expected samples at times that all runs share: a closed loop is not "

@@ -82,6 +82,7 @@ class Lti(BaseModel):
     delay_jitter: Number = 0.0
     delay_steps: list[Number] = []
     delay_stay: PerChannel = []
+    delay_turns: list[Number | str] = []
     delay_share: list[Number] = []
     delay_gamma: Number = 0.0
     delay_shape: Number = 1.0

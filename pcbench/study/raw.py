@@ -63,7 +63,8 @@ def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[s
             raw[table] = underscored(raw[table], f"{where}: {table}")
     for name in raw.get("tables", ()) if isinstance(raw.get("tables"), dict) else ():
         if isinstance(raw["tables"][name], dict):
-            raw["tables"][name] = located(underscored(raw["tables"][name], f"{where}: scenarios.{name}"), folder)
+            mine = located(underscored(raw["tables"][name], f"{where}: scenarios.{name}"), folder)
+            raw["tables"][name] = recorded_delays.resolved(mine, f"{where}: scenarios.{name}", folder, _tick(mine))
     for table in ("lti", "scenario"):
         if isinstance(raw.get(table), dict):
             raw[table] = located(raw[table], folder)

@@ -61,6 +61,9 @@ class ScenarioTable(BaseModel):
     delay_stay: PerChannel | None = Field(
         None, description="probability that the next sample has the same step, one or one for each"
     )
+    delay_turns: list[Number | str] | None = Field(
+        None, description="s, samples arrive later by these in turn, the same in all runs; 'lost': that one never does"
+    )
     loss: Number | None = Field(None, description="probability that a sample never arrives")
     delay_share: list[Number] | None = Field(
         None, description="of samples, each by itself, that are later by each step, in proportion; no chain then"

@@ -6,6 +6,8 @@ import numpy as np
 
 from pcbench.protocols import Delay
 from pcbench.scenarios import Sampling, Scenario
+from pcbench.scenarios.scenario import LOST
+from pcbench.simulation.schedule import sampling
 from pcbench.simulation.schedule.sampling import Clock, Stamp, any_random, gamma
 
 
@@ -56,6 +58,7 @@ def clocks(s: Scenario) -> list[Clock]:
             steps=steps(s),
             stay=chain(measured),
             share=shares(measured, s.dt),
+            turns=tuple(sampling.LOST if v == LOST else whole(float(v), s) for v in measured.delay_turns),
             loss=measured.loss,
             burst=measured.burst if measured.loss else 0.0,
             stamp=stamp(s),

@@ -15,7 +15,7 @@ from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.planning import in_memory
 from pcbench.simulation.schedule import per_lane, sampling, shared
-from pcbench.simulation.schedule.sampling import Clock
+from pcbench.simulation.schedule.sampling import LOST, Clock
 from pcbench.study import read
 
 PAGE = {  # t: (x1, pco, pi-pco), noise off
@@ -30,6 +30,7 @@ WILD = {  # ticks
     "jitter": Clock((0,), 50, 80, "periodic", 20, 0, 0.0),
     "loss": Clock((0,), 50, 30, "periodic", 0, 0, 0.4),
     "disorder": Clock((0,), 30, 40, "periodic", 10, 120, 0.2),
+    "turns": Clock((0,), 42, 20, (30, 50, 45), turns=(0, 90, LOST, 10, 60)),
 }
 CHOICES = {
     "pccebo": [{}],
@@ -62,8 +63,9 @@ def wild(case, clock, observer, options):
     channels = len(case.model.C)
     clock = clock._replace(channels=tuple(range(channels)))
     with process.float64():
-        samples = per_lane.realised([clock], case.ticks, channels, 0, case.seed)
-    plan = shared.pad_slots(shared.schedule(samples, case.ticks, channels), 4 if clock.spread else 1)
+        run = [clock], case.ticks
+        samples = per_lane.realised(*run, channels, 0, case.seed) if clock.random else shared.samples(*run)
+    plan = shared.pad_slots(shared.schedule(samples, case.ticks, channels), 4 if clock.latest else 1)
     known = setting(case)._replace(
         overtaking=per_lane.overtaking([clock], case.ticks), intervals=tuple(sampling.intervals(clock, case.ticks))
     )
@@ -89,7 +91,7 @@ def expected(observer, options, model, u, samples, xhat0, design, case):
     return reference.pco(model, u, samples, xhat0, design.gains.T, design.gains.Kp, Ki)
 
 
-FAST = {("pccebo", "loss")}  # on the cart; `test_events_per_lane` has more
+FAST = {("pccebo", "loss"), ("dkf", "turns")}  # on the cart; `test_events_per_lane` has more
 EVERY = [
     pytest.param(plant, o, options, clock, marks=[] if plant == "cart" and (o, clock) in FAST else pytest.mark.slow)
     for plant in ("cart", "odd")

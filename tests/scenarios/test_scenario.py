@@ -9,7 +9,7 @@ from pcbench.controllers import CONTROLLERS
 from pcbench.controllers.pd import Options
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.scenarios.scenario import CHAIN, CODE, FAULTS, OF_COMMANDS, RECORDS, SPREAD
+from pcbench.scenarios.scenario import CHAIN, CODE, FAULTS, OF_COMMANDS, RECORDS, SPREAD, TURNS
 from pcbench.study import Study
 from pcbench.study.cells import cell_of, cells, identity
 from pcbench.study.own import Code, Own
@@ -20,7 +20,7 @@ ARM = SCENARIOS["arm/sampled"]
 def test_no_two_records_have_a_field_of_the_same_name():
     names = [*Scenario._fields, *(field for fields in RECORDS.values() for field in fields)]
     assert max(Counter(names).values()) == 1
-    hidden = set(RECORDS) | set(CODE) | set(OF_COMMANDS) | set(FAULTS) | set(CHAIN) | set(SPREAD)
+    hidden = set(RECORDS) | set(CODE) | set(OF_COMMANDS) | set(FAULTS) | set(CHAIN) | set(SPREAD) | set(TURNS)
     assert set(ARM.flat()) == set(names) - hidden, "those that are 0 are left out"
     some = dict.fromkeys(FAULTS, 2.0) | {"resolution": (0.0, 0.1), "delay_gamma": 0.1, "delay_share": (0.5, 0.5)}
     assert {*FAULTS, *SPREAD} < set(ARM.having(**some).flat())

@@ -227,7 +227,7 @@ def overtaking(clocks: list[Clock], ticks: int) -> int:
 
     def ahead(own: int, other: int) -> int:
         if own == other:  # ages that differ by so much at most
-            apart = clocks[own].latest - min(clocks[own].steps, default=0)
+            apart = clocks[own].latest - clocks[own].earliest
             return max(apart - 1, 0) // least[own]
         span = sampling.ages(clocks[own], ticks)[1] - sampling.ages(clocks[other], ticks)[0] - 1 + wrong
         return span // least[other] + 1 if span >= 1 else 0

@@ -4,6 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+LOST = -1  # among the turns of a clock: that sample never arrives
+
 
 class Stamp(NamedTuple):
     """How wrong the time is that a sample's stamp says: later by offset + drift k +- jitter, of a sample taken at tick k."""
@@ -37,24 +39,36 @@ class Clock(NamedTuple):
     steps: tuple[int, ...] = ()  # a sample arrives later by one of them, which a Markov chain chooses; empty: by none
     stay: tuple[float, ...] = ()  # of each: probability that the next sample has the same one, below 1
     share: tuple[float, ...] = ()  # of each: how often it is, drawn for each sample by itself; empty: they are a chain
+    turns: tuple[int, ...] = ()  # samples arrive later by these in turn, or never (LOST); then nothing of it is random
     burst: float = 0.0  # mean number of samples lost in a row; 0: each is lost by itself
     stamp: Stamp = Stamp()  # of all clocks of a scenario the same: one recorder stamps them all
 
     @property
     def random(self) -> bool:
         """Whether every run has times of its own."""
-        return self.profile == "uniform" or max(self.jitter, self.latest, self.loss, self.stamp.jitter) > 0
+        return self.profile == "uniform" or max(self.jitter, self.spread, *self.steps, self.loss, self.stamp.jitter) > 0
 
     @property
     def latest(self) -> int:
         """How much later than its delay a sample may arrive."""
-        return self.spread + max(self.steps, default=0)
+        return self.spread + max(self.steps, default=0) + max(self.known_turns, default=0)
+
+    @property
+    def earliest(self) -> int:
+        """How much later than its delay a sample arrives at least."""
+        return min(self.steps, default=0) + min(self.known_turns, default=0)
+
+    @property
+    def known_turns(self) -> list[int]:
+        """The turns of samples that arrive."""
+        return [turn for turn in self.turns if turn != LOST]
 
     @property
     def later(self) -> int:
         """How much later than its delay a sample arrives in the mean."""
         mean = sum(p * step for p, step in zip(self.share or stationary(self.stay), self.steps, strict=True))
-        return self.spread // 2 + round(mean)
+        turns = self.known_turns
+        return self.spread // 2 + round(mean) + round(sum(turns) / max(len(turns), 1))
 
 
 def stationary(stay: tuple[float, ...]) -> list[float]:
@@ -148,4 +162,4 @@ def ages(clock: Clock, ticks: int) -> tuple[int, int]:
         found = sorted(age(clock, arrives) for arrives in instants(clock, ticks)[:-1])
     else:
         found = intervals(clock, ticks) if clock.delay is None else [clock.delay]
-    return found[0] + min(clock.steps, default=0), found[-1] + clock.latest
+    return found[0] + clock.earliest, found[-1] + clock.latest

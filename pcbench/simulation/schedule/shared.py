@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.simulation.schedule.sampling import Clock, age, instants
+from pcbench.simulation.schedule.sampling import LOST, Clock, age, instants
 
 Ints = NDArray[np.int32]
 Bools = NDArray[np.bool_]
@@ -52,6 +52,9 @@ def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
         due, last = instants(clock, ticks), None
         for i, taken in enumerate(due[:-1]):
             arrives = due[i + 1] if clock.delay is None else taken + clock.delay
+            if clock.turns:
+                turn = clock.turns[i % len(clock.turns)]
+                arrives = NEVER if turn == LOST else arrives + turn
             if clock.early:
                 taken, arrives = taken - age(clock, taken), taken
                 if taken == last:  # as late as the time that has passed: nothing new comes
