@@ -1,4 +1,4 @@
-"""A run as a bag, an MCAP file, a flight log or a MATLAB file is the run again: estimates are those of its tables, to the bit."""
+"""A run as a bag, an MCAP file, a flight log or a MATLAB file is the run again: its estimates, to the bit."""
 
 import numpy as np
 import pytest
@@ -68,7 +68,7 @@ def test_a_topic_or_a_field_that_is_not_there_is_one_sentence(run, write, tmp_pa
     for old, new in (("camera", "radar"), ("angle", "radar"), ('field = "point.x"', 'field = "point.w"'), ('"x"', '"w"')):
         if old in text:
             path.write_text(text.replace(old, new))
-            with pytest.raises(UserError, match="radar|'w'") as caught:
+            with pytest.raises(UserError, match=r"radar|'w'") as caught:
                 survey(reading.opened(path))
             assert str(caught.value).startswith("log.toml: "), caught.value
             assert str(caught.value).count(". ") == 0

@@ -6,6 +6,7 @@ written here byte by byte, as https://docs.px4.io/main/en/dev_log/ulog_file_form
 
 import json
 import struct
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +50,7 @@ def told(folder, file, topics=TOPICS, **more):
     return path
 
 
-def bag(folder, run, ros):
+def bag(folder, run, ros, frame_id=""):
     """A bag with points that have a stamp, written by rosbags; its TOML."""
     from rosbags.rosbag1 import Writer as One
     from rosbags.rosbag2 import Writer as Two
@@ -64,7 +65,7 @@ def bag(folder, run, ros):
     with One(folder / name) if ros == 1 else Two(folder / name, version=9) as file:
         there = {topic: file.add_connection(topic, POINT, typestore=store) for topic in TOPICS}
         for topic, received, stamp, x in events(run):
-            header = Header(stamp=Time(sec=ns(stamp) // NS, nanosec=ns(stamp) % NS), frame_id="", **more)
+            header = Header(stamp=Time(sec=ns(stamp) // NS, nanosec=ns(stamp) % NS), frame_id=frame_id, **more)
             message = Message(header=header, point=Point(x=float(x), y=0.0, z=0.0))
             file.write(there[topic], ns(received), write(message, POINT))
     return told(folder, name)
@@ -88,32 +89,33 @@ float64 z
 """
 
 
-def mcap_of_ros2(folder, run):
+def mcap_of_ros2(folder, run, frame_id=""):
     """An MCAP file with messages of ROS 2, written by mcap-ros2-support; its TOML."""
+    from mcap.writer import CompressionType
     from mcap_ros2.writer import Writer
 
     with (folder / "run.mcap").open("wb") as file:
-        writer = Writer(file)
-        schema = writer.register_msgdef("geometry_msgs/msg/PointStamped", DEFINITION)
+        writer = Writer(file, compression=CompressionType.NONE)
+        schema = writer.register_msgdef(POINT, DEFINITION)
         for topic, received, stamp, x in events(run):
-            header = {"stamp": {"sec": ns(stamp) // NS, "nanosec": ns(stamp) % NS}, "frame_id": ""}
+            header = {"stamp": {"sec": ns(stamp) // NS, "nanosec": ns(stamp) % NS}, "frame_id": frame_id}
             point = {"x": float(x), "y": 0.0, "z": 0.0}
             writer.write_message(topic, schema, {"header": header, "point": point}, log_time=ns(received))
         writer.finish()
     return told(folder, "run.mcap")
 
 
-def mcap_of_json(folder, run, **how):
-    """An MCAP file with JSON, written by mcap, `how` as its writer takes it; its TOML."""
-    from mcap.writer import Writer
+def mcap_of_json(folder, run, frame_id="", chunks=True):
+    """An MCAP file with JSON, written by mcap, in chunks or not; its TOML."""
+    from mcap.writer import CompressionType, Writer
 
     with (folder / "run.mcap").open("wb") as file:
-        writer = Writer(file, **how)
+        writer = Writer(file, compression=CompressionType.NONE, use_chunking=chunks)
         writer.start()
         schema = writer.register_schema(name="point", encoding="jsonschema", data=b"{}")
         there = {topic: writer.register_channel(topic, "json", schema) for topic in TOPICS}
         for topic, received, stamp, x in events(run):
-            header = {"stamp": {"sec": ns(stamp) // NS, "nsec": ns(stamp) % NS}}
+            header = {"stamp": {"sec": ns(stamp) // NS, "nsec": ns(stamp) % NS}, "frame_id": frame_id}
             text = json.dumps({"header": header, "point": {"x": float(x)}}).encode()
             writer.add_message(there[topic], ns(received), text, ns(received))
         writer.finish()
@@ -152,11 +154,11 @@ def matlab(folder, run):
 
 
 FORMATS = {
-    "bag of ROS 1": lambda folder, run: bag(folder, run, 1),
-    "bag of ROS 2": lambda folder, run: bag(folder, run, 2),
+    "bag of ROS 1": partial(bag, ros=1),
+    "bag of ROS 2": partial(bag, ros=2),
     "MCAP of ROS 2": mcap_of_ros2,
     "MCAP of JSON": mcap_of_json,
-    "MCAP without chunks": lambda folder, run: mcap_of_json(folder, run, use_chunking=False),
+    "MCAP without chunks": partial(mcap_of_json, chunks=False),
     "flight log": ulog,
     "MATLAB": matlab,
 }
