@@ -1,6 +1,7 @@
 """A log longer than memory is read in parts: in a process that may hold less than the log's file is long."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -25,7 +26,11 @@ def looked_at(path, size):
     """What is in a log, by a process that cannot hold `size` bytes."""
     assert size > LIMIT
     words = [sys.executable, "-c", LOOK, str(path), str(LIMIT)]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300)
+    plain = os.environ | {
+        "ARROW_DEFAULT_MEMORY_POOL": "system",
+        "MALLOC_ARENA_MAX": "2",
+    }  # others reserve a gigabyte at once
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, env=plain)
     assert done.returncode == 0, done.stderr[-2000:]
     (row,) = json.loads(done.stdout)
     return row

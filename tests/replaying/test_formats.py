@@ -65,7 +65,12 @@ def test_a_recording_is_the_run_again_bit_for_bit(run, wild, write, tmp_path):
 def test_a_topic_or_a_field_that_is_not_there_is_one_sentence(run, write, tmp_path):
     path = write(tmp_path, run[2])
     text = path.read_text()
-    for old, new in (("camera", "radar"), ("angle", "radar"), ('field = "point.x"', 'field = "point.w"'), ('"x"', '"w"')):
+    for old, new in (
+        ("camera", "radar"),
+        ("angle", "radar"),
+        ('field = "point.x"', 'field = "point.w"'),
+        ('"x"', '"w"'),
+    ):
         if old in text:
             path.write_text(text.replace(old, new))
             with pytest.raises(UserError, match=r"radar|'w'") as caught:
