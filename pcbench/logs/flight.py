@@ -25,6 +25,10 @@ def fields(
         log = ULog(str(path))
     except Exception as error:  # pyulog raises TypeError and struct.error among others
         raise UserError(f"{where}: {path.name}: {said(error)}; expected a whole ULog; mend it.") from None
+    if log.file_corruption:
+        raise UserError(
+            f"{where}: {path.name}: got records that cannot be read among others, expected a whole ULog; mend it."
+        )
     name, _, instance = topic.partition(".")
     every = {f"{d.name}.{d.multi_id}" if d.multi_id else d.name: d for d in log.data_list}
     asked = f"{name}.{instance}" if instance not in ("", "0") else name

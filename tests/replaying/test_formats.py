@@ -79,6 +79,33 @@ def test_a_topic_or_a_field_that_is_not_there_is_one_sentence(run, write, tmp_pa
             assert str(caught.value).count(". ") == 0
 
 
+@pytest.mark.parametrize("write", recorded.FORMATS.values(), ids=recorded.FORMATS)
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.97])
+def test_a_recording_that_is_cut_off_is_one_sentence(run, write, share, tmp_path):
+    """But for flight logs: one that is cut off ends earlier, as that of every flight does whose power went."""
+    path = write(tmp_path, run[2])
+    file = next(p for p in tmp_path.rglob("run.*") if p.is_file())
+    file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+    if file.suffix == ".ulg" and share:
+        assert 0 < survey(reading.opened(path)).rows < len(run[2].t)
+        return
+    with pytest.raises(UserError, match="; expected (a whole|MATLAB's)") as caught:
+        survey(reading.opened(path))
+    assert str(caught.value).startswith("log.toml: run")
+    assert ": ;" not in str(caught.value)
+
+
+@pytest.mark.parametrize("write", [recorded.mcap_of_ros2, recorded.mcap_of_json, recorded.ulog])
+def test_damage_in_the_middle_is_not_passed_over(run, write, tmp_path):
+    path = write(tmp_path, run[2])
+    file = next(tmp_path.glob("run.*"))
+    data = bytearray(file.read_bytes())
+    data[len(data) // 2 : len(data) // 2 + 40] = b"\xff" * 40
+    file.write_bytes(data)
+    with pytest.raises(UserError, match="; expected a whole|expected a whole ULog"):
+        survey(reading.opened(path))
+
+
 def test_what_is_no_flight_log_is_one_sentence(tmp_path):
     (tmp_path / "run.ulg").write_bytes(b"not a log")
     with pytest.raises(UserError, match="expected a whole ULog"):
