@@ -89,7 +89,7 @@ def test_a_recording_that_is_cut_off_is_one_sentence(run, write, share, tmp_path
     if file.suffix == ".ulg" and share:
         assert 0 < survey(reading.opened(path)).rows < len(run[2].t)
         return
-    with pytest.raises(UserError, match="; expected (a whole|MATLAB's)") as caught:
+    with pytest.raises(UserError, match=r"; expected (a whole|MATLAB's)") as caught:
         survey(reading.opened(path))
     assert str(caught.value).startswith("log.toml: run")
     assert ": ;" not in str(caught.value)
@@ -102,7 +102,7 @@ def test_damage_in_the_middle_is_not_passed_over(run, write, tmp_path):
     data = bytearray(file.read_bytes())
     data[len(data) // 2 : len(data) // 2 + 40] = b"\xff" * 40
     file.write_bytes(data)
-    with pytest.raises(UserError, match="; expected a whole|expected a whole ULog"):
+    with pytest.raises(UserError, match="expected a whole"):
         survey(reading.opened(path))
 
 
