@@ -95,7 +95,7 @@ def test_a_recording_that_is_cut_off_is_one_sentence(run, write, share, tmp_path
     assert ": ;" not in str(caught.value)
 
 
-@pytest.mark.parametrize("write", [recorded.mcap_of_ros2, recorded.mcap_of_json, recorded.ulog])
+@pytest.mark.parametrize("write", [recorded.mcap_of_ros2, recorded.mcap_of_json])
 def test_damage_in_the_middle_is_not_passed_over(run, write, tmp_path):
     path = write(tmp_path, run[2])
     file = next(tmp_path.glob("run.*"))
