@@ -13,14 +13,16 @@ def fields(
     path: Path, topic: str, wanted: list[str], times: set[str], unit: str | None, where: str
 ) -> Iterator[dict[str, Floats]]:
     """Yield parts of a topic's fields, [K] each; stamps in seconds."""
-    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             require_topic(topic, reader.topics, where)
             yield from parts(_messages(reader, topic), wanted, times, unit, where)
-    except AnyReaderError as error:
+    except (UserError, ImportError):
+        raise
+    except Exception as error:  # a damaged bag is noticed by its reader, by the store below it or in a message
         raise UserError(f"{where}: {path.name}: {said(error)}; expected a whole bag; mend or convert it.") from None
 
 

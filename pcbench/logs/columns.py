@@ -11,7 +11,8 @@ from pcbench.errors import UserError, said, unknown
 
 KINDS = (".parquet", ".csv")
 MANY = 1 << 16  # rows of a part
-BLOCK = 1 << 22  # bytes of a part of a CSV file
+BLOCK = 1 << 20  # bytes of a part of a CSV file
+READ = 1 << 18  # bytes of a column of a Parquet file that are read at once
 
 
 def heads(path: Path) -> list[str]:
@@ -29,7 +30,9 @@ def parts(path: Path, names: Sequence[str], words: Sequence[str] = ()) -> Iterat
     """Yield the columns `names` a part at a time; all but those of `words` are numbers. Errors name the file."""
     try:
         if path.suffix.lower() == ".parquet":
-            with pq.ParquetFile(path) as file:
+            with pq.ParquetFile(
+                path, buffer_size=READ, pre_buffer=False
+            ) as file:  # else a group's whole column is read first
                 yield from file.iter_batches(MANY, columns=list(names), use_threads=False)
             return
         types = {name: pa.string() if name in words else pa.float64() for name in names}

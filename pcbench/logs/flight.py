@@ -4,6 +4,8 @@ A ULog is read as a whole: its reader has no other way.
 """
 
 from collections.abc import Iterator
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import numpy as np
@@ -22,9 +24,14 @@ def fields(
     from pyulog import ULog
 
     try:
-        log = ULog(str(path))
+        with redirect_stdout(StringIO()) as remarks:  # how its reader says what it has passed over
+            log = ULog(str(path))
     except Exception as error:  # pyulog raises TypeError and struct.error among others
         raise UserError(f"{where}: {path.name}: {said(error)}; expected a whole ULog; mend it.") from None
+    if log.file_corruption or "corrupt" in remarks.getvalue():
+        raise UserError(
+            f"{where}: {path.name}: got records that cannot be read among others, expected a whole ULog; mend it."
+        )
     name, _, instance = topic.partition(".")
     every = {f"{d.name}.{d.multi_id}" if d.multi_id else d.name: d for d in log.data_list}
     asked = f"{name}.{instance}" if instance not in ("", "0") else name

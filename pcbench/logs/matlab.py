@@ -19,7 +19,7 @@ def fields(
 
     try:
         there: dict[str, Any] = {k: v for k, v in loadmat(path, simplify_cells=True).items() if k[:2] != "__"}
-    except (ValueError, NotImplementedError, OSError) as error:
+    except Exception as error:  # SciPy raises MatReadError, zlib.error and TypeError among others
         raise UserError(
             f"{where}: {path.name}: {said(error)}; expected MATLAB's format 7 or less; save it with -v7."
         ) from None

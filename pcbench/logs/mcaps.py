@@ -14,23 +14,27 @@ def fields(
     path: Path, topic: str, wanted: list[str], times: set[str], unit: str | None, where: str
 ) -> Iterator[dict[str, Floats]]:
     """Yield parts of a topic's fields, [K] each; stamps in seconds."""
-    from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
     try:
         with path.open("rb") as file:
-            reader = make_reader(file)
+            reader = make_reader(file, validate_crcs=True)  # else what is damaged is left out without a word
             summary = reader.get_summary()
             if summary is not None:
                 require_topic(topic, {channel.topic for channel in summary.channels.values()}, where)
-            yield from parts(_messages(reader, topic, where), wanted, times, unit, where)
-    except McapError as error:
-        raise UserError(f"{where}: {path.name}: {said(error)}; expected a whole MCAP file; mend it.") from None
+            indexed = summary is not None and bool(summary.chunk_indexes)
+            yield from parts(_messages(reader, topic, where, indexed), wanted, times, unit, where)
+    except (UserError, ImportError):
+        raise
+    except Exception as error:  # of the reader, of a decompressor or of a message that is none
+        found = said(error) if str(error) else "it ends too early"
+        raise UserError(f"{where}: {path.name}: {found}; expected a whole MCAP file; mend it.") from None
 
 
-def _messages(reader: Any, topic: str, where: str) -> Iterator[tuple[int, Any]]:
+def _messages(reader: Any, topic: str, where: str, indexed: bool) -> Iterator[tuple[int, Any]]:
+    """Messages in the order of their times; without an index as they were written, for to sort them all would be held."""
     decoders: dict[int, Callable[[bytes], Any]] = {}
-    for schema, channel, message in reader.iter_messages(topics=[topic]):
+    for schema, channel, message in reader.iter_messages(topics=[topic], log_time_order=indexed):
         if channel.id not in decoders:
             decoders[channel.id] = _decoder(channel.message_encoding, schema, where)
         yield message.log_time, decoders[channel.id](message.data)
