@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from pcbench.moments.apart import ALONE, computed
 from pcbench.moments.believed import Believed
 from pcbench.moments.bending import ROUNDING, bent
-from pcbench.moments.compiled import MANY, compute
+from pcbench.moments.compiled import MANY
 from pcbench.moments.given import shared_of
 from pcbench.moments.program import Found
 from pcbench.moments.realised import Realised, losses_alone, over_losses, random, realised
@@ -24,7 +25,6 @@ from pcbench.simulation.problem import Problem
 from pcbench.simulation.schedule import per_lane
 from pcbench.study.cells import Cell
 
-ALONE = "observer"  # what an observer is called that goes by itself
 LARGE = 100  # numbers that the observers of a cell remember
 WAITING = 8 * MANY  # realisations that wait for others to share a call with, and cells behind one that waits, at most
 
@@ -167,7 +167,7 @@ def _computed(
     """Yield batches in their order with what they left, some under way at a time."""
     waiting: list[tuple[list[Item], Future[Found]]] = []
     for items in batches:
-        work = (_refused, items[0]) if items[0].bend else (compute, [item.one for item in items], recorded)
+        work = (_refused, items[0]) if items[0].bend else (computed, [item.one for item in items], recorded)
         waiting.append((items, pool.submit(batch.in_float64, *work)))
         if len(waiting) > 2 * batch.cores():
             first, future = waiting.pop(0)

@@ -23,7 +23,8 @@ FROM, IN_TURN = "from:", "in-turn:"
 MANY = 16  # parts
 MOST = 1 - 1e-6  # probability of a chain to stay
 DIGITS = 12  # of a second
-TAKEN = (
+DRAWN = ("delay_steps", "delay_stay", "delay_share", "delay_gamma")
+TAKEN = (*DRAWN, "delay_turns", "delay_jitter", "loss")  # what a log says, which a table may not say too
     "delay_steps",
     "delay_stay",
     "delay_turns",

@@ -66,6 +66,8 @@ def test_delays_that_are_all_alike_are_one_delay(tmp_path):
     ("more", "sentence"),
     [
         ({"loss": 0.1}, "lti.loss: got 0.1 beside the delays of a log"),
+        ({"delay_gamma": 0.1}, "lti.delay_gamma: got 0.1 beside the delays of a log"),
+        ({"delay_share": [1.0, 2.0]}, "lti.delay_share: got [1.0, 2.0] beside the delays of a log"),
         ({"delay": "from:none"}, "no such file or folder"),
     ],
 )
