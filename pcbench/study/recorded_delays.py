@@ -25,12 +25,6 @@ MOST = 1 - 1e-6  # probability of a chain to stay
 DIGITS = 12  # of a second
 DRAWN = ("delay_steps", "delay_stay", "delay_share", "delay_gamma")
 TAKEN = (*DRAWN, "delay_turns", "delay_jitter", "loss")  # what a log says, which a table may not say too
-    "delay_steps",
-    "delay_stay",
-    "delay_turns",
-    "delay_jitter",
-    "loss",
-)  # what a log says, which a table may not say too
 INSTANTS = ("sampling_period", "profile", "jitter")  # and what it says of instants in turn
 USUAL = 10.0  # s, the horizon of a plant's table that says none
 Ticks = NDArray[np.float64]
