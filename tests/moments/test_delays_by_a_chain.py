@@ -13,7 +13,7 @@ from pcbench.study import read
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
-N, TICK, TE, LATE, STEPS, STAY, SCHEDULES = 46, 0.02, 7, 3, [0, 16, 5], [0.6, 0.3, 0.5], 3
+N, TICK, TE, LATE, STEPS, STAY, SCHEDULES = 46, 0.02, 7, 3, [0, 16, 5], [0.6, 0.3, 0.5], 4
 NOISE, X0, XHAT0, PRIOR = [0.3, 0.2], [0.5, -0.2, 0.3], [0.1, 0.1, -0.2], [0.4, 0.3, 0.5]
 R = [0.1, 0.05]
 STUDY = {
