@@ -11,6 +11,7 @@ import pytest
 import typer
 from commands import call
 from documents import GUIDE, PAGES, README, ROOT, TEXTS, blocks, commands, prose
+from logged import plain, rows
 
 from pcbench.cli.commands import app
 from pcbench.cli.guide import pages, title
@@ -75,7 +76,10 @@ def test_command_lines_are_found():
     assert len([line for name in TEXTS for line in commands(name)]) > 60
 
 
-def test_every_study_is_whole_or_part_of_one():
+def test_every_study_is_whole_or_part_of_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where the logs are that a study names
+    for log in ("lab", "field"):
+        rows(tmp_path / log, plain())
     for block in blocks("toml"):
         raw = tomllib.loads(block)
         if not block.startswith(MENTIONED):
