@@ -24,6 +24,7 @@ ORDER = (  # of a reader's questions; what is not here follows by the alphabet
     ),
     *("your-own-plant", "your-own-observer", "loops", "a-loop-of-your-own", "unknown-inputs", "gains-and-tuning"),
     "code-and-guests",
+    "from-a-bag-to-c",
     *("large-studies", "five-papers", "not-claimed", "how-it-works", "how-it-differs", "versions", "tables"),
     "decisions",
 )

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from pcbench.errors import UserError
 from pcbench.logs.survey import Survey
@@ -27,8 +28,8 @@ def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
             f"plots.delays: got a log {table.attrs['name']} in which nothing arrived, expected samples that did."
         )
     late = np.concatenate([each[:, 1] for each in kept.values()])
-    keys, y = keys_of(kept), scales.of(late)
-    edges = np.linspace(y.low, y.high, BINS + 1)
+    keys, edges = keys_of(kept), edges_of(late)
+    y = scales.of([late.min(), late.max(), edges[0], edges[-1]])
     shares = {name: np.histogram(each[:, 1], edges)[0] / len(each) for name, each in kept.items()}
     x = scales.linear(0.0, max(found.end - found.start, 1e-9))
     panels = [
@@ -42,3 +43,17 @@ def delays(table: pd.DataFrame, *, paper: Paper = PAPER) -> Figure:
             over_time.scatter(t - found.start, delay, s=2, color=key.style.colour, linewidths=0, rasterized=True)
             often.stairs(shares[key.label], edges, color=key.style.colour, linewidth=1.2)
     return figure
+
+
+def edges_of(late: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the edges of some BINS bars, each as wide as a whole number of the delays' smallest difference.
+
+    Of delays in whole ticks every bar so holds as many ticks as any other: none is empty for its width alone.
+    """
+    values = np.unique(late)
+    step = float(np.diff(values).min()) if len(values) > 1 else max(float(values[0]) / BINS, 1e-3)
+    width = step * max(np.ceil((values[-1] - values[0]) / step / BINS), 1)
+    first = values[0] - step / 2
+    many = int(np.floor((values[-1] - first) / width)) + 1
+    edges: NDArray[np.float64] = first + width * np.arange(many + 1)
+    return edges

@@ -15,6 +15,7 @@ import pcbench
 from pcbench import plots
 from pcbench.cli import exporting
 from pcbench.export import files
+from pcbench.plots.log_delays import BINS, edges_of
 from pcbench.replaying import folder
 
 
@@ -95,3 +96,19 @@ def test_the_picture_has_every_arrival_and_all_shares(here):
     assert len(points) == 40
     np.testing.assert_allclose(points[:, 1], 0.1, atol=1e-9)
     assert shares.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("many", [3, 28, 41, 200])
+def test_every_bar_of_delays_in_whole_ticks_holds_as_many_ticks(many):
+    edges = edges_of(np.arange(12, 12 + many) * 0.005)
+    each = np.histogram(np.arange(12, 12 + many) * 0.005, edges)[0]
+    assert len(each) <= BINS + 1
+    assert set(each[:-1]) == {each[0]}
+    assert each.sum() == many
+
+
+def test_delays_of_any_size_are_all_in_a_bar():
+    for late in (np.random.default_rng(0).gamma(2.0, 0.02, 500).round(9), np.array([0.05]), np.array([0.0])):
+        counts, edges = np.histogram(late, edges_of(late))
+        assert counts.sum() == len(late)
+        assert (np.diff(edges) > 0).all()

@@ -15,6 +15,7 @@ CHEAP = {  # what would take minutes in a command of this name: fewer runs, or a
 ELSEWHERE = (  # another machine, seeds without end, or what a test of its own runs, in minutes
     *("tcp://", "elsewhere/", "--until-se", "verify by-runs"),
     *("reproduce all", "run all", "run fair", "score cart"),
+    *("simulated.toml", "joint.toml", "bench.toml", "joint-tuned"),
 )
 FILES = {  # what a page says to save, by the page and what is in it
     "motor.toml": ("your_own_plant.md", '"motor"'),

@@ -27,6 +27,8 @@ RUN_ELSEWHERE = (
     '"""A pendulum',
     '"""A Kalman filter',
     "import numpy as np\nimport pcbench",
+    "import pandas as pd\nfrom rosbags",
+    "import matplotlib.pyplot as plt\nimport pandas as pd\n\ntruth = ",
 )  # and where
 
 
