@@ -27,7 +27,8 @@ def compiled(function: Callable[..., Any], given: tuple[Any, ...], device: Any, 
     lowered = jax.jit(call).lower(*given)
     if where is None:
         return lowered.compile(options)
-    text = kept_programs.of_text(lowered.as_text().replace(name, plain), device, options)
+    trees = f"{lowered.in_tree} {lowered.out_tree}"  # names of arguments are not in the text, and a call looks at them
+    text = kept_programs.of_text(lowered.as_text().replace(name, plain) + trees, device, options)
     made = kept_programs.load(where, text, device)
     if made is not None:
         kept_programs.keep(where, text, asked)

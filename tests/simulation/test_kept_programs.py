@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pcbench.machine import process
-from pcbench.simulation import events_shared, kept_programs, metrics
+from pcbench.simulation import compiling, events_shared, kept_programs, metrics
 from pcbench.simulation.kept_programs import asked
 
 OPTIONS = {"xla_cpu_multi_thread_eigen": False}
@@ -80,3 +80,15 @@ def test_a_function_that_is_not_ours_has_no_name():
         assert asked((what,), {}, None, OPTIONS) is None
     mine.__module__, mine.__qualname__ = "pcbench.simulation.metrics", "update"
     assert asked((mine,), {}, None, OPTIONS) is None
+
+
+def test_a_program_of_the_same_text_for_arguments_of_other_names_is_another(where):
+    device, number = jax.devices()[0], jax.ShapeDtypeStruct((3,), float)
+
+    def total(given):
+        return sum(given.values())
+
+    for name in ("dkf", "observer", "dkf"):
+        made = compiling.compiled(total, ({name: number},), device, None, None)
+        assert np.asarray(made({name: np.arange(3.0)})).tolist() == [0.0, 1.0, 2.0]
+    assert len(list(where.glob("*.program"))) == 2
