@@ -30,9 +30,8 @@ def parts(path: Path, names: Sequence[str], words: Sequence[str] = ()) -> Iterat
     """Yield the columns `names` a part at a time; all but those of `words` are numbers. Errors name the file."""
     try:
         if path.suffix.lower() == ".parquet":
-            with pq.ParquetFile(
-                path, buffer_size=READ, pre_buffer=False
-            ) as file:  # else a group's whole column is read first
+            # else a group's whole column is read first
+            with pq.ParquetFile(path, buffer_size=READ, pre_buffer=False) as file:
                 yield from file.iter_batches(MANY, columns=list(names), use_threads=False)
             return
         types = {name: pa.string() if name in words else pa.float64() for name in names}

@@ -113,17 +113,10 @@ CHAIN = ("delay_steps", "delay_stay")
 TURNS = ("delay_turns",)
 SPREAD = ("delay_share", "delay_gamma", "delay_shape")  # delays that are drawn one by one
 OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
-UNSAID = (
-    *OF_COMMANDS,
-    *STAMPS,
-    *TURNS,
-    "noise_tail",
-    "resolution",
-    "dither",
-    "burst",
-    "delay_share",
-    "delay_gamma",
-)  # where 0
+UNSAID = (  # where 0
+    *(*OF_COMMANDS, *STAMPS, *TURNS),
+    *("noise_tail", "resolution", "dither", "burst", "delay_share", "delay_gamma"),
+)
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
 

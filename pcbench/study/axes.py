@@ -113,6 +113,11 @@ def point(name: str, value: Any, base: Scenario, where: str) -> Value:
     if len(each) != many:
         raise UserError(f"{where}: got {len(each)} values, expected one or {many} (a value for each {what}).")
     if name == "delay" and isinstance(value, str):
+        if value.startswith(("from:", "in-turn:")):
+            raise UserError(
+                f"{where}: got {shown(value)}, expected no log among the values of an axis; write it as delay of a table, one "
+                "[scenarios.NAME] for each log."
+            )
         if value != INTERVAL:
             raise UserError(f"{where}: got {shown(value)}, expected seconds or '{INTERVAL}' (one sampling interval).")
         return (INTERVAL,) * many

@@ -15,11 +15,8 @@ from pcbench.study import faults, limits
 from pcbench.study.axes import plain
 from pcbench.study.times import clocks, whole
 
-LATENESS = (
-    "delay_steps",
-    "delay_turns",
-    "delay_gamma",
-)  # what makes delays differ from sample to sample, besides a jitter
+# what makes delays differ from sample to sample, besides a jitter
+LATENESS = ("delay_steps", "delay_turns", "delay_gamma")
 STAMPED = ("stamp_drift", "stamp_jitter")  # and what makes them seem to
 
 

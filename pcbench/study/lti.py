@@ -1,6 +1,6 @@
 """A study's own linear plant, `[lti]`: matrices with the experiment on them, checked and turned into a scenario."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -82,7 +82,7 @@ class Lti(BaseModel):
     delay_jitter: Number = 0.0
     delay_steps: list[Number] = []
     delay_stay: PerChannel = []
-    delay_turns: list[Number | str] = []
+    delay_turns: list[Number | Literal["lost"]] = []
     delay_share: list[Number] = []
     delay_gamma: Number = 0.0
     delay_shape: Number = 1.0

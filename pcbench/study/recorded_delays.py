@@ -8,6 +8,7 @@ So the resolved study holds numbers alone, and needs no log. All in whole ticks.
 Not claimed: of what is drawn, that delays depend on no more than the one before, nor that losses come one by one.
 """
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -17,16 +18,15 @@ from numpy.typing import NDArray
 from pcbench.errors import UserError, shown
 from pcbench.logs import reading
 from pcbench.scenarios import SCENARIOS
-from pcbench.scenarios.scenario import LOST
+from pcbench.scenarios.scenario import CHAIN, LOST, SPREAD, TURNS
+from pcbench.study.lti import Lti
 
 FROM, IN_TURN = "from:", "in-turn:"
 MANY = 16  # parts
 MOST = 1 - 1e-6  # probability of a chain to stay
 DIGITS = 12  # of a second
-DRAWN = ("delay_steps", "delay_stay", "delay_share", "delay_gamma")
-TAKEN = (*DRAWN, "delay_turns", "delay_jitter", "loss")  # what a log says, which a table may not say too
+TAKEN = (*CHAIN, *SPREAD, *TURNS, "delay_jitter", "loss")  # what a log says, which a table may not say too
 INSTANTS = ("sampling_period", "profile", "jitter")  # and what it says of instants in turn
-USUAL = 10.0  # s, the horizon of a plant's table that says none
 Ticks = NDArray[np.float64]
 
 
@@ -44,30 +44,36 @@ def resolved(table: dict[str, Any], where: str, folder: Path | None, tick: float
     name = Path(asked.removeprefix(IN_TURN if turns else FROM))
     log = reading.opened(name if folder is None else folder / name)
     batches = list(log.measurements())
-    sampled, arrived = (np.concatenate([getattr(b, c) for b in batches]) for c in ("sampled", "arrived"))
-    order = np.argsort(sampled, kind="stable")
-    late = np.rint((arrived - sampled)[order] / tick)
-    came = late[~np.isnan(late)]
-    if not came.size:
+    columns = ("channel", "sampled", "arrived")
+    channel, sampled, arrived = (np.concatenate([getattr(b, c) for b in batches]) for c in columns)
+    late = np.rint((arrived - sampled) / tick)
+    if np.isnan(late).all():
         raise UserError(
             f"{where}.delay: got the log {name}, in which nothing arrived, expected samples that did; give another."
         )
     if turns:
-        return {**table, **in_turn(sampled[order], late, tick, horizon_of(table), f"{where}.delay: got the log {name}")}
-    return {**table, **drawn(came, tick), "loss": float(np.isnan(late).mean())}
+        order = np.argsort(sampled, kind="stable")
+        got = f"{where}.delay: got the log {name}"
+        return {**table, **in_turn(sampled[order], late[order], tick, horizon_of(table), got)}
+    order = np.lexsort((sampled, channel))
+    order = order[~np.isnan(late[order])]
+    return {**table, **drawn(late[order], channel[order], tick), "loss": float(np.isnan(late).mean())}
 
 
 def horizon_of(table: dict[str, Any]) -> float:
-    """Return the horizon of a table [s], as it says it or as that which it is based on has it."""
-    base = SCENARIOS.get(table["base"]) if isinstance(table.get("base"), str) else None
-    said = table.get("horizon")
-    return float(said) if isinstance(said, int | float) and said > 0 else base.horizon if base else USUAL
+    """Return the horizon of a table [s], as it says it or as its base has it; inf where that is a scenario of a user's own."""
+    said, base = table.get("horizon"), table.get("base")
+    if isinstance(said, int | float) and said > 0:
+        return float(said)
+    if isinstance(base, str):
+        return SCENARIOS[base].horizon if base in SCENARIOS else math.inf
+    return float(Lti.model_fields["horizon"].default)
 
 
 def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) -> dict[str, Any]:
     """Return instants and delays as they came, of samples sorted by when they were taken [s]; late [ticks], NaN: lost.
 
-    Raises UserError, which begins with what was `got`, where there are fewer than two instants, or channels of one instant were
+    Raises UserError, which begins with what was `got`, where there are fewer than two instants, or samples of one tick were
     not late alike: a study has one delay for all.
     """
     taken = np.rint((sampled - sampled[0]) / tick)
@@ -78,8 +84,8 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
     if unlike.any():
         t = sampled[np.argmax(unlike)]
         raise UserError(
-            f"{got}, whose channels were not late alike at {t:g} s, expected one delay for all of an instant; give a log of "
-            f"one channel, or write {FROM} to draw them."
+            f"{got}, whose samples of {t:g} s were not late alike, expected one delay for all of one tick; give a log of one "
+            f"channel, or write {FROM} to draw them."
         )
     many = min(int((instants * tick <= horizon).sum()) + 1, len(instants) - 1)  # the last one is where it begins again
     if many < 1 or np.isnan(each[:many]).all():
@@ -96,8 +102,8 @@ def in_turn(sampled: Ticks, late: Ticks, tick: float, horizon: float, got: str) 
     }
 
 
-def drawn(late: NDArray[np.float64], tick: float) -> dict[str, Any]:
-    """Return delay, delay_steps and delay_stay of delays [ticks] in the order in which samples were taken.
+def drawn(late: Ticks, channel: NDArray[Any], tick: float) -> dict[str, Any]:
+    """Return delay, delay_steps and delay_stay of delays [ticks], channel by channel in the order in which samples were taken.
 
     A chain is at a value as often as 1 / (1 - stay) says, so 1 - stay_i = c / (how often i is in the log); c is such that the
     next delay is the same as often as there, as far as a probability allows.
@@ -108,7 +114,8 @@ def drawn(late: NDArray[np.float64], tick: float) -> dict[str, Any]:
         return {"delay": delay}
     part = np.abs(late[:, None] - values).argmin(1)
     often = np.bincount(part, minlength=len(values)) / len(part)
-    again = float(np.mean(part[1:] == part[:-1]))
+    next_one = channel[1:] == channel[:-1]
+    again = float(np.sum((part[1:] == part[:-1]) & next_one) / max(np.sum(next_one), 1))
     leave = min((1 - again) / len(values), float(often.min()))
     return {
         "delay": delay,

@@ -1,6 +1,6 @@
 """What a study's table `[scenario]` may say: every field of a scenario, spelled flat, or `base` with some of them changed."""
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict
 
@@ -61,7 +61,7 @@ class ScenarioTable(BaseModel):
     delay_stay: PerChannel | None = Field(
         None, description="probability that the next sample has the same step, one or one for each"
     )
-    delay_turns: list[Number | str] | None = Field(
+    delay_turns: list[Number | Literal["lost"]] | None = Field(
         None, description="s, samples arrive later by these in turn, the same in all runs; 'lost': that one never does"
     )
     loss: Number | None = Field(None, description="probability that a sample never arrives")

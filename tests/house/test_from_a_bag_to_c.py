@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 
+import pandas as pd
 import pytest
 from commands import call
 from documents import blocks, commands
@@ -37,16 +38,28 @@ def sitting(tmp_path_factory):
 def test_its_numbers_come_out(sitting):
     folder, said = sitting
     (camera,) = json.loads(said["log"])["channels"]
-    assert camera["samples"] == 1130
+    assert (camera["samples"], camera["out_of_order"], camera["lost"]) == (1130, 34, 0)
+    late = [camera[f"delay_{name}"] for name in ("median", "p05", "p95", "most")]
+    assert [round(camera["rate"], 1), *late] == pytest.approx([18.8, 0.075, 0.060, 0.115, 0.195])
     first, second = (json.loads(said[name])["innovations"][0] for name in ("replay", "replay again"))
-    assert first["nis"] == pytest.approx(0.40, abs=0.005)
+    assert [first[name] for name in ("nis", "nis_low", "nis_high")] == pytest.approx([0.40, 0.92, 1.09], abs=0.006)
+    assert (first["verdict"], second["verdict"]) == ("cautious", "consistent")
     assert first["p_white"] < 1e-3
-    assert second["nis"] == pytest.approx(1.0, abs=0.09)
-    assert second["p_white"] > 0.05
-    found = {row["name"]: row for row in json.loads(said["tune"])["intensities"]}
-    for name, told, true in (("R", 0.00088, 0.03**2), ("Q[1]", 0.0023, 0.05**2)):
-        assert found[name]["found"] == pytest.approx(told, rel=0.02)
-        assert found[name]["low"] < true < found[name]["high"]
+    tuned = json.loads(said["tune"])
+    found = {row["name"]: row for row in tuned["intensities"]}
+    for name, told, true in (("R", (0.00088, 0.00078, 0.00099), 0.03), ("Q[1]", (0.0023, 0.0018, 0.0031), 0.05)):
+        assert [found[name][key] for key in ("found", "low", "high")] == pytest.approx(told, rel=0.03)
+        assert found[name]["low"] < true**2 < found[name]["high"]
+    rest = tuned["held_out"]["tuned"]
+    assert [rest["nis"], rest["p_white"], tuned["gain"], tuned["gain_se"]] == pytest.approx(
+        [1.02, 0.64, 0.69, 0.035], abs=0.006
+    )
+    assert tuned["said"] == ["Q[0]: the log does not tell, so no interval is given; --only tunes the others alone."]
+    truth = pd.read_parquet(folder / "recorded" / "truth.parquet")
+    errors = [
+        truth.angle - pd.read_parquet(folder / run / "estimates.parquet")["dkf.angle"] for run in ("first", "second")
+    ]
+    assert [(e[truth.t >= 10] ** 2).mean() ** 0.5 for e in errors] == pytest.approx([0.068, 0.034], abs=6e-4)
     assert {p.name for p in folder.glob("*.svg")} == {"delays.svg", "angle.svg"}
 
 
@@ -59,3 +72,4 @@ def test_the_filter_is_compiled_and_does_what_was_simulated(sitting):
     off = [float(line.split(" at most")[0].split(", ")[1]) for line in done.stdout.splitlines() if "at most" in line]
     assert len(off) == 2
     assert max(off) < 1e-12
+    assert len(list((folder / "dkf-in-c").iterdir())) == 7

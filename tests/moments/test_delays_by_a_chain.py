@@ -1,4 +1,4 @@
-"""Delays that are a Markov chain: exact on each drawn schedule, averaged over them, against impulses sent in NumPy."""
+"""Delays that are a Markov chain, or in turn: exact on each schedule, averaged over drawn ones, against impulses in NumPy."""
 
 import numpy as np
 import pytest
@@ -30,10 +30,16 @@ STUDY = {
 
 
 def by_impulses(seed, driven):
-    """Mean square [3] over ticks 0 .. N-1 of dkf's errors, on the schedule of one run."""
+    """Mean square [3] over ticks 0 .. N-1 of dkf's errors on the schedule of one run, and the ages of its samples."""
     clock = Clock((0, 1), TE, LATE, steps=tuple(STEPS), stay=tuple(STAY))
     drawn = per_lane.realised([clock], N, 2, 0, seed)
     times = [[(s.taken, s.arrives if s.arrives <= N else None) for s in drawn if s.channel == j] for j in range(2)]
+    ages = {arrives - taken for each in times for taken, arrives in each if arrives is not None}
+    return mean_square(times, driven), ages
+
+
+def mean_square(times, driven):
+    """The same on samples (taken, arrives or None) of each channel."""
     model, P0 = linear.Model(ODD.A, ODD.B, ODD.C, TICK), np.diag(np.square(PRIOR))
 
     def error_of(u, start, xhat0, noise):
@@ -43,8 +49,7 @@ def by_impulses(seed, driven):
     counts = [len(each) for each in times]
     found = moments.error_map(error_of, driven, np.array(X0), np.array(XHAT0), counts)
     variance = np.diagonal(moments.covariance(found, np.repeat(NOISE, counts)), axis1=1, axis2=2)
-    ages = {arrives - taken for each in times for taken, arrives in each if arrives is not None}
-    return np.mean((found.base**2 + variance)[:N], 0), ages
+    return np.mean((found.base**2 + variance)[:N], 0)
 
 
 @pytest.mark.slow
@@ -56,6 +61,24 @@ def test_they_are_the_mean_over_schedules_with_the_error_that_remains():
     assert (stats.n == SCHEDULES).all()
     np.testing.assert_allclose(stats["mean"], np.mean(each, 0), rtol=1e-10)
     np.testing.assert_allclose(stats.se, np.std(each, 0, ddof=1) / np.sqrt(SCHEDULES), rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_in_turn_they_are_those_of_the_one_schedule_with_its_losses():
+    later = [0, 16, "lost", 5]
+    lti = {k: v for k, v in STUDY["lti"].items() if k not in ("delay_steps", "delay_stay")}
+    turns = [v if v == "lost" else v * TICK for v in later]
+    stats = (
+        pcbench.exact(STUDY | {"lti": lti | {"delay_turns": turns}}).stats.query("metric == 'mse'").set_index("signal")
+    )
+    driven = pcbench.trace(STUDY, "open-loop")[["u1", "u2"]].to_numpy()
+    each = [(i, TE * i) for i in range(N // TE + 1)]
+    arrives = [
+        None if later[i % 4] == "lost" or t + LATE + later[i % 4] > N else t + LATE + later[i % 4] for i, t in each
+    ]
+    times = [(t, a) for (_, t), a in zip(each, arrives, strict=True)]
+    np.testing.assert_allclose(stats["mean"], mean_square([times, times], driven), rtol=1e-10)
+    assert (stats.se == 0).all()
 
 
 MISTAKES = [

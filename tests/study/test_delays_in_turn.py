@@ -1,5 +1,7 @@
 """`delay = "in-turn:LOG"`: samples are taken, late and lost as in the log, one after the other, in all runs."""
 
+import math
+
 import numpy as np
 import pytest
 from logged import MOTOR, rows
@@ -7,7 +9,8 @@ from logged import MOTOR, rows
 from pcbench.errors import UserError
 from pcbench.planning.arrays import samples_of
 from pcbench.planning.design_setting import setting
-from pcbench.study import read
+from pcbench.scenarios import SCENARIOS
+from pcbench.study import read, recorded_delays
 
 TICK = 0.01
 NEVER = 10**8  # ticks; no sample that arrives is so late
@@ -93,6 +96,10 @@ def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
         ({"delay_turns": [0.1]}, "lti.delay_turns: got [0.1] beside the delays of a log"),
         ({"loss": 0.1}, "lti.loss: got 0.1 beside the delays of a log"),
         ({"delay": "in-turn:none"}, "no such file or folder"),
+        (
+            {"delay_turns": [math.inf], "delay": 0.1, "sampling_period": 0.1},
+            "delay_turns[0]: got inf, expected a finite number or 'lost'",
+        ),
         ({"stamp_jitter": 0.01}, "got stamp_jitter beside delay_turns in lti, expected one of them"),
     ],
 )
@@ -109,9 +116,9 @@ def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
     [
         ({"channel": ["y1"], "sampled": [1.0], "arrived": [1.1]}, "nothing that arrived can be replayed, expected two"),
         ({"channel": ["y1", "y2"] * 2, "sampled": [1.0, 1.0, 2.0, 2.0], "arrived": [1.1, 1.1, 2.1, 2.2]},
-         "whose channels were not late alike at 2 s, expected one delay for all of an instant"),
+         "whose samples of 2 s were not late alike, expected one delay for all of one tick"),
         ({"channel": ["y1", "y2"] * 2, "sampled": [1.0, 1.0, 2.0, 2.0], "arrived": [1.1, np.nan, 2.1, 2.1]},
-         "whose channels were not late alike at 1 s"),
+         "whose samples of 1 s were not late alike"),
     ],
     ids=["one sample", "late", "lost"],
 )  # fmt: skip
@@ -120,6 +127,13 @@ def test_a_log_that_cannot_be_replayed_is_one_sentence(tmp_path, measured, sente
     with pytest.raises(UserError) as caught:
         read.study_of(study(tmp_path / "flight"), {}, [])
     assert sentence in str(caught.value)
+
+
+def test_a_log_is_as_long_as_it_is_beside_a_scenario_that_is_not_read_yet():
+    assert recorded_delays.horizon_of({"base": "mine.py:late_camera"}) == np.inf
+    assert recorded_delays.horizon_of({"base": "reactor/batch"}) == SCENARIOS["reactor/batch"].horizon != 10.0
+    assert recorded_delays.horizon_of({"base": "reactor/batch", "horizon": 3.0}) == 3.0
+    assert recorded_delays.horizon_of({}) == 10.0
 
 
 @pytest.mark.parametrize(
@@ -138,3 +152,8 @@ def test_an_axis_that_cannot_be_is_one_sentence(value, sentence):
             MOTOR | {"observers": ["dkf"], "axes": {"delay_turns": [value] if isinstance(value, list) else value}}, "m"
         )
     assert sentence in str(caught.value)
+
+
+def test_a_log_as_a_value_of_an_axis_is_told_where_it_belongs():
+    with pytest.raises(UserError, match=r"axes\.delay\[0\]: got 'in-turn:flight', expected no log among"):
+        read.grid(MOTOR | {"observers": ["dkf"], "axes": {"delay": ["in-turn:flight"]}}, "m")

@@ -1,6 +1,7 @@
 """`delay = "from:LOG"`: a study draws delays and losses that are distributed as those of a log, and needs the log no more."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from logged import MOTOR, rows
 
@@ -53,6 +54,20 @@ def test_a_log_is_found_beside_its_study(tmp_path):
     recorded(tmp_path / "flight")
     (tmp_path / "late.toml").write_text(tomli_w.dumps(study("flight")))
     assert read.study_of(str(tmp_path / "late.toml"), {}, []).lti.delay == 0.03
+
+
+def test_channels_that_are_sampled_together_stay_as_long_as_one_does(tmp_path):
+    recorded(tmp_path / "flight", 400)
+    one = pd.read_csv(tmp_path / "flight" / "measurements.csv")
+    both = pd.concat([one, one.assign(channel="y2")]).sort_values("sampled", kind="stable")
+    rows(tmp_path / "both", both.to_dict("list"))
+    outputs = {"C": [[1.0, 0.0], [0.0, 1.0]]}
+    alone, found = (
+        read.study_of(study(tmp_path / log) | {"lti": study(tmp_path / log)["lti"] | more}, {}, []).lti
+        for log, more in (("flight", {}), ("both", outputs))
+    )
+    assert found.delay_stay == alone.delay_stay
+    assert (found.delay_steps, found.loss) == (alone.delay_steps, alone.loss)
 
 
 def test_delays_that_are_all_alike_are_one_delay(tmp_path):
