@@ -7,7 +7,7 @@ from logged import MOTOR, rows
 
 from pcbench.errors import UserError
 from pcbench.simulation.schedule import per_lane
-from pcbench.study import read
+from pcbench.study import read, recorded_delays
 
 TICK = 0.01
 
@@ -68,6 +68,11 @@ def test_channels_that_are_sampled_together_stay_as_long_as_one_does(tmp_path):
     )
     assert found.delay_stay == alone.delay_stay
     assert (found.delay_steps, found.loss) == (alone.delay_steps, alone.loss)
+
+
+def test_the_first_of_a_channel_follows_none_of_another():
+    found = recorded_delays.drawn(np.array([3.0, 9.0, 9.0, 3.0]), np.array([0, 0, 1, 1]), TICK)
+    assert found == {"delay": 0.03, "delay_steps": [0.0, 0.06], "delay_stay": [0.0, 0.0]}
 
 
 def test_delays_that_are_all_alike_are_one_delay(tmp_path):
