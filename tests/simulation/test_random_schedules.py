@@ -367,6 +367,21 @@ def test_a_schedule_says_the_least_room_in_which_no_packet_is_overwritten(data, 
     assert size == 1 or loses_a_packet(plan, size - 1)
 
 
+@pytest.mark.parametrize(
+    ("older", "newer", "room"),
+    [
+        ((2, shared.NEVER), (1, 6), 1),  # noted at one tick, the older first
+        ((4, shared.NEVER), (1, 6), 2),  # the older is noted when the newer is still to arrive
+        ((4, shared.NEVER), (1, 3), 1),  # and when it has arrived
+    ],
+)
+def test_an_older_packet_whose_stamp_is_later_needs_room_while_the_newer_one_travels(older, newer, room):
+    samples = [shared.Sample(0, i, i, arrives, ahead) for i, (ahead, arrives) in enumerate((older, newer))]
+    plan = shared.schedule(samples, 8, 1)
+    assert shared.in_flight(plan) == room
+    assert [loses_a_packet(plan, size) for size in (1, 2)] == [room == 2, False]
+
+
 def loses_a_packet(plan, size):
     values, notes = {}, {}
     for k in range(len(plan.sense)):

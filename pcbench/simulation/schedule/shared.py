@@ -6,6 +6,7 @@ over one packet at a time, the oldest first; each has a slot. Where sampling is 
 (`per_lane`).
 """
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -188,8 +189,20 @@ def in_flight(plan: Schedule) -> int:
     noted = np.concatenate([plan.note[:, None], plan.also], 1)
     latest = np.maximum(np.maximum.accumulate(np.maximum(plan.sense, noted.max(1))), len(plan.early) - 1)
     waiting = np.where(plan.arrive >= 0, latest[:, None] - plan.arrive + 1, 1)
-    before = np.maximum.accumulate(noted.max(1))[:, None]  # stamps may be out of order: a note writes over no newer one
-    return int(max(waiting.max(), np.where(noted >= 0, before - noted + 1, 1).max()))
+    return max([int(waiting.max()), *(newer - number + 1 for newer, number in _written_over(plan, noted))])
+
+
+def _written_over(plan: Schedule, noted: Ints) -> Iterator[tuple[int, int]]:
+    """Yield the newest packet that is still to arrive when an older one is noted, whose stamp is later; and that older one."""
+    first, last = (np.full(len(plan.sense) + len(plan.early), fill) for fill in (NEVER, -1))
+    np.maximum.at(last, plan.arrive[plan.arrive >= 0], np.nonzero(plan.arrive >= 0)[0])
+    np.minimum.at(first, noted[noted >= 0], np.nonzero(noted >= 0)[0])
+    newest = np.append(-1, np.maximum.accumulate(noted.max(1))[:-1])[:, None]
+    older = (noted >= 0) & (noted < newest)
+    for k, number in zip(np.nonzero(older)[0], noted[older], strict=True):
+        kept = np.flatnonzero((first < k) & (last >= k))
+        if kept.size and kept[-1] > number:
+            yield int(kept[-1]), int(number)
 
 
 def pad_early(plan: Schedule, packets: int) -> Schedule:
