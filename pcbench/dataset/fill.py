@@ -153,6 +153,7 @@ def fill(
     """
     todo = missing(owned, there, wanted, partial(_block, owned, wanted, sizes))
     if not todo:
+        store.clear(target)  # of one that was killed while it closed the tables, too
         ownership.renew(target, owned)
         return Cost()
     _simulated(owned, todo)

@@ -182,9 +182,14 @@ def make(target: Target) -> None:
     """Make the target, and clear away what killed writers have left unfinished there."""
     with said(target.name):
         target.fs.create_dir(target.root, recursive=True)
-        if target.local:
-            for left in unfinished(target):
-                left.unlink(missing_ok=True)
+    clear(target)
+
+
+def clear(target: Target) -> None:
+    """Clear away what killed writers have left unfinished in a target."""
+    with said(target.name):
+        for left in unfinished(target):
+            left.unlink(missing_ok=True)
 
 
 def unfinished(target: Target) -> list[Path]:
@@ -223,8 +228,7 @@ def said(where: str, done: str = "written") -> Iterator[None]:
 
 
 def _reason(error: BaseException) -> str:
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return text.splitlines()[0].rstrip(".")
+    return str(getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0].rstrip(".")
 
 
 def _folders(root: str, name: str) -> None:

@@ -2,6 +2,9 @@
 
 import json
 import os
+import socket
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -36,6 +39,17 @@ def test_a_provenance_that_is_none_is_seen_and_made_anew(whole, copy, text):
     pcbench.run(STUDY, out=copy)
     assert verify.status(copy).damaged == []
     same(whole, copy)
+
+
+@pytest.mark.parametrize("closed", [False, True])
+def test_what_a_killed_writer_of_closing_tables_leaves_is_cleared_away(whole, copy, closed):
+    writer = subprocess.Popen([sys.executable, "-c", ""])
+    writer.wait()
+    (copy / f".{socket.gethostname()}-{writer.pid}-9.partial").write_bytes(b"half")
+    if not closed:
+        (copy / "provenance.json").unlink()
+    pcbench.run(STUDY, out=copy)
+    assert {p.name for p in copy.iterdir()} == {p.name for p in whole.iterdir()}
 
 
 @pytest.mark.parametrize("name", ["stats.parquet", "pairs.parquet", "provenance.json"])
