@@ -64,7 +64,7 @@ def _compiled(layout: Layout, shape: Shape, given: Given) -> Any:
         return program.run(layout, shape, given)
 
     asked = kept_programs.asked(("moments", layout, shape), jax.tree.map(kept_programs.kind, given), device, options)
-    return compiling.compiled(moments, (shapes,), device, options, asked)
+    return compiling.compiled(moments, lambda: (shapes,), device, options, asked)
 
 
 @dataclass

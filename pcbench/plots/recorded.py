@@ -80,7 +80,7 @@ def _recorded(group: list[Asked]) -> list[trace.Thinned]:
         return trace.record_some(layout, every, rows, *a)
 
     asked = kept_programs.asked(("record", layout, every, rows), kinds, device, None)
-    call = compiling.compiled(record, shapes, device, None, asked)
+    call = compiling.compiled(record, lambda: shapes, device, None, asked)
     return [jax.tree.map(np.asarray, call(*jax.tree.map(np.asarray, a))) for a in given]
 
 

@@ -5,11 +5,12 @@ any block. There is one program, compiled for one device and computing on one th
 many threads as there are cores, so that a run has the same bits whatever runs beside it. Of accelerators each has its own.
 """
 
+import json
 import operator
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import lru_cache, partial
 from threading import Lock
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -18,9 +19,9 @@ import jax
 import numpy as np
 
 from pcbench.errors import UserError
-from pcbench.machine import process
-from pcbench.simulation import compiling, kept_programs, loop
-from pcbench.simulation.lifted import form
+from pcbench.machine import pools, process
+from pcbench.simulation import compiling, judging, kept_programs, loop
+from pcbench.simulation.lifted import kept_maps
 from pcbench.simulation.problem import Layout, Outcome, Problem
 
 WIDTH = 1024  # lanes a call
@@ -43,12 +44,13 @@ class Job(NamedTuple):
 class Program(NamedTuple):
     """A compiled call and what it took to make."""
 
-    call: Any  # (problem, root seed, seeds [L]) -> Outcome with arrays [..., L]
+    call: Any  # (problem, root seed, seeds [L], maps) -> Outcome with arrays [..., L]
     device: Any
     width: int
     compile_seconds: float
     compiled: Any  # the executable itself, for those who want to read it
     ways: dict[str, str]  # by observer: lifted or stepped
+    maps: Callable[[Problem], kept_maps.Every]  # of a lifted flow, made before a call, or kept from an earlier one
     memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
 
 
@@ -89,33 +91,58 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()
     kinds = jax.tree.unflatten(tree, [f"{kind}{shape}" for shape, kind in shapes])
+    lifted = judging.watched(layout) if layout.consistency else layout  # as a simulation has it
 
     def simulate(*a: Any) -> Outcome:
         return loop.simulate(layout, *a)
 
+    def with_maps() -> tuple[Any, ...]:
+        found = jax.eval_shape(partial(kept_maps.made, lifted), given[0])
+        return *given, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), found)
+
     asked = kept_programs.asked(layout, kinds, device, options)
-    call, ways = compiling.compiled(simulate, given, device, options, asked), _ways(layout, given[0], asked)
-    took = perf_counter() - start
+    reads = _reads(lifted, given[0], asked)
+    with pools.pool(1) as beside:  # each takes seconds to make, and where it is kept tenths to load
+        maker = beside.submit(in_float64, _maker, lifted, given[0], kinds[0], reads, device, options)
+        call = compiling.compiled(simulate, with_maps, device, options, asked)
+        made = maker.result()
     return Program(
         call=call,
         device=device,
         width=layout.width,
-        compile_seconds=took,
+        compile_seconds=perf_counter() - start,
         compiled=call,
-        ways=ways,
-        memory=_memory(call),
+        ways={label: "lifted" if label in reads else "stepped" for label, _ in layout.observers},
+        maps=partial(kept_maps.given, made),
+        memory=max(_memory(call), _memory(made.call) if made else 0),
     )
 
 
-def _ways(layout: Layout, given: Any, asked: str | None) -> dict[str, str]:
-    """How each observer goes; asked of its functions once, and kept beside the program."""
-    where, key = kept_programs.folder(), asked and f"{asked}-ways"
+def _maker(
+    layout: Layout, given: Problem, kinds: Any, reads: dict[str, list[int]], device: Any, options: Any
+) -> kept_maps.Maker | None:
+    """What makes the maps of a layout; None where there are none."""
+    if not reads:
+        return None
+    mine = kept_maps.bare(layout)
+
+    def maps(p: Problem) -> kept_maps.Every:
+        return kept_maps.made(mine, p)
+
+    asked = kept_programs.asked(("maps", mine), kinds, device, options)
+    call = compiling.compiled(maps, lambda: (given,), device, options, asked)
+    return kept_maps.Maker(call, tuple(sorted(set().union(*reads.values()))))
+
+
+def _reads(layout: Layout, given: Problem, asked: str | None) -> dict[str, list[int]]:
+    """What the maps of each form depend on; asked of its functions once, and kept beside the program."""
+    where, key = kept_programs.folder(), asked and f"{asked}-reads"
     text = kept_programs.known(where, key) if where and key else None
     if text is not None:
-        return dict(zip((label for label, _ in layout.observers), text.split(), strict=True))
-    found = form.ways(layout, given)
+        return dict(json.loads(text))
+    found = kept_maps.reads(layout, given)
     if where:
-        kept_programs.keep(where, " ".join(found.values()), key)
+        kept_programs.keep(where, json.dumps(found), key)
     return found
 
 
@@ -145,7 +172,8 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
     """
     waiting: list[tuple[Job, Any]] = []
     for job in jobs:
-        waiting.append((job, made.call(*arguments(job, made.width))))
+        given = arguments(job, made.width)
+        waiting.append((job, made.call(*given, made.maps(given[0]))))
         if len(waiting) > 1:
             yield _read(*waiting.pop(0))
     for job, out in waiting:

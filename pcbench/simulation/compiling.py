@@ -8,8 +8,10 @@ import jax
 from pcbench.simulation import kept_programs
 
 
-def compiled(function: Callable[..., Any], given: tuple[Any, ...], device: Any, options: Any, asked: str | None) -> Any:
-    """Return a function compiled for `given`, a tree of shapes on a device, with the compiler's options.
+def compiled(
+    function: Callable[..., Any], given: Callable[[], tuple[Any, ...]], device: Any, options: Any, asked: str | None
+) -> Any:
+    """Return a function compiled for what `given` returns, trees of shapes on a device, with the compiler's options.
 
     `asked` tells the program from all others before it is traced (`kept_programs.asked`); None: it is traced in any case.
     """
@@ -24,7 +26,7 @@ def compiled(function: Callable[..., Any], given: tuple[Any, ...], device: Any, 
         return function(*a)
 
     call.__name__ = name
-    lowered = jax.jit(call).lower(*given)
+    lowered = jax.jit(call).lower(*given())
     if where is None:
         return lowered.compile(options)
     trees = f"{lowered.in_tree} {lowered.out_tree}"  # names of arguments are not in the text, and a call looks at them

@@ -33,8 +33,11 @@ class Events(NamedTuple):
     )  # (after a flow, packed before it) -> packed
 
 
-def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outcome:
-    """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`."""
+def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: Any = None) -> Outcome:
+    """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`.
+
+    `maps` are what `lifted.kept_maps` made of this layout and problem; None: they are made here.
+    """
     layout = judging.watched(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
     empty = {"streams": state.streams, "tracking": state.tracking, "effort": state.effort}
@@ -55,7 +58,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Outc
         state = lax.fori_loop(0, pairs, pair, state)
         return lax.fori_loop(start + 2 * pairs, stop, partial(tick, layout), state)
 
-    way = lifted.way(layout, p, state, stepped)
+    way = lifted.way(layout, p, state, stepped, maps)
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
         state = events.happen(k, state)  # a window's edge may be no event: then nothing happens

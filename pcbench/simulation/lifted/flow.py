@@ -40,13 +40,16 @@ def unchanged(state: State) -> State:
     return state
 
 
-def way(layout: Layout, p: Problem, state: State, stepped: Stepped) -> Way:
-    """Return what takes a block of lanes through its flows, `state` that before tick 0: by products, what can be."""
+def way(layout: Layout, p: Problem, state: State, stepped: Stepped, given: dict[str, Maps] | None = None) -> Way:
+    """Return what takes a block of lanes through its flows, `state` that before tick 0: by products, what can be.
+
+    Maps of all that can are `given`, or made here.
+    """
     found = forms(layout, p, state) if layout.lifted else ()
     if not found:
         return Way(unchanged, partial(stepped, layout), unchanged)
     each, quick = chunks(p, layout.lifted), [form.label for form in found if form.label != PLANT]
-    every = {form.label: maps(layout, p, state, form, each) for form in found}
+    every = given or {form.label: maps(layout, p, state, form, each) for form in found}
     slow = layout._replace(observers=tuple(o for o in layout.observers if o[0] not in quick))
     at_the_end = layout.watch and not p.jumps.shape[0]  # an exit's tick is looked for
 
