@@ -98,7 +98,7 @@ def without_files(work: task.Work, one: task.Task, hold: Callable[[], Any]) -> t
         writing_seconds=0.0,
         computing_seconds=0.0,
         versions=versions,
-        tables={},
+        held={},
     )
 
 

@@ -1,6 +1,6 @@
-"""The rows of stats and pairs of one cell, from its blocks, which are read chunk by chunk."""
+"""The rows of stats and pairs of cells, from their blocks, which are read chunk by chunk."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -9,17 +9,28 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pcbench import statistics
-from pcbench.dataset import block_files, columns, store
+from pcbench.dataset import block_files, columns, frames, store
 from pcbench.dataset.block_files import Block
+from pcbench.dataset.frames import Frame
 from pcbench.dataset.seeds import Seeds, common
 from pcbench.errors import UserError
 from pcbench.plants import signals_of
 from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import is_certified
 
-Tables = Mapping[str, pa.Table]  # blocks by name
+FEW = 1024  # runs of a cell whose rows are made together with those of others: of more, most of the time is theirs
 Chunk = dict[str, statistics.Results]  # by observer
-NONE: Tables = MappingProxyType({})
+
+
+class Runs(NamedTuple):
+    """What a block holds."""
+
+    about: dict[str, Any]  # what it says of itself
+    results: statistics.Results
+
+
+Held = Mapping[str, Runs]  # blocks by name
+NONE: Held = MappingProxyType({})
 
 
 class ObserverRuns(NamedTuple):
@@ -27,49 +38,92 @@ class ObserverRuns(NamedTuple):
 
     blocks: list[Block]
     about: dict[str, Any]  # what its first block says of itself
-    held: Tables = NONE  # of these blocks, what is at hand
+    held: Held = NONE  # of these blocks, what is at hand
+
+
+Found = dict[str, ObserverRuns]  # what there is of a cell, by observer
+
+
+class CellRuns(NamedTuple):
+    """A cell with all of its runs, which are few."""
+
+    cell: Cell
+    found: Found
+    runs: Chunk
 
 
 def observed(
-    target: store.Target, cell: Cell, blocks: dict[tuple[str, int, str], list[Block]], held: Tables = NONE
-) -> dict[str, ObserverRuns]:
+    target: store.Target, cell: Cell, blocks: dict[tuple[str, int, str], list[Block]], held: Held = NONE
+) -> Found:
     """Return what there is of a cell, by observer; blocks that are `held` are not read again."""
     out = {}
     for name in cell.options:
         if mine := blocks.get((*cell.key, name)):
             first = held.get(mine[0].name)
-            about = block_files.about_block(target, mine[0]) if first is None else block_files.about(first)
+            about = block_files.about_block(target, mine[0]) if first is None else first.about
             out[name] = ObserverRuns(mine, about, held)
     return out
 
 
 def rows_of(
-    target: store.Target, study: str, cell: Cell, found: dict[str, ObserverRuns], within: Seeds | None = None
-) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    target: store.Target, study: str, cell: Cell, found: Found, within: Seeds | None = None
+) -> tuple[Frame, Frame]:
     """Return the rows of stats and of pairs of one cell, over all seeds or those `within` a range."""
-    s, signals = cell.scenario, signals_of(cell.scenario)
-    names, units = [name for name, _ in signals], dict(signals)
-    head = columns.keys(study, cell) | {"plant": s.plant}
-    known = {
-        name: {"carries_input": each.about["carries_input"], "certified": is_certified(each.about["certificate"])}
-        for name, each in found.items()
-    }
-    bounds = {name: seen_bound(each.about["bound"], s.belief.prior_std) for name, each in found.items()}
-    described, compared = statistics.summarise(
-        lambda: chunks(target, found, within), bounds, names, s.belief.prior_std + s.belief.unknown_std
-    )
-    stats: list[dict[str, Any]] = []
-    pairs: list[dict[str, Any]] = []
-    for name, rows in described.items():
-        for row in rows:
-            signal, unit = signals[row["signal"]]
-            about = {"observer": name, "unit": columns.unit_of(row["metric"], unit), "signal": signal}
-            stats.append(head | row | known[name] | about | {"method": "runs", "reason": None})
-    for row in compared:
-        of_both = {f"{what}_{side}": said for side in "ab" for what, said in known[row[f"observer_{side}"]].items()}
-        unit = columns.unit_of(row["metric"], units[row["signal"]])
-        pairs.append(head | of_both | {"unit": unit, "method": "runs", "p_holm": np.nan} | row)
+    described, compared = statistics.summary(lambda: chunks(target, found, within), _bounds(cell, found), _sizes(cell))
+    return _frames(study, [cell], [found], described, compared)
+
+
+def rows_of_cells(study: str, cells: list[CellRuns]) -> tuple[Frame, Frame]:
+    """Return the same of several cells of one `kind`: the same bits, in a part of the time."""
+    each = [_bounds(c.cell, c.found) for c in cells]
+    bounds = {o: None if first is None else np.stack([b[o] for b in each]) for o, first in each[0].items()}
+    described, compared = statistics.summary_of_cells([c.runs for c in cells], bounds, _sizes(cells[0].cell))
+    return _frames(study, [c.cell for c in cells], [c.found for c in cells], described, compared)
+
+
+def kind(c: CellRuns) -> Hashable:
+    """Return what cells have in common whose rows can be made together; None where a run diverged."""
+    if any(results["diverged"].any() for results in c.runs.values()):
+        return None
+    rows = tuple((o, tuple((m, len(v)) for m, v in results.items())) for o, results in c.runs.items())
+    bounded = tuple(each.about["bound"] is None for each in c.found.values())
+    return c.cell.scenario.name, _sizes(c.cell), tuple(c.cell.values), rows, bounded
+
+
+def few(target: store.Target, cell: Cell, found: Found) -> CellRuns | None:
+    """Return a cell with its runs, where there are no more than FEW a chunk, and one chunk; else None."""
+    spans = {(each.blocks[0].seeds.first, each.blocks[-1].seeds.stop) for each in found.values()}
+    first, stop = min(spans)
+    if len(spans) > 1 or stop - first > FEW or first // statistics.CHUNK != (stop - 1) // statistics.CHUNK:
+        return None
+    return CellRuns(cell, found, next(chunks(target, found)))
+
+
+def _frames(
+    study: str,
+    cells: list[Cell],
+    found: list[Found],
+    described: dict[str, statistics.Described],
+    compared: dict[statistics.Pair, statistics.Judged],
+) -> tuple[Frame, Frame]:
+    plant, signals = cells[0].scenario.plant, signals_of(cells[0].scenario)
+    heads = [columns.keys(study, cell) | {"plant": plant, "method": "runs", "reason": None} for cell in cells]
+    known = [{o: _known(each.about) for o, each in f.items()} for f in found]
+    stats = frames.of_stats(heads, known, signals, described)
+    pairs = frames.of_pairs([head | {"p_holm": np.nan} for head in heads], known, signals, compared)
     return stats, pairs
+
+
+def _known(about: dict[str, Any]) -> dict[str, bool | None]:
+    return {"carries_input": about["carries_input"], "certified": is_certified(about["certificate"])}
+
+
+def _bounds(cell: Cell, found: Found) -> dict[str, statistics.Values | None]:
+    return {name: seen_bound(each.about["bound"], cell.scenario.belief.prior_std) for name, each in found.items()}
+
+
+def _sizes(cell: Cell) -> tuple[float, ...]:
+    return cell.scenario.belief.prior_std + cell.scenario.belief.unknown_std
 
 
 def seen_bound(bound: list[float] | None, prior: tuple[float, ...]) -> statistics.Values | None:
@@ -102,8 +156,8 @@ def _by_chunk(target: store.Target, mine: ObserverRuns, within: Seeds | None) ->
         start, stop = block.seeds if within is None else common(block.seeds, within)
         if start >= stop:
             continue
-        table = mine.held.get(block.name)
-        results = results_of(block_files.read(target, block) if table is None else table)
+        there = mine.held.get(block.name)
+        results = results_of(block_files.read(target, block)) if there is None else there.results
         while start < stop:
             chunk = start // statistics.CHUNK
             if held and chunk != at:

@@ -167,8 +167,12 @@ def _column(values: Any, many: int, seeds: int) -> Any:
 
 def rows_table(rows: list[dict[str, Any]], order: list[str]) -> pa.Table:
     """Return rows of stats or pairs as a table with its columns in the given order; its metadata say what intervals are."""
-    out = table({name: [row[name] for row in rows] for name in order})
-    return out.replace_schema_metadata({**out.schema.metadata, "pcbench.intervals": INTERVALS})
+    return with_intervals(table({name: [row[name] for row in rows] for name in order}))
+
+
+def with_intervals(found: pa.Table) -> pa.Table:
+    """Return a table whose metadata say what intervals are."""
+    return found.replace_schema_metadata({**found.schema.metadata, "pcbench.intervals": INTERVALS})
 
 
 def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:

@@ -170,7 +170,7 @@ def _over(side: Side, shared: CommonSeeds) -> pa.Table:
         for observer, each in found.items():
             within = shared.get((cell.scenario.name, side.digests[cell.key], observer))
             rows, _ = cell_rows.rows_of(side.target, side.owned.study.name, cell, {observer: each}, within)
-            parts.append(columns.rows_table(rows, columns.stats_order(axes)))
+            parts.append(rows.table(columns.stats_order(axes)))
     return pa.concat_tables(parts) if parts else side.stats
 
 

@@ -32,7 +32,7 @@ TASKS = 64  # to share among cores and workers
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
 SeedsOf = Callable[[Cell], Seeds]
 Heard = Callable[
-    [tuple[str, int], int, cell_rows.Tables], None
+    [tuple[str, int], int, cell_rows.Held], None
 ]  # (key of a cell, how many of its runs are there now, blocks)
 Close = Callable[[list[Block], dict[tuple[str, int], int]], Heard]
 Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
@@ -174,7 +174,7 @@ def fill(
         progress.step(report.runs)
         if heard:
             with took("closing"):
-                heard(report.cell, report.runs, report.tables)
+                heard(report.cell, report.runs, report.held)
         progress.note("simulating")
     seconds = took.seconds
     store.last(target, {str(Path(b.name).parent) for b in _expected([], todo)[0]})

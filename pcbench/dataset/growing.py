@@ -23,6 +23,10 @@ class GrowingTable:
 
     def add(self, table: pa.Table) -> None:
         """Add some rows."""
+        self._gather()
+        self._wait(table)
+
+    def _wait(self, table: pa.Table) -> None:
         self.waiting.append(table.replace_schema_metadata((table.schema.metadata or {}) | self.about))
         if sum(map(len, self.waiting)) >= ROWS:
             self._write()
@@ -45,7 +49,7 @@ class GrowingTable:
 
     def _gather(self) -> None:
         if self.rows or (self.order and not (self.writer or self.waiting)):
-            self.add(columns.rows_table(self.rows, self.order))
+            self._wait(columns.rows_table(self.rows, self.order))
         self.rows = []
 
     def _write(self) -> None:

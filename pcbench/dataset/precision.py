@@ -5,7 +5,7 @@ stops on the data makes intervals a little too narrow: from 256 seeds on they co
 """
 
 from collections.abc import Callable, Iterator
-from math import ceil, inf, isfinite
+from math import ceil, inf, isfinite, nan
 from typing import NamedTuple
 
 from pcbench import statistics
@@ -108,7 +108,8 @@ def _error(
     for b in there:
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
     found = cell_rows.observed(target, cell, blocks)
-    rows, _ = cell_rows.rows_of(target, owned.study.name, cell, found, Seeds(0, stop))
+    stats, _ = cell_rows.rows_of(target, owned.study.name, cell, found, Seeds(0, stop))
+    rows = stats.table(["signal", "metric", "n", "se", "ci_low", "ci_high"]).to_pylist()
     shown = cell.scenario.scoring.headline or (signals_of(cell.scenario)[0][0],)
     signals = [goal.signal] if goal.signal else shown
     mine = [r for r in rows if r["metric"] == goal.metric and r["signal"] in signals]
@@ -123,7 +124,9 @@ def _error(
 def _half(row: statistics.Row) -> float:
     """The standard error; of a fraction that of Wilson's interval, which is not zero where nothing has happened yet."""
     fraction = row["metric"] in ("divergence", "unsettled")
-    return float((row["ci_high"] - row["ci_low"]) / (2 * statistics.Z95) if fraction else row["se"])
+    if not fraction:
+        return nan if row["se"] is None else float(row["se"])
+    return float((row["ci_high"] - row["ci_low"]) / (2 * statistics.Z95))
 
 
 def enough(has: int, error: float, goal: float) -> int:

@@ -6,6 +6,9 @@ as they grow, compressed, so that memory hardly grows with the number of cells.
 
 import hashlib
 import json
+from collections import deque
+from itertools import groupby, islice
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -14,6 +17,7 @@ import pyarrow as pa
 from pcbench import statistics
 from pcbench.dataset import block_files, cell_rows, columns, earlier, exact_part, parquet, store
 from pcbench.dataset.block_files import Block
+from pcbench.dataset.frames import Frame
 from pcbench.dataset.growing import GrowingTable
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds, joined
@@ -24,6 +28,7 @@ from pcbench.synthesis.certificate import is_certified
 
 PROVENANCE = "provenance.json"
 Key = tuple[str, int]  # a cell's
+TOGETHER = 32  # cells whose rows are made at a time
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
 
 
@@ -75,7 +80,7 @@ def closing_tables(target: store.Target, owned: Owned, there: list[Block]) -> tu
 
 
 class Closing:
-    """The closing tables as they grow, cell by cell in the order of the study: from whole cells while others are computed."""
+    """The closing tables as they grow, some cells at a time in the order of the study: while others are computed."""
 
     def __init__(
         self, target: store.Target, owned: Owned, there: list[Block], lacking: dict[Key, int] | None = None
@@ -87,46 +92,74 @@ class Closing:
         self.exact = exact_part.rows_by_cell(target)
         self.weakest: dict[str, dict[str, Any]] = {}
         self.ways: dict[str, dict[str, str]] = {}
-        self.left = iter(owned.cells)
-        self.next = next(self.left, None)
-        self.held: dict[Key, cell_rows.Tables] = {}  # of cells whose turn is still to come
+        self.left = deque(owned.cells)
+        self.held: dict[Key, cell_rows.Held] = {}  # of cells whose turn is still to come
         self.blocks: dict[tuple[str, int, str], list[Block]] = {}
         for b in sorted(block_files.settled(there)):
             self.blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
 
-    def done(self, key: Key, runs: int, tables: cell_rows.Tables) -> None:
-        """Take in every cell whose turn it is, once these runs of one are there; `tables` are blocks that they stand in."""
+    def done(self, key: Key, runs: int, held: cell_rows.Held) -> None:
+        """Take in the cells whose turn it is, once these runs of one are there; `held` are blocks that they stand in."""
         if runs == self.lacking[key]:  # of a cell that comes in parts nothing is held
-            self.held[key] = tables
+            self.held[key] = held
         self.lacking[key] -= runs
-        while self.next is not None and not self.lacking.get(self.next.key):
-            self._add(self.next)
+        while len(self.left) >= TOGETHER and not any(self.lacking.get(c.key) for c in islice(self.left, TOGETHER)):
+            self._add_some()
 
     def content(self) -> tuple[pa.Buffer, pa.Buffer, dict[str, dict[str, Any]], dict[str, dict[str, str]]]:
         """Return the tables of all cells, the weakest certificates, and how observers went: lifted, stepped, or both."""
-        while self.next is not None:
-            self._add(self.next)
+        while self.left:
+            self._add_some()
         return self.stats.content(), adjusted(self.pairs.content(), self.made_of), self.weakest, self.ways
 
-    def _add(self, cell: Cell) -> None:
-        self.next = next(self.left, None)
-        held, known = self.held.pop(cell.key, {}), self.exact.get(cell.key, [])
-        found = cell_rows.observed(self.target, cell, self.blocks, held)
-        if not found and not known:
+    def _add_some(self) -> None:
+        """Add the next TOGETHER cells, whatever is there of them: where a file's parts end depends on the study alone."""
+        cells = [self.left.popleft() for _ in range(min(TOGETHER, len(self.left)))]
+        each = [(cell, cell_rows.observed(self.target, cell, self.blocks, self.held.pop(cell.key, {}))) for cell in cells]
+        for alike, some in groupby(map(self._with_runs, each), key=itemgetter(0)):
+            for cell, found, _ in (group := [one for _, one in some]):
+                self._note(cell, found)
+            if alike is None:
+                for cell, found, _ in group:
+                    self._add_one(cell, found)
+            else:
+                self._put(group[0][0], *cell_rows.rows_of_cells(self.owned.study.name, [runs for *_, runs in group if runs]))
+
+    def _with_runs(self, one: tuple[Cell, cell_rows.Found]) -> tuple[Any, tuple[Cell, cell_rows.Found, Any]]:
+        """A cell with its runs and their kind, by which it is put together with others; None where it is not."""
+        cell, found = one
+        runs = cell_rows.few(self.target, cell, found) if found and not self.exact.get(cell.key) else None
+        return runs and cell_rows.kind(runs), (cell, found, runs)
+
+    def _add_one(self, cell: Cell, found: cell_rows.Found) -> None:
+        known = self.exact.get(cell.key, [])
+        if not known:
+            if found:
+                self._put(cell, *cell_rows.rows_of(self.target, self.owned.study.name, cell, found))
             return
-        rows, compared = cell_rows.rows_of(self.target, self.owned.study.name, cell, found) if found else ([], [])
-        compared = [*compared, *exact_part.pairs(known)]
+        stats, pairs = columns.stats_order(columns.axes_of(cell.values)), columns.pairs_order(columns.axes_of(cell.values))
+        rows, compared = [], exact_part.pairs(known)
+        if found:
+            mine = cell_rows.rows_of(self.target, self.owned.study.name, cell, found)
+            rows, compared = mine[0].table(stats).to_pylist(), [*mine[1].table(pairs).to_pylist(), *compared]
         why = {row["observer"]: row["reason"] for row in known if row["metric"] == "mse"}
         rows = [row | {"reason": why.get(row["observer"])} for row in rows]
         rows = _in_order(cell, [*(row for row in known if row["observer"] not in found), *rows])
-        axes = columns.axes_of(rows[0])
-        self.stats.add_rows(rows, columns.stats_order(axes))
-        self.pairs.add_rows(compared, columns.pairs_order(axes))
-        mine = self.weakest.setdefault(cell.scenario.name, {})
+        self.stats.add_rows(rows, stats)
+        self.pairs.add_rows(compared, pairs)
+
+    def _put(self, cell: Cell, stats: Frame, pairs: Frame) -> None:
+        """Add rows of this cell, and of others of its kind."""
+        self.stats.add(stats.table(columns.stats_order(columns.axes_of(cell.values))))
+        self.pairs.add(pairs.table(columns.pairs_order(columns.axes_of(cell.values))))
+
+    def _note(self, cell: Cell, found: cell_rows.Found) -> None:
+        """Note certificates and ways."""
+        mine = self.weakest.setdefault(cell.scenario.name, {}) if found else {}
+        went = self.ways.setdefault(cell.scenario.name, {}) if found else {}
         for name, each in found.items():
-            c = each.about["certificate"]
+            c, way = each.about["certificate"], each.about.get("flow", earlier.FLOW)
             mine[name] = min(mine.get(name, c), c, key=_strength)
-            went, way = self.ways.setdefault(cell.scenario.name, {}), each.about.get("flow", earlier.FLOW)
             went[name] = way if went.get(name, way) == way else "both"
 
 

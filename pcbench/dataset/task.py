@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import block_files, columns, store
+from pcbench.dataset import block_files, cell_rows, columns, store
 from pcbench.dataset.pickled import pack, unpack
 from pcbench.dataset.seeds import Seeds
 from pcbench.errors import UserError
@@ -65,7 +65,7 @@ class Report(NamedTuple):
     writing_seconds: float
     computing_seconds: float  # while it held its device, the making of the program included
     versions: dict[str, str]  # of what computed it
-    tables: dict[str, pa.Table]  # the blocks by name, where they have few rows: whoever wants them need not read them
+    held: cell_rows.Held  # the blocks by name, where they have few rows: whoever wants them need not read them
 
 
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
@@ -75,9 +75,10 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         p, results, made = simulated(work, task, device)
         computing = perf_counter() - began
     start, target = perf_counter(), store.target(work.out)
-    tables = dict(files(work, task, p, results, made.ways))
-    for name, table in tables.items():
+    blocks = dict(files(work, task, p, results, made.ways))
+    for name, (table, _) in blocks.items():
         store.put_table(target, name, table, lasting=False)  # `fill` sees to that, once for all
+    few = sum(len(table) for table, _ in blocks.values()) <= FEW_ROWS
     return Report(
         cell=p.cell.key,
         runs=task.runs,
@@ -86,14 +87,14 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         writing_seconds=perf_counter() - start,
         computing_seconds=computing,
         versions=provenance.versions(),
-        tables=tables if sum(map(len, tables.values())) <= FEW_ROWS else {},
+        held={name: runs for name, (_, runs) in blocks.items()} if few else {},
     )
 
 
 def files(
     work: Work, task: Task, p: Plan, results: in_memory.Results, ways: dict[str, str]
-) -> Iterator[tuple[str, pa.Table]]:
-    """Yield the blocks of a task, (name, rows) each; `ways` by the program's observers."""
+) -> Iterator[tuple[str, tuple[pa.Table, cell_rows.Runs]]]:
+    """Yield the blocks of a task: name, rows, and these as a closing table takes them; `ways` by the program's observers."""
     names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
     at = 0
     for seeds, labels in task.pieces:
@@ -114,7 +115,9 @@ def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memo
         return p, in_memory.results(p, batch.serial(made, jobs)), made
 
 
-def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds, way: str) -> tuple[str, pa.Table]:
+def block(
+    work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds, way: str
+) -> tuple[str, tuple[pa.Table, cell_rows.Runs]]:
     """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
     c, signals = p.certificates[label], signals_of(p.cell.scenario)
     many = len(results["mae"])
@@ -142,7 +145,8 @@ def block(work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds
     head = columns.keys(work.study, p.cell)
     table = columns.runs_table(head, results, np.arange(*seeds), signals, p.carries_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
-    return name, block_files.sealed(table, about)
+    kept = {m: results[m] for m in (*about["metrics"], "diverged", "unsettled")}
+    return name, (block_files.sealed(table, about), cell_rows.Runs(about, kept))
 
 
 def tasks(parcel: bytes | Plan, width: int, missing: dict[str, list[Seeds]]) -> Iterator[Task]:

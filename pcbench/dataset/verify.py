@@ -166,7 +166,7 @@ def _compared(target: store.Target, work: task.Work, one: task.Task, hold: task.
     """Return how many blocks a task computed again, and a sentence for each that differs."""
     with hold() as device:
         p, results, program = task.simulated(work, one, device)
-    made = [(block_files.block_of(name), table) for name, table in task.files(work, one, p, results, program.ways)]
+    made = [(block_files.block_of(name), rows) for name, (rows, _) in task.files(work, one, p, results, program.ways)]
     return len(made), [said for b, now in made if b for said in _difference(b, block_files.read(target, b), now)]
 
 

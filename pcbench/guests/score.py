@@ -62,7 +62,8 @@ def score(
         _without(target, name)
         for p, results in blocks:
             marked = _marked(p, name)
-            store.put_table(target, *task.block(work, marked, name, results, seeds, "guest"))
+            block, (rows, _) = task.block(work, marked, name, results, seeds, "guest")
+            store.put_table(target, block, rows)
         (say or (lambda sentence: None))(f"{name}: {TRUSTED}")
         return run_study.execute(grid, folder, How(progress=progress, say=say or (lambda sentence: None)))
 

@@ -15,18 +15,19 @@ from numpy.typing import NDArray
 
 from pcbench.errors import unknown
 from pcbench.statistics.comparison import SAME, contest, holm
-from pcbench.statistics.description import Aggregate, Row, columns, described, see, spread
+from pcbench.statistics.description import ESTIMATED, Aggregate, Described, Row, columns, described, rows, see, spread
 from pcbench.statistics.estimates import Z95, positive, reached, root, student, wilson
 from pcbench.statistics.moments import Values, moments
 from pcbench.statistics.order_statistics import COLUMNS, QUANTILES, positions, ranks, read
-from pcbench.statistics.pairing import ZERO, Meeting, Pair, meet, verdict, verdicts
-from pcbench.statistics.stack import ASKED, CHUNK, COMPARED, OF_RUN, POOLED, RUN_METRICS, Chunks, Results, stack
+from pcbench.statistics.pairing import VERDICT, ZERO, Judged, Meeting, Pair, meet, settled, verdict, verdicts
+from pcbench.statistics.stack import ASKED, CHUNK, COMPARED, OF_RUN, POOLED, RUN_METRICS, Chunks, Results, joined, stack
 
 __all__ = [
-    "ASKED", "CHUNK", "COLUMNS", "COMPARED", "OF_RUN", "POOLED", "QUANTILES", "RUN_METRICS", "SAME", "SEEN", "Z95", "ZERO",
-    "Chunks", "Results", "Row", "Values",
+    "ASKED", "CHUNK", "COLUMNS", "COMPARED", "ESTIMATED", "OF_RUN", "POOLED", "QUANTILES", "RUN_METRICS", "SAME", "SEEN",
+    "VERDICT", "Z95", "ZERO",
+    "Chunks", "Described", "Judged", "Pair", "Results", "Row", "Values",
     "compare", "compared", "describe", "efficiency", "fraction", "holm", "mean", "pairs", "pooled", "quantiles",
-    "size", "summarise",
+    "size", "summarise", "summary", "summary_of_cells",
 ]  # fmt: skip
 
 SEEN = 1e-9  # a bound below this part of the prior is zero for every purpose: no efficiency against it
@@ -102,13 +103,38 @@ def summarise(
     chunks: Chunks, bounds: dict[str, Values | None], signals: list[str], sizes: tuple[float, ...]
 ) -> tuple[dict[str, list[Row]], list[Row]]:
     """Return what `describe` and `pairs` do, from the same passes."""
+    seen, met = _seen(chunks, sizes)
+    return _described(seen, bounds, chunks), verdicts(met, signals)
+
+
+def summary(
+    chunks: Chunks, bounds: dict[str, Values | None], sizes: tuple[float, ...]
+) -> tuple[dict[str, Described], dict[Pair, Judged]]:
+    """Return the same of one cell as columns."""
+    seen, met = _seen(chunks, sizes)
+    return _as_columns(seen, {o: None if b is None else b[None] for o, b in bounds.items()}, chunks), settled(met)
+
+
+def summary_of_cells(
+    cells: list[dict[str, Results]], bounds: dict[str, Values | None], sizes: tuple[float, ...]
+) -> tuple[dict[str, Described], dict[Pair, Judged]]:
+    """Return the same of several cells with the same observers, rows and seeds, at most CHUNK, in which no run diverged.
+
+    `bounds` are [C, signals]. The bits are those of each cell by itself.
+    """
+    stacks = {label: joined([stack(results[label]) for results in cells]) for label in cells[0]}
+    seen = {label: see(None, s) for label, s in stacks.items()}
+    return _as_columns(seen, bounds, lambda: []), settled(meet({}, stacks, sizes))
+
+
+def _seen(chunks: Chunks, sizes: tuple[float, ...]) -> tuple[dict[str, Aggregate], dict[Pair, Meeting]]:
     seen: dict[str, Aggregate] = {}
     met: dict[Pair, Meeting] = {}
     for chunk in chunks():
         stacks = {label: stack(results) for label, results in chunk.items()}
         seen = {label: see(seen.get(label), s) for label, s in stacks.items()}
         met = meet(met, stacks, sizes)
-    return _described(seen, bounds, chunks), verdicts(met, signals)
+    return seen, met
 
 
 def compared(metric: str, where: str) -> str:
@@ -118,6 +144,13 @@ def compared(metric: str, where: str) -> str:
     return metric
 
 
-def _described(seen: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks) -> dict[str, list[Row]]:
+def _as_columns(
+    seen: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks
+) -> dict[str, Described]:
     spreads = spread(seen, chunks)
     return {label: described(s, spreads[label], bounds[label]) for label, s in seen.items()}
+
+
+def _described(seen: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks) -> dict[str, list[Row]]:
+    each = {o: None if b is None else b[None] for o, b in bounds.items()}
+    return {label: rows(d) for label, d in _as_columns(seen, each, chunks).items()}

@@ -22,18 +22,34 @@ DESCRIBED = (
     *consistency.BANDS.values(),
     *consistency.INSIDE,
 )
+ESTIMATED = Estimate._fields[1:]
 BLANK = dict.fromkeys(COLUMNS, float("nan"))
 
 
 class Aggregate(NamedTuple):
-    """What is kept of one observer's runs; of those that diverged only how many there are."""
+    """What is kept of one observer's runs in C cells; of those that diverged only how many there are."""
 
     rows: dict[SignalMetric, int]
-    moments: Moments  # [K]
-    order: selection.Order  # [K]
+    moments: Moments  # [C K]
+    order: selection.Order  # [C K]
     diverged: int
-    unsettled: NDArray[np.int64]  # [signals]
-    inside: NDArray[np.int64]  # [3, states] within one, two, three sigma, of an observer that says how wrong it is
+    unsettled: NDArray[np.int64]  # [C signals]
+    inside: NDArray[np.int64]  # [3, C states] within one, two, three sigma, of an observer that says how wrong it is
+
+    @property
+    def cells(self) -> int:
+        """Return C."""
+        return len(self.moments.mean) // len(self.rows)
+
+
+class Described(NamedTuple):
+    """The rows of one observer in C cells, R of each."""
+
+    names: list[SignalMetric]  # [R]
+    n: NDArray[np.int64]  # [R]
+    diverged: int  # in each cell
+    values: Values  # [C, R, COLUMNS of an estimate and of quantiles]
+    shown: NDArray[np.bool_]  # [C, R] whether there is such a row
 
 
 def see(before: Aggregate | None, s: Stack) -> Aggregate:
@@ -41,7 +57,7 @@ def see(before: Aggregate | None, s: Stack) -> Aggregate:
     good = ~s.diverged
     values = kept(s.values, good)
     diverged, unsettled, found = int(s.diverged.sum()), kept(s.unsettled, good).sum(-1), moments(values)
-    inside = consistency.inside(values[[k for (m, _), k in s.rows.items() if m == "signal_nees"]])
+    inside = consistency.inside(values[s.every([k for (m, _), k in s.rows.items() if m == "signal_nees"])])
     if before is None:
         return Aggregate(s.rows, found, selection.add(selection.EMPTY, values), diverged, unsettled, inside)
     return Aggregate(
@@ -68,68 +84,93 @@ def spread(seen: Mapping[str, Aggregate], chunks: Chunks) -> dict[str, Values]:
             parts[label].append(selection.collect(sought[label], kept(new.values, ~new.diverged)))
     out = {}
     for label, s in seen.items():
-        out[label] = np.full((len(s.rows), len(COLUMNS)), np.nan)
+        out[label] = np.full((len(s.moments.mean), len(COLUMNS)), np.nan)
         if label in where:
             found = read(where[label], selection.select(s.order, sought[label], asked[label], parts[label]))
             out[label] = np.where(np.isnan(s.moments.mean)[:, None], np.nan, found)
     return out
 
 
-def described(s: Aggregate, quantiles: Values, bound: Values | None) -> list[Row]:
+def described(s: Aggregate, quantiles: Values, bounds: Values | None) -> Described:
     """Return the rows of one observer: by signal every metric, pooled rms, divergence, unsettled and efficiency.
 
-    quantiles are [K, COLUMNS]; bound [signals], NaN where there is none.
+    quantiles are [C K, COLUMNS]; bounds [C, signals], NaN where there is none.
     """
-    many, means, plain = len(s.unsettled), positive(s.moments), student(s.moments)
-    signed = np.array([name in SIGNED for name, _ in s.rows])
-    low, high = (np.where(signed, *(getattr(e, end) for e in (plain, means))) for end in ("ci_low", "ci_high"))
-    means = means._replace(ci_low=low, ci_high=high)
-    known = [
-        row | dict(zip(COLUMNS, q, strict=True)) for row, q in zip(columns(means), quantiles.tolist(), strict=True)
-    ]
-    rows = {name: known[k] for name, k in s.rows.items()}
-
-    def put(metric: str, e: Estimate) -> None:
-        rows.update({(metric, i): row | BLANK for i, row in enumerate(columns(e))})
-
+    many, K = len(s.unsettled) // s.cells, len(s.rows)
+    means = _means(s)
+    known: dict[str, Estimate] = {}
     for metric, square in POOLED.items():
-        at = [s.rows[square, i] for i in range(many)]
-        pooled = root(Estimate(means.n, *(values[at] for values in means[1:])))
-        put(metric, pooled)
-        if bound is not None and metric == "tail_pooled_rmse":
-            put("efficiency", reached(bound[:many], pooled))
-    put("divergence", wilson(np.full(many, s.diverged), means.n + s.diverged))
-    put("unsettled", wilson(s.unsettled, means.n))
-    for metric, e in _known(s, means).items():
-        put(metric, e)
-    for i in range(many):
-        if bound is not None and np.isnan(bound[i]):
-            del rows["efficiency", i]
-    return [
-        {"signal": i, "metric": metric, "n": row["n"], "diverged": s.diverged} | row
+        known[metric] = root(_of(means, _every(s, [s.rows[square, i] for i in range(many)])))
+    if bounds is not None:
+        known["efficiency"] = reached(bounds[:, :many].ravel(), known["tail_pooled_rmse"])
+    known["divergence"] = wilson(np.full(s.cells * many, s.diverged), means.n + s.diverged)
+    known["unsettled"] = wilson(s.unsettled, means.n)
+    known |= _known(s, means)
+    sizes = {metric: len(e.mean) // s.cells for metric, e in known.items()}
+    names = [
+        (metric, i)
         for i in range(many)
         for metric in DESCRIBED
-        if (row := rows.get((metric, i)))
+        if ((metric, i) in s.rows if metric not in known else i < sizes[metric])
     ]
+    values = np.full((s.cells, len(names), len(ESTIMATED) + len(COLUMNS)), np.nan)
+    runs = [r for r, (metric, _) in enumerate(names) if metric not in known]
+    of_runs = np.concatenate([np.stack(means[1:], 1), quantiles], 1).reshape(s.cells, K, -1)
+    values[:, runs] = of_runs[:, [s.rows[names[r]] for r in runs]]
+    for metric, e in known.items():
+        at = [r for r, (name, _) in enumerate(names) if name == metric]
+        values[:, at, : len(ESTIMATED)] = np.stack(e[1:], 1).reshape(s.cells, sizes[metric], -1)
+    shown = np.ones(values.shape[:2], bool)
+    if bounds is not None:
+        shown[:, [r for r, (name, _) in enumerate(names) if name == "efficiency"]] = ~np.isnan(bounds[:, :many])
+    n = np.array([known[metric].n if metric in known else means.n for metric, _ in names])
+    return Described(names, n, s.diverged, values, shown)
+
+
+def rows(d: Described, cell: int = 0) -> list[Row]:
+    """Return what is known of one of the cells as rows."""
+    each = zip(d.names, d.n.tolist(), d.values[cell].tolist(), d.shown[cell], strict=True)
+    return [
+        {"signal": i, "metric": metric, "n": n, "diverged": d.diverged}
+        | dict(zip((*ESTIMATED, *COLUMNS), row, strict=True))
+        for (metric, i), n, row, shown in each
+        if shown
+    ]
+
+
+def _means(s: Aggregate) -> Estimate:
+    """The means of all metrics: of those that have a sign with Student's interval."""
+    means, plain = positive(s.moments), student(s.moments)
+    signed = np.tile([name in SIGNED for name, _ in s.rows], s.cells)
+    low, high = (np.where(signed, *(getattr(e, end) for e in (plain, means))) for end in ("ci_low", "ci_high"))
+    return means._replace(ci_low=low, ci_high=high)
+
+
+def _every(s: Aggregate, at: list[int]) -> NDArray[np.int64]:
+    """Rows of one cell, in all of them."""
+    return np.add.outer(np.arange(s.cells) * len(s.rows), np.array(at, int)).ravel()
+
+
+def _of(e: Estimate, at: NDArray[np.int64]) -> Estimate:
+    return Estimate(e.n, *(values[at] for values in e[1:]))
 
 
 def _known(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
     """What is known of an observer's own covariance: the bands of its normalised squares, and its sigma shares."""
     if ("nees", 0) not in s.rows:
         return {}
-    states = s.inside.shape[1]
-    counts = ~np.isnan(means.mean[[s.rows["signal_nees", i] for i in range(states)]])
+    states = s.inside.shape[1] // s.cells
+    counts = ~np.isnan(means.mean[_every(s, [s.rows["signal_nees", i] for i in range(states)])])
     shares = [wilson(count, means.n) for count in s.inside]
     blank = [Estimate(e.n, *(np.where(counts, values, np.nan) for values in e[1:])) for e in shares]
-    whole = consistency.bands(means.n, means.mean[[s.rows["nees_states", 0]]])
+    whole = consistency.bands(means.n, means.mean[_every(s, [s.rows["nees_states", 0]])])
     each = consistency.bands(means.n, np.where(counts, 1.0, 0.0))
     bands = {"nees_band": whole, "signal_nees_band": each}
     if (at := s.rows.get(("nis_degrees", 0))) is not None:
-        bands["nis_band"] = consistency.bands(means.n, means.mean[[at]])
+        bands["nis_band"] = consistency.bands(means.n, means.mean[_every(s, [at])])
     return dict(zip(consistency.INSIDE, blank, strict=True)) | bands
 
 
 def columns(e: Estimate) -> list[Row]:
     """Return estimates [K] as K parts of rows."""
-    names = Estimate._fields[1:]
-    return [{"n": e.n} | dict(zip(names, row, strict=True)) for row in np.stack(e[1:], 1).tolist()]
+    return [{"n": e.n} | dict(zip(ESTIMATED, row, strict=True)) for row in np.stack(e[1:], 1).tolist()]

@@ -48,12 +48,17 @@ SignalMetric = tuple[str, int]  # a metric of a signal (by its number)
 
 
 class Stack(NamedTuple):
-    """One observer's metrics over n runs. Of tracking_* only the first signals have a row: those with a set point."""
+    """One observer's metrics over n runs in C cells. Of tracking_* only the first signals have a row: those with a set point."""
 
     rows: dict[SignalMetric, int]
-    values: Values  # [K, n]
-    diverged: NDArray[np.bool_]  # [n]
-    unsettled: NDArray[np.bool_]  # [signals, n]
+    values: Values  # [C K, n]
+    diverged: NDArray[np.bool_]  # [n]; in none where there are several cells
+    unsettled: NDArray[np.bool_]  # [C signals, n]
+
+    def every(self, rows: list[int]) -> NDArray[np.int64]:
+        """Return some rows of one cell in all of them."""
+        K = len(self.rows)
+        return np.add.outer(np.arange(0, len(self.values), K), np.array(rows, int)).ravel()
 
 
 def stack(results: Results) -> Stack:
@@ -62,6 +67,16 @@ def stack(results: Results) -> Stack:
     names = [(m, i) for m in present for i in range(len(results[m]))]
     values = np.concatenate([results[m] for m in present], dtype=np.float64)
     return Stack({name: k for k, name in enumerate(names)}, values, results["diverged"], results["unsettled"])
+
+
+def joined(stacks: list[Stack]) -> Stack:
+    """Return the stacks of an observer in cells with the same rows and so many runs, none of which diverged, as one."""
+    first = stacks[0]
+    if len(stacks) == 1:
+        return first
+    return first._replace(
+        values=np.concatenate([s.values for s in stacks]), unsettled=np.concatenate([s.unsettled for s in stacks])
+    )
 
 
 def kept(values: NDArray[Any], keep: NDArray[np.bool_]) -> NDArray[Any]:
