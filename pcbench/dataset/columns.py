@@ -1,5 +1,6 @@
 """The columns of the tables that other programs read, with units and meaning: a change is a new SCHEMA number. No jax."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -187,10 +188,15 @@ def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:
             kind = _type(name, values, bools)
             values = _array(values, kind)
         arrays.append(values)
-        unit = AXIS_UNITS.get(name, "s" if name in SECONDS else "")
-        about = {"meaning": MEANING.get(name, "the plant's parameter in this cell")} | ({"unit": unit} if unit else {})
-        fields.append(pa.field(name, kind, metadata=about))
+        fields.append(_field(name, kind))
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"pcbench.schema": SCHEMA}))
+
+
+@cache
+def _field(name: str, kind: pa.DataType) -> pa.Field:
+    unit = AXIS_UNITS.get(name, "s" if name in SECONDS else "")
+    about = {"meaning": MEANING.get(name, "the plant's parameter in this cell")} | ({"unit": unit} if unit else {})
+    return pa.field(name, kind, metadata=about)
 
 
 def _array(values: Any, kind: pa.DataType) -> pa.Array:

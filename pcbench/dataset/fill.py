@@ -23,12 +23,13 @@ from pcbench.errors import UserError
 from pcbench.machine import provenance
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.machine.stopwatch import Stopwatch
-from pcbench.planning import once, padding
+from pcbench.planning import once, padding, remembered
 from pcbench.planning.padding import Plan
 from pcbench.study.cells import Cell
 
 CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
 TASKS = 64  # to share among cores and workers
+DRAFTS = 2**27  # bytes of drafts that are kept between planning and computing, those of 10,000 cells of few schedules
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
 SeedsOf = Callable[[Cell], Seeds]
 Heard = Callable[
@@ -222,26 +223,32 @@ def _block(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
 
 
 class Planned(NamedTuple):
-    """What is to be done: designed and checked. Cells are laid out again as their tasks are drawn, so that none waits."""
+    """What is to be done: designed and checked. Of many cells those that are not kept are laid out again as tasks are drawn."""
 
     owned: Owned
     todo: Gaps
     room: padding.Capacity
     ask: once.Once  # has the designs
+    kept: tuple[Plan, ...] = ()  # drafts of the first cells
+    cells: int = 0  # how many cells those are
 
     def drafts(self, wanted: SeedsOf) -> Iterator[Plan]:
         """Yield the cells' drafts."""
-        yield from planning.drafts(self.owned.cells, self.todo, self.ask, lambda cell: wanted(cell).many)
+        yield from self.kept
+        if self.cells < len(self.owned.cells):
+            many = lambda cell: wanted(cell).many  # noqa: E731
+            yield from planning.drafts(self.owned.cells, self.todo, self.ask, many, self.cells)
 
     def tasks(self, wanted: SeedsOf) -> Iterator[task.Task]:
         """Yield the tasks, cell by cell."""
         for p in self.drafts(wanted):
             ranges = {label: each for label, each in self.todo.get(p.cell.key, {}).items() if label in p.labels}
             if ranges:
-                yield from task.tasks(padding.fitted(p, self.room), p.layout.width, ranges)
+                yield from task.tasks(padding.fitted(p, self.room, self.ask), p.layout.width, ranges)
 
 
 def _planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
     """Design what is to be done, and find the room that it takes; raise UserError where that cannot be."""
-    first = Planned(owned, todo, padding.Capacity(), once.once())
-    return first._replace(room=padding.needed(padding.checked(first.drafts(wanted))))
+    first, keep = Planned(owned, todo, padding.Capacity(), once.once()), remembered.Drafts(DRAFTS)
+    room = padding.needed(keep.passing(padding.checked(first.drafts(wanted))))
+    return first._replace(room=room, kept=keep.whole(), cells=keep.cells)

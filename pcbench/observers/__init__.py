@@ -138,7 +138,9 @@ OBSERVERS = {
 
 def base_of(label: str) -> str | None:
     """Return the observer that a label names: its own name, or name-anything (an observer run with other options)."""
-    found = [name for name in OBSERVERS if label == name or label.startswith(name + "-")]
+    if label in OBSERVERS:
+        return label
+    found = [name for name in OBSERVERS if label.startswith(name + "-")]
     plain = label.isprintable() and len(label) <= LONGEST
     return max(found, key=len, default=None) if plain else None
 

@@ -41,20 +41,20 @@ def drafts(
     wanted: Container[tuple[str, int]] | None = None,
     ask: once.Once | None = None,
     runs: Callable[[Cell], int] | None = None,
+    skip: int = 0,
 ) -> Iterator[Plan]:
-    """Yield a draft of every cell; in a closed loop one for each observer, whose plant is its own.
+    """Yield a draft of every cell but the first `skip`; in a closed loop one for each observer, whose plant is its own.
 
     Cells whose key is not in `wanted` (None: all are) are drafted without gains: they say what room a program needs.
     `ask` has what cells have in common; `runs` says how many a cell is to have, for its calls to be no wider.
     """
     ask = ask or once.once()
     most: dict[str, Setting] = {}
-    for cell in every:
+    settings = [setting(cell, ask) for cell in every]
+    for cell, known in zip(every, settings, strict=True):
         if not cell.times.random:
-            known = setting(cell, ask)
             most[cell.scenario.plant] = known.roomier(most.get(cell.scenario.plant, known))
-    for cell in every:
-        known = setting(cell, ask)
+    for cell, known in zip(every[skip:], settings[skip:], strict=True):
         if not cell.times.random:  # where sampling is random, room for more costs more than a program
             known = known.roomier(most[cell.scenario.plant])
         groups = [{o: given} for o, given in cell.options.items()] if cell.scenario.loop.controller else [cell.options]

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.planning import controller
+from pcbench.planning import controller, once
 from pcbench.protocols import Plant
 from pcbench.simulation import conformance
 from pcbench.simulation.problem import Layout, Problem
@@ -78,13 +78,10 @@ def larger(a: Capacity, b: Capacity) -> Capacity:
     return Capacity._make([*map(max, a[:-1], b[:-1]), tuple(rows.items())])
 
 
-def fitted(p: Plan, room: Capacity) -> Plan:
+def fitted(p: Plan, room: Capacity, ask: once.Once = once.anew) -> Plan:
     """Give a draft the shape that `room` asks for."""
-    schedule, rows = p.problem.schedule, dict(room.rows)
-    if isinstance(schedule, shared.Schedule):
-        schedule = shared.pad_notes(shared.pad_early(shared.pad_slots(schedule, room.slots), room.early), room.notes)
-    else:
-        schedule = per_lane.padded(schedule, room.due)
+    drafted, rows = p.problem.schedule, dict(room.rows)
+    _, schedule = ask("fitted", (id(drafted), room), lambda: (drafted, _padded(drafted, room)))  # alive: the id is its own
     leaves, tree = jax.tree.flatten(p.problem.params)
     wide = [
         np.broadcast_to(a, (rows[p.cell.scenario.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a
@@ -99,6 +96,12 @@ def fitted(p: Plan, room: Capacity) -> Plan:
         problem = problem._replace(control=law, line=line)
         layout = layout._replace(commands=room.back, pending=pending)
     return p._replace(problem=problem, layout=layout)
+
+
+def _padded(schedule: shared.Schedule | per_lane.Times, room: Capacity) -> shared.Schedule | per_lane.Times:
+    if isinstance(schedule, shared.Schedule):
+        return shared.pad_notes(shared.pad_early(shared.pad_slots(schedule, room.slots), room.early), room.notes)
+    return per_lane.padded(schedule, room.due)
 
 
 def fit(drafts: list[Plan]) -> list[Plan]:
