@@ -22,11 +22,11 @@ class Drafts:
         """Yield drafts, in the order of their cells, and keep the first."""
         for p in drafts:
             if not self.full:
-                new = [a for a in jax.tree.leaves(p.problem) if id(a) not in self.seen]
-                self.left -= sum(getattr(a, "nbytes", 0) + LEAF for a in new)
+                new = {id(a): a for a in jax.tree.leaves(p.problem) if id(a) not in self.seen}
+                self.left -= sum(getattr(a, "nbytes", 0) + LEAF for a in new.values())
                 self.full = self.left < 0
                 self.kept.append(p)
-                self.seen.update(map(id, new))
+                self.seen.update(new)
             yield p
 
     def whole(self) -> tuple[Plan, ...]:

@@ -8,7 +8,7 @@ from small_study import rows
 
 import pcbench
 from pcbench import statistics
-from pcbench.dataset import block_files, cell_rows, ownership, store, summary
+from pcbench.dataset import block_files, cell_rows, ownership, parquet, store, summary
 from pcbench.dataset.seeds import Seeds
 
 
@@ -58,3 +58,27 @@ def test_what_a_task_has_just_done_is_closed_without_reading_it(tmp_path, monkey
     stats, pairs = summary.closing_tables(place, ownership.opened(place), block_files.present(place))
     assert store.get(place, "stats.parquet") == stats
     assert store.get(place, "pairs.parquet") == pairs
+
+
+def test_rows_are_the_same_however_many_cells_are_taken_together(tmp_path, monkeypatch):
+    """With a cell whose runs diverge, which is taken by itself, and one that has fewer seeds."""
+    study = {
+        "name": "some",
+        "scenario": {"base": "cart/slow", "bound": 50.0},
+        "observers": ["kfbo", "open-loop"],
+        "axes": {"noise_std": [0.1, 0.2, 500.0, 0.3, 0.4]},
+    }
+    place = store.target(tmp_path / "out")
+    pcbench.run(study, seeds=20, out=tmp_path / "out")
+    known = block_files.present(place)
+    there, owned = [b for b in known if (b.cell, b.seeds.first) != (4, 0)], ownership.opened(place)
+    tables = []
+    for many in (1, 2, 32):
+        monkeypatch.setattr(summary, "TOGETHER", many)
+        tables.append([parquet.parsed(content) for content in summary.closing_tables(place, owned, there)])
+    stats = tables[0][0].to_pandas()
+    assert set(stats[stats.diverged > 0].cell) == {2}
+    assert set(stats.cell) == {0, 1, 2, 3}
+    for stats, pairs in tables[1:]:
+        assert stats.equals(tables[0][0])
+        assert pairs.equals(tables[0][1])

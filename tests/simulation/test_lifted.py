@@ -15,7 +15,7 @@ from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer
 from pcbench.simulation import batch, metrics
-from pcbench.simulation.lifted import chunks, form, orthogonal, products, reach
+from pcbench.simulation.lifted import chunks, form, kept_maps, orthogonal, products, reach
 from pcbench.simulation.start import begin
 from pcbench.study import read as read_study
 from tests.support.harness import LINEAR, ODD, Case, problem, recorder
@@ -103,7 +103,8 @@ def ways(observer=None, label="dkf", case=CASE):
     layout, p = problem(case, {label: {}})
     each = ((label, observer or OBSERVERS[label].observer),)
     with process.float64():
-        return form.ways(layout._replace(observers=each, lifted=ROOM, random_start=True), p)[label]
+        found = kept_maps.reads(layout._replace(observers=each, lifted=ROOM, random_start=True), p)
+        return "lifted" if label in found else "stepped"
 
 
 @pytest.mark.parametrize("label", ["dkf", "kfbo", "chain", "kf-horizon"])
@@ -161,7 +162,7 @@ def test_a_plant_that_bends_lifts_nobody():
     layout, p = problem(CASE, {"dkf": {}})
     bent = LINEAR._replace(step=lambda params, now, x: jnp.sin(x))
     with process.float64():
-        assert form.ways(layout._replace(plant=bent, lifted=ROOM), p) == {"dkf": "stepped"}
+        assert kept_maps.reads(layout._replace(plant=bent, lifted=ROOM), p) == {}
         assert not form.plant_goes(layout._replace(plant=bent), p)
         assert not form.plant_goes(layout, p._replace(process_std=np.ones(3)))
 

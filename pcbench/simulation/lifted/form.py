@@ -6,7 +6,6 @@ holds for a user's observer as for ours. Stepped is what is not affine, and what
 keeps (an observer with a schedule of its own). Whether an observer is stepped depends on itself and its plant, not on others.
 """
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -17,7 +16,6 @@ from pcbench.simulation import lanes
 from pcbench.simulation.lifted.reach import reach
 from pcbench.simulation.problem import Layout, Problem, State, present, truth
 from pcbench.simulation.schedule.shared import Schedule
-from pcbench.simulation.start import begin
 
 Leaves = list[Any]  # of (x, memory), or of x alone, in the order of jax.tree.leaves: x comes first
 Z = dict[int, Any]  # some of them, by number
@@ -51,16 +49,6 @@ def forms(layout: Layout, p: Problem, state: State) -> tuple[Form, ...]:
         return ()
     each = [_form(layout, p, state, label) for label in (PLANT, *(label for label, _ in layout.observers))]
     return tuple(form for form in each if form)
-
-
-def ways(layout: Layout, p: Problem) -> dict[str, str]:
-    """Return by observer how it goes in a layout: 'lifted' or 'stepped'."""
-    if not layout.lifted:
-        return {label: "stepped" for label, _ in layout.observers}
-    layout = layout._replace(width=1)
-    state = jax.eval_shape(partial(begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
-    found = {form.label for form in forms(layout, p, state)}
-    return {label: "lifted" if label in found else "stepped" for label, _ in layout.observers}
 
 
 def leaves_of(state: State, label: str) -> Leaves:

@@ -1,0 +1,50 @@
+"""Drafts are made once though a study goes over its cells twice, as far as they fit; what is planned is the same."""
+
+from itertools import groupby
+
+import jax
+import numpy as np
+import pytest
+
+from pcbench.dataset import fill, ownership, store
+from pcbench.machine import process
+from pcbench.planning import arrays
+from pcbench.study import read
+
+OPEN = {"name": "x", "scenarios": ["cart/slow"], "observers": ["dkf", "open-loop"], "axes": {"noise_std": [0.1, 0.2, 0.3]}}
+CLOSED = {"name": "x", "scenarios": ["helicopter/constant"], "observers": ["ekf", "ukf"], "axes": {"noise_std": [0.1, 0.2]}}
+
+
+def planned(study, place):
+    """What is planned of a study, and how often a draft is made of its cells."""
+    owned = ownership.claim(place, read.grid_of(study | {"seeds": 2}, {}, []))
+    wanted = fill.everything(owned, [])
+    return fill._planned(owned, fill.missing(owned, [], wanted, lambda cell: 64), wanted), wanted
+
+
+@pytest.mark.parametrize("study", [OPEN, CLOSED], ids=["open", "closed"])
+def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypatch):
+    made, draft = [], arrays.draft
+    monkeypatch.setattr(arrays, "draft", lambda cell, *a, **k: made.append(cell.number) or draft(cell, *a, **k))
+    found, size = {}, 0
+    for room in (2**30, 0, None):
+        if room is None:  # so that the second cell does not fit as a whole
+            room = size
+        monkeypatch.setattr(fill, "DRAFTS", room)
+        made.clear()
+        with process.float64():
+            plan, wanted = planned(study, store.target(tmp_path / "out"))
+            tasks = list(plan.tasks(wanted))
+        many = len(study["axes"]["noise_std"]) * (len(study["observers"]) if study is CLOSED else 1)
+        assert len(tasks) == many
+        assert len(made) == 2 * many - len(plan.kept)
+        if room == 2**30:
+            assert plan.cells == len(study["axes"]["noise_std"])
+            leaves = [jax.tree.leaves(p.problem) for p in plan.kept]
+            first = {id(a): a for p in leaves[: many // plan.cells] for a in p}
+            size = sum(getattr(a, "nbytes", 0) + 200 for a in first.values())
+        found[room] = [[np.asarray(a).tobytes() for a in jax.tree.leaves(t.parcel.problem)] for t in tasks]
+        cells = [key for key, _ in groupby(t.parcel.cell.key for t in tasks)]
+        assert len(cells) == len(set(cells))
+    assert plan.cells == 1
+    assert len({str(each) for each in found.values()}) == 1
