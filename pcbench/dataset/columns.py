@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from pcbench.dataset import loop_columns
 from pcbench.statistics import QUANTILES
@@ -122,33 +123,28 @@ def keys(study: str, cell: Any) -> dict[str, Any]:
     return {"study": study, "scenario": cell.scenario.name, "cell": cell.number, **cell.values}
 
 
-def runs_table(
-    head: dict[str, Any],
-    results: dict[str, Any],
-    seeds: Any,
-    signals: tuple[tuple[str, str], ...],
-    carries_input: bool | None,
-) -> pa.Table:
-    """Return the runs of one observer in one cell, whose `keys` are in `head`: a row per seed and signal."""
-    many = len(results["mae"])  # what this observer estimates
-    rows = len(seeds) * many
-    said = {name: [value] for name, value in head.items() if name != "scenario"}  # in the path, as `observer` is
-    said |= {"carries_input": [carries_input]}
-    names, units = zip(*signals[:many], strict=True)
-    bad = np.broadcast_to(results["diverged"], results["unsettled"].shape)
+def common_columns(
+    head: dict[str, Any], seeds: NDArray[np.int64], signals: tuple[tuple[str, str], ...]
+) -> dict[str, pa.Array]:
+    """Return the columns that tables of runs of a cell have in common, whose `keys` are in `head`: a row per seed and signal."""
+    said = table({name: [value] for name, value in head.items() if name != "scenario"})  # in the path, as `observer` is
+    (names, units), at = zip(*signals, strict=True), np.tile(np.arange(len(signals)), len(seeds))
+    out = {name: pa.repeat(column[0], len(at)) for name, column in zip(said.column_names, said.columns, strict=True)}
+    rows = pa.array(np.repeat(seeds, len(signals)), pa.int64())
+    return out | {"seed": rows, "signal": words(names, at), "unit": words(units, at)}
+
+
+def runs_table(common: dict[str, pa.Array], results: dict[str, Any], carries_input: bool | None) -> pa.Table:
+    """Return the runs of one observer in one cell, with the `common_columns` of the signals that it estimates."""
+    (many, seeds), bad = results["mae"].shape, np.broadcast_to(results["diverged"], results["unsettled"].shape)
     columns = {
-        "seed": np.repeat(seeds, many),
-        "signal": words(names, np.tile(np.arange(many), len(seeds))),
-        "unit": words(units, np.tile(np.arange(many), len(seeds))),
-        "carries_input": None,
-        **{m: _column(results.get(m), many, len(seeds)) for m in loop_columns.shown(results)},
+        "carries_input": pa.repeat(pa.scalar(carries_input, pa.bool_()), many * seeds),
+        **{m: _column(results.get(m), many, seeds) for m in loop_columns.shown(results)},
         "status": words(("settled", "unsettled", "diverged"), np.where(bad, 2, results["unsettled"]).T.ravel()),
         "diverged": np.repeat(results["diverged"], many),
         "first_bad_time": np.repeat(results["first_bad_time"], many),
     }
-    same = {name: pa.repeat(column[0], rows) for name, column in zip(said, table(said).columns, strict=True)}
-    order = [*(name for name in said if name != "carries_input"), *columns]
-    return table({name: same.get(name, columns.get(name)) for name in order}, bools=("diverged",))
+    return table(common | columns, bools=("diverged",))
 
 
 def words(known: tuple[str, ...] | list[str], which: Any) -> pa.Array:

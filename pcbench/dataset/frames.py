@@ -30,7 +30,9 @@ class Frame(NamedTuple):
         return columns.with_intervals(columns.table({name: (common | self.columns)[name] for name in order}))
 
 
-def of_stats(heads: list[Head], known: Known, signals: tuple[tuple[str, str], ...], found: dict[str, Described]) -> Frame:
+def of_stats(
+    heads: list[Head], known: Known, signals: tuple[tuple[str, str], ...], found: dict[str, Described]
+) -> Frame:
     """Return the rows of stats: by cell, by observer, by signal, every metric."""
     each = list(found.values())
     shown = np.concatenate([d.shown for d in each], 1)
@@ -38,7 +40,11 @@ def of_stats(heads: list[Head], known: Known, signals: tuple[tuple[str, str], ..
     cells, row = np.nonzero(shown)
     who = np.repeat(np.arange(len(each)), [len(d.names) for d in each])[row]
     names = [name for d in each for name in d.names]
-    out = {"observer": columns.words(list(found), who)} | _named(names, signals, row) | _known(known, list(found), cells, who)
+    out = (
+        {"observer": columns.words(list(found), who)}
+        | _named(names, signals, row)
+        | _known(known, list(found), cells, who)
+    )
     out |= {"n": np.concatenate([d.n for d in each])[row], "diverged": np.array([d.diverged for d in each])[who]}
     out |= dict(zip((*ESTIMATED, *COLUMNS), values.T, strict=True))
     return Frame(heads, shown.sum(1), out)
@@ -61,7 +67,9 @@ def of_pairs(heads: list[Head], known: Known, signals: tuple[tuple[str, str], ..
     return Frame(heads, np.full(len(heads), len(names)), out)
 
 
-def _named(names: Sequence[tuple[str, int]], signals: tuple[tuple[str, str], ...], row: NDArray[np.int64]) -> dict[str, pa.Array]:
+def _named(
+    names: Sequence[tuple[str, int]], signals: tuple[tuple[str, str], ...], row: NDArray[np.int64]
+) -> dict[str, pa.Array]:
     """The columns that say what a row is of; `names` are (metric, signal)."""
     said = {
         "signal": [signals[i][0] for _, i in names],
@@ -75,9 +83,7 @@ def _named(names: Sequence[tuple[str, int]], signals: tuple[tuple[str, str], ...
     return out
 
 
-def _known(
-    known: Known, observers: list[str], cells: NDArray[np.int64], who: NDArray[np.int64]
-) -> dict[str, pa.Array]:
+def _known(known: Known, observers: list[str], cells: NDArray[np.int64], who: NDArray[np.int64]) -> dict[str, pa.Array]:
     """Columns of yes, no or null: of which cell and which of the observers each row is."""
     out = {}
     for what in KNOWN:

@@ -93,19 +93,22 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
             with target.fs.open_output_stream(path) as stream:
                 stream.write(content)
             return
-        beside = Path(target.root) / f".{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
+        beside = f"{target.root}/.{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
         try:
             with open(beside, "wb") as f:
                 f.write(content)
                 f.flush()
                 os.fsync(f.fileno())
-            _folders(target.root, name)
-            os.replace(beside, path)
+            try:
+                os.replace(beside, path)
+            except FileNotFoundError:
+                _folders(target.root, name)
+                os.replace(beside, path)
             if lasting:
                 _sync_folder(Path(path).parent)
         finally:
             with suppress(OSError):
-                beside.unlink(missing_ok=True)
+                os.unlink(beside)
 
 
 def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:

@@ -93,6 +93,7 @@ class Closing:
         self.weakest: dict[str, dict[str, Any]] = {}
         self.ways: dict[str, dict[str, str]] = {}
         self.left = deque(owned.cells)
+        self.waits = self._waiting()
         self.held: dict[Key, cell_rows.Held] = {}  # of cells whose turn is still to come
         self.blocks: dict[tuple[str, int, str], list[Block]] = {}
         for b in sorted(block_files.settled(there)):
@@ -103,8 +104,11 @@ class Closing:
         if runs == self.lacking[key]:  # of a cell that comes in parts nothing is held
             self.held[key] = held
         self.lacking[key] -= runs
-        while len(self.left) >= TOGETHER and not any(self.lacking.get(c.key) for c in islice(self.left, TOGETHER)):
+        if not self.lacking[key]:
+            self.waits.discard(key)
+        while not self.waits and self.left:
             self._add_some()
+            self.waits = self._waiting()
 
     def content(self) -> tuple[pa.Buffer, pa.Buffer, dict[str, dict[str, Any]], dict[str, dict[str, str]]]:
         """Return the tables of all cells, the weakest certificates, and how observers went: lifted, stepped, or both."""
@@ -112,10 +116,16 @@ class Closing:
             self._add_some()
         return self.stats.content(), adjusted(self.pairs.content(), self.made_of), self.weakest, self.ways
 
+    def _waiting(self) -> set[Key]:
+        """Those of the next cells that lack runs."""
+        return {c.key for c in islice(self.left, TOGETHER) if self.lacking.get(c.key)}
+
     def _add_some(self) -> None:
         """Add the next TOGETHER cells, whatever is there of them: where a file's parts end depends on the study alone."""
         cells = [self.left.popleft() for _ in range(min(TOGETHER, len(self.left)))]
-        each = [(cell, cell_rows.observed(self.target, cell, self.blocks, self.held.pop(cell.key, {}))) for cell in cells]
+        each = [
+            (cell, cell_rows.observed(self.target, cell, self.blocks, self.held.pop(cell.key, {}))) for cell in cells
+        ]
         for alike, some in groupby(map(self._with_runs, each), key=itemgetter(0)):
             for cell, found, _ in (group := [one for _, one in some]):
                 self._note(cell, found)
@@ -123,7 +133,9 @@ class Closing:
                 for cell, found, _ in group:
                     self._add_one(cell, found)
             else:
-                self._put(group[0][0], *cell_rows.rows_of_cells(self.owned.study.name, [runs for *_, runs in group if runs]))
+                self._put(
+                    group[0][0], *cell_rows.rows_of_cells(self.owned.study.name, [runs for *_, runs in group if runs])
+                )
 
     def _with_runs(self, one: tuple[Cell, cell_rows.Found]) -> tuple[Any, tuple[Cell, cell_rows.Found, Any]]:
         """A cell with its runs and their kind, by which it is put together with others; None where it is not."""
@@ -137,7 +149,10 @@ class Closing:
             if found:
                 self._put(cell, *cell_rows.rows_of(self.target, self.owned.study.name, cell, found))
             return
-        stats, pairs = columns.stats_order(columns.axes_of(cell.values)), columns.pairs_order(columns.axes_of(cell.values))
+        stats, pairs = (
+            columns.stats_order(columns.axes_of(cell.values)),
+            columns.pairs_order(columns.axes_of(cell.values)),
+        )
         rows, compared = [], exact_part.pairs(known)
         if found:
             mine = cell_rows.rows_of(self.target, self.owned.study.name, cell, found)

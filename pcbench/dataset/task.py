@@ -98,9 +98,10 @@ def files(
     names = dict(zip(p.labels, (name for name, _ in p.layout.observers), strict=True))
     at = 0
     for seeds, labels in task.pieces:
+        common: dict[int, dict[str, pa.Array]] = {}
         for label in labels:
             mine = {m: values[..., at : at + seeds.many] for m, values in results[label].items()}
-            yield block(work, p, label, mine, seeds, ways[names[label]])
+            yield block(work, p, label, mine, seeds, ways[names[label]], common)
         at += seeds.many
 
 
@@ -116,9 +117,18 @@ def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memo
 
 
 def block(
-    work: Work, p: Plan, label: str, results: dict[str, Any], seeds: Seeds, way: str
+    work: Work,
+    p: Plan,
+    label: str,
+    results: dict[str, Any],
+    seeds: Seeds,
+    way: str,
+    common: dict[int, dict[str, pa.Array]] | None = None,
 ) -> tuple[str, tuple[pa.Table, cell_rows.Runs]]:
-    """Return the name and the rows of one block; its metadata hold what statistics need beside the rows."""
+    """Return the name and the rows of one block; its metadata hold what statistics need beside the rows.
+
+    `common` has the columns that blocks of these seeds have in common, by how many signals they are of; it is added to.
+    """
     c, signals = p.certificates[label], signals_of(p.cell.scenario)
     many = len(results["mae"])
     bound = None if p.bound is None else [float(b) for b in p.bound[:many]]
@@ -142,8 +152,10 @@ def block(
         "flow": way,
         "versions": provenance.versions(),
     }
-    head = columns.keys(work.study, p.cell)
-    table = columns.runs_table(head, results, np.arange(*seeds), signals, p.carries_input[label])
+    common = {} if common is None else common
+    if many not in common:
+        common[many] = columns.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
+    table = columns.runs_table(common[many], results, p.carries_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
     kept = {m: results[m] for m in (*about["metrics"], "diverged", "unsettled")}
     return name, (block_files.sealed(table, about), cell_rows.Runs(about, kept))

@@ -81,7 +81,9 @@ def larger(a: Capacity, b: Capacity) -> Capacity:
 def fitted(p: Plan, room: Capacity, ask: once.Once = once.anew) -> Plan:
     """Give a draft the shape that `room` asks for."""
     drafted, rows = p.problem.schedule, dict(room.rows)
-    _, schedule = ask("fitted", (id(drafted), room), lambda: (drafted, _padded(drafted, room)))  # alive: the id is its own
+    _, schedule = ask(
+        "fitted", (id(drafted), room), lambda: (drafted, _padded(drafted, room))
+    )  # alive: the id is its own
     leaves, tree = jax.tree.flatten(p.problem.params)
     wide = [
         np.broadcast_to(a, (rows[p.cell.scenario.plant, i], *np.shape(a)[1:])) if np.ndim(a) and len(a) == 1 else a

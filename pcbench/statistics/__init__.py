@@ -144,9 +144,7 @@ def compared(metric: str, where: str) -> str:
     return metric
 
 
-def _as_columns(
-    seen: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks
-) -> dict[str, Described]:
+def _as_columns(seen: dict[str, Aggregate], bounds: dict[str, Values | None], chunks: Chunks) -> dict[str, Described]:
     spreads = spread(seen, chunks)
     return {label: described(s, spreads[label], bounds[label]) for label, s in seen.items()}
 

@@ -24,7 +24,9 @@ def results():
 
 def test_a_row_is_of_one_seed_and_one_signal():
     found, given = (
-        columns.runs_table({"study": "t", "scenario": "s", "cell": 4}, results(), SEEDS, SIGNALS, True),
+        columns.runs_table(
+            columns.common_columns({"study": "t", "scenario": "s", "cell": 4}, SEEDS, SIGNALS), results(), True
+        ),
         results(),
     )
     rows = found.to_pylist()

@@ -11,8 +11,18 @@ from pcbench.machine import process
 from pcbench.planning import arrays
 from pcbench.study import read
 
-OPEN = {"name": "x", "scenarios": ["cart/slow"], "observers": ["dkf", "open-loop"], "axes": {"noise_std": [0.1, 0.2, 0.3]}}
-CLOSED = {"name": "x", "scenarios": ["helicopter/constant"], "observers": ["ekf", "ukf"], "axes": {"noise_std": [0.1, 0.2]}}
+OPEN = {
+    "name": "x",
+    "scenarios": ["cart/slow"],
+    "observers": ["dkf", "open-loop"],
+    "axes": {"noise_std": [0.1, 0.2, 0.3]},
+}
+CLOSED = {
+    "name": "x",
+    "scenarios": ["helicopter/constant"],
+    "observers": ["ekf", "ukf"],
+    "axes": {"noise_std": [0.1, 0.2]},
+}
 
 
 def planned(study, place):

@@ -103,5 +103,8 @@ def given(maker: Maker | None, p: Problem, kept: Kept = KEPT) -> Every:
     if maker is None:
         return {}
     leaves = jax.tree.leaves(p)
-    key = maker.call, *(hashlib.sha1(np.ascontiguousarray(leaves[i]), usedforsecurity=False).digest() for i in maker.reads)
+    key = (
+        maker.call,
+        *(hashlib.sha1(np.ascontiguousarray(leaves[i]), usedforsecurity=False).digest() for i in maker.reads),
+    )
     return kept.ask(key, lambda: maker.call(p))
