@@ -126,7 +126,7 @@ def keys(study: str, cell: Any) -> dict[str, Any]:
 def common_columns(
     head: dict[str, Any], seeds: NDArray[np.int64], signals: tuple[tuple[str, str], ...]
 ) -> dict[str, pa.Array]:
-    """Return the columns that tables of runs of a cell have in common, whose `keys` are in `head`: a row per seed and signal."""
+    """Return what tables of runs of a cell have in common, whose `keys` are in `head`: a row per seed and signal."""
     said = table({name: [value] for name, value in head.items() if name != "scenario"})  # in the path, as `observer` is
     (names, units), at = zip(*signals, strict=True), np.tile(np.arange(len(signals)), len(seeds))
     out = {name: pa.repeat(column[0], len(at)) for name, column in zip(said.column_names, said.columns, strict=True)}

@@ -48,7 +48,7 @@ SignalMetric = tuple[str, int]  # a metric of a signal (by its number)
 
 
 class Stack(NamedTuple):
-    """One observer's metrics over n runs in C cells. Of tracking_* only the first signals have a row: those with a set point."""
+    """One observer's metrics over n runs in C cells. Of tracking_* only first signals have a row: those with a set point."""
 
     rows: dict[SignalMetric, int]
     values: Values  # [C K, n]

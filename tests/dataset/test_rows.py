@@ -11,6 +11,7 @@ from pcbench.study.axes import AXES, COMMANDS
 
 SIGNALS = (("position", "m"), ("velocity", "m/s"), ("push", "N"))
 SEEDS = np.array([7, 8, 9])
+COMMON = columns.common_columns({"study": "t", "scenario": "s", "cell": 4}, SEEDS, SIGNALS[:2])
 
 
 def results():
