@@ -24,12 +24,7 @@ def results():
 
 
 def test_a_row_is_of_one_seed_and_one_signal():
-    found, given = (
-        columns.runs_table(
-            columns.common_columns({"study": "t", "scenario": "s", "cell": 4}, SEEDS, SIGNALS), results(), True
-        ),
-        results(),
-    )
+    found, given = columns.runs_table(COMMON, results(), True), results()
     rows = found.to_pylist()
     assert len(rows) == 6
     for k, row in enumerate(rows):
