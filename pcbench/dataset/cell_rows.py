@@ -75,8 +75,11 @@ def rows_of(
 
 def rows_of_cells(study: str, cells: list[CellRuns]) -> tuple[Frame, Frame]:
     """Return the same of several cells of one `kind`: the same bits, in a part of the time."""
-    each = [_bounds(c.cell, c.found) for c in cells]
-    bounds = {o: None if first is None else np.stack([b[o] for b in each]) for o, first in each[0].items()}
+    each: dict[str, list[statistics.Values]] = {o: [] for o in cells[0].found}
+    for c in cells:
+        for o, bound in _bounds(c.cell, c.found).items():
+            each[o] += [] if bound is None else [bound]
+    bounds = {o: np.stack(mine) if mine else None for o, mine in each.items()}
     described, compared = statistics.summary_of_cells([c.runs for c in cells], bounds, _sizes(cells[0].cell))
     return _frames(study, [c.cell for c in cells], [c.found for c in cells], described, compared)
 

@@ -157,7 +157,7 @@ def block(
         common[many] = columns.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
     table = columns.runs_table(common[many], results, p.carries_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
-    kept = {m: results[m] for m in (*about["metrics"], "diverged", "unsettled")}
+    kept = {m: results[m] for m in (*RUN_METRICS, "diverged", "unsettled") if m in results}
     return name, (block_files.sealed(table, about), cell_rows.Runs(about, kept))
 
 

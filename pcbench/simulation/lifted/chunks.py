@@ -10,7 +10,7 @@ from pcbench.simulation.problem import Problem
 
 TICKS = 64  # of a chunk at most
 BLOCK = 8  # of them in one product: with 4 or 16 the product and its sums take more a tick
-WRITTEN = 16  # of them at once where products are written out (`products`): 8 or 32 take more a tick
+WRITTEN = 32  # of them at once where products are written out (`products`): 16 or 64 take more a tick
 LANES = 64  # chunks are so many, or twice as many ...: their numbers then fill vectors, and few programs differ in them
 MOST = 2**17  # ticks in chunks: an observer of two states takes 20 MB for them
 FEWEST = 2**11  # ticks of a run: of fewer, all that is saved is less than the larger program takes to compile

@@ -53,11 +53,16 @@ class Kept:
                 mine.set_result(make())
             except BaseException as error:
                 with self.lock:
-                    del self.made[key]
+                    self.made.pop(key, None)
                 mine.set_exception(error)
                 raise
             self._forget()
         return mine.result()
+
+    def clear(self) -> None:
+        """Forget all."""
+        with self.lock:
+            self.made.clear()
 
     def _forget(self) -> None:
         """Forget those that were asked for first, until the others fit."""
@@ -103,8 +108,8 @@ def given(maker: Maker | None, p: Problem, kept: Kept = KEPT) -> Every:
     if maker is None:
         return {}
     leaves = jax.tree.leaves(p)
-    key = (
-        maker.call,
-        *(hashlib.sha1(np.ascontiguousarray(leaves[i]), usedforsecurity=False).digest() for i in maker.reads),
-    )
-    return kept.ask(key, lambda: maker.call(p))
+    return kept.ask((maker.call, *(_digest(leaves[i]) for i in maker.reads)), lambda: maker.call(p))
+
+
+def _digest(numbers: np.ndarray) -> bytes:
+    return hashlib.sha1(np.ascontiguousarray(numbers).data, usedforsecurity=False).digest()
