@@ -75,12 +75,11 @@ def rows_of(
 
 def rows_of_cells(study: str, cells: list[CellRuns]) -> tuple[Frame, Frame]:
     """Return the same of several cells of one `kind`: the same bits, in a part of the time."""
-    each: dict[str, list[statistics.Values]] = {o: [] for o in cells[0].found}
-    for c in cells:
+    bounds = {o: np.full((len(cells), len(_sizes(cells[0].cell))), np.nan) for o in cells[0].found}
+    for i, c in enumerate(cells):
         for o, bound in _bounds(c.cell, c.found).items():
-            each[o] += [] if bound is None else [bound]
-    bounds = {o: np.stack(mine) if mine else None for o, mine in each.items()}
-    described, compared = statistics.summary_of_cells([c.runs for c in cells], bounds, _sizes(cells[0].cell))
+            bounds[o][i, : 0 if bound is None else len(bound)] = np.nan if bound is None else bound
+    described, compared = statistics.summary_of_cells([c.runs for c in cells], dict(bounds), _sizes(cells[0].cell))
     return _frames(study, [c.cell for c in cells], [c.found for c in cells], described, compared)
 
 
@@ -89,8 +88,7 @@ def kind(c: CellRuns) -> Hashable:
     if any(results["diverged"].any() for results in c.runs.values()):
         return None
     rows = tuple((o, tuple((m, len(v)) for m, v in results.items())) for o, results in c.runs.items())
-    bounded = tuple(each.about["bound"] is None for each in c.found.values())
-    return c.cell.scenario.name, _sizes(c.cell), tuple(c.cell.values), rows, bounded
+    return c.cell.scenario.name, _sizes(c.cell), tuple(c.cell.values), rows
 
 
 def few(target: store.Target, cell: Cell, found: Found) -> CellRuns | None:
