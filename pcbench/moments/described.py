@@ -27,7 +27,7 @@ RUNS_ONLY = {
     "unsettled": "the last of many ticks depends on all of them together",
     "divergence": "the first of many ticks depends on all of them together",
 }
-ANOTHER = "it is not normal (a start in a box, or a mixture over losses): known are means of squares only"
+ANOTHER = "it is not normal (a start in a box, or a mixture over losses or delays): known are means of squares only"
 NOTHING: Row = {"n": 0} | dict.fromkeys(Estimate._fields[1:], np.nan)
 ORDER = (
     *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
@@ -89,7 +89,7 @@ def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, lis
     if label in cell.last:
         b = cell.last[label]
         for metric, values in zip(("nees", "signal_nees", "nees_states"), believed.squares(b), strict=True):
-            out[metric] = _over(cell, values)
+            out[metric] = _over(cell, values if cell.shares is None else values @ cell.shares[:, None])
         out |= {metric: _over(cell, values) for metric, values in zip(INSIDE, believed.inside(b), strict=True)}
     return {metric: columns(e) for metric, e in out.items()}
 
