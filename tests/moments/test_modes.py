@@ -100,6 +100,7 @@ def test_an_observer_with_a_gain_of_its_own_is_too():
 
 SHAPES = {
     "overtaking": {},
+    "as the next is taken": {"delay_steps": [0.0, 0.08]},
     "three": {"delay_steps": [0.0, 0.32, 0.1], "delay_stay": [0.6, 0.3, 0.5]},
     "uneven": {"profile": [0.1, 0.22, 0.14]},
     "jittered": {"delay_steps": None, "delay_stay": None, "delay_jitter": 0.14},
