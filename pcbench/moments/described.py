@@ -35,6 +35,7 @@ ORDER = (
     *("nees", "nees_states", "signal_nees"),
     *(*POOLED, "divergence", "unsettled", "efficiency", *INSIDE),
 )
+ALWAYS = ("mae", "mse", "final", "tail_mae", "tail_mse", *POOLED)  # of every signal that has an exact answer at all
 NORMAL = ("mae", "tail_mae", *INSIDE)  # of a normal error alone
 
 
@@ -57,9 +58,8 @@ def _rows(cell: CellMoments, label: str, bound: Values | None) -> list[Row]:
             if metric == "recovery_time" and not (cell.planned.problem.jumps < cell.planned.cell.times.ticks).any():
                 continue
             values = found.get(metric)
-            if (values is None and metric not in RUNS_ONLY) or (
-                values is not None and np.isnan(values[i]["mean"] if i < len(values) else np.nan)
-            ):
+            known = values is not None and i < len(values) and not np.isnan(values[i]["mean"])
+            if not (known or metric in RUNS_ONLY or (why and metric in ALWAYS)):
                 continue
             row = (NOTHING if said or values is None else values[i]) | BLANK
             if metric == "final" and not said and normal and not cell.random:
