@@ -225,7 +225,8 @@ def welch(ma: Values, sa: Values, na: Values, mb: Values, sb: Values, nb: Values
 def made_by(a: store.Target, b: store.Target) -> list[str]:
     """Return how two provenances differ in libraries and machines, a phrase each."""
     there, here = (summary.record(target) or {} for target in (a, b))
-    old, new = (_flat({k: each.get(k) for k in MADE_BY}) for each in (there, here))
+    exact = 0 in (there.get("blocks"), here.get("blocks"))  # no runs there, so none went any way
+    old, new = (_flat({k: each.get(k) for k in MADE_BY if not (exact and k == "flow")}) for each in (there, here))
     keys = [k for k in dict.fromkeys([*old, *new]) if old.get(k) != new.get(k)]
     return [f"{k}: {old.get(k, 'nothing')} there, {new.get(k, 'nothing')} here" for k in keys]
 

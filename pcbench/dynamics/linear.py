@@ -37,12 +37,23 @@ class Model(NamedTuple):
 
 
 def held(A: Matrix, B: Matrix, h: float) -> tuple[Matrix, Matrix]:
-    """Return Phi = e^{A h} and Gamma = int_0^h e^{A s} ds B, exact for an input held over h seconds; A may be singular."""
+    """Return Phi = e^{A h} and Gamma = int_0^h e^{A s} ds B, exact for an input held over h seconds; A may be singular.
+
+    Remembered, as cells of one study ask for the same again and again.
+    """
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B
-    whole = expm(block * h)
+    whole = _exponential(block.tobytes(), n + m, h)
     return whole[:n, :n], whole[:n, n:]
+
+
+@lru_cache(maxsize=256)
+def _exponential(A: bytes, n: int, h: float) -> Matrix:
+    """e^{A h}."""
+    out: Matrix = expm(np.frombuffer(A).reshape(n, n) * h)
+    out.flags.writeable = False
+    return out
 
 
 def one_tick(model: Model, h: float) -> tuple[Matrix, Matrix]:
@@ -83,7 +94,7 @@ def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     n, size = A.shape[0], float(np.linalg.norm(A, 2)) * h
     halvings = int(np.ceil(np.log2(size))) if size > 1 else 0
     short = h / 2**halvings
-    whole = expm(np.block([[-A, Qc], [np.zeros((n, n)), A.T]]) * short)
+    whole = _exponential(np.block([[-A, Qc], [np.zeros((n, n)), A.T]]).tobytes(), 2 * n, short)
     E = whole[n:, n:].T
     Q = E @ whole[:n, n:]
     for _ in range(halvings):

@@ -9,6 +9,7 @@ import numpy as np
 
 from pcbench.moments import program
 from pcbench.moments.given import Given, own_of, together
+from pcbench.moments.merging import mix_of
 from pcbench.moments.program import Found, Shape
 from pcbench.moments.realised import Realised
 from pcbench.moments.vector import form_of
@@ -25,6 +26,8 @@ def compute(ones: list[Realised], recorded: str) -> Found:
     each = _alike([ones[min(i, len(ones) - 1)] for i in range(width)])
     layout, own = each[0].layout, own_of(each[0].problem)
     given = together([one.problem for one in each], [one.network for one in each], [one.chance for one in each])
+    if ones[0].mode:
+        given = given._replace(mix=mix_of([one.mode for one in each]))
     made = _program(layout, each[0], own, width, recorded, given)
     return jax.tree.map(np.asarray, made(given))
 

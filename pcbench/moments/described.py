@@ -27,7 +27,7 @@ RUNS_ONLY = {
     "unsettled": "the last of many ticks depends on all of them together",
     "divergence": "the first of many ticks depends on all of them together",
 }
-ANOTHER = "it is not normal (a start in a box, or a mixture over losses): known are means of squares only"
+ANOTHER = "it is not normal (a start in a box, or a mixture over losses or delays): known are means of squares only"
 NOTHING: Row = {"n": 0} | dict.fromkeys(Estimate._fields[1:], np.nan)
 ORDER = (
     *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
@@ -35,6 +35,7 @@ ORDER = (
     *("nees", "nees_states", "signal_nees"),
     *(*POOLED, "divergence", "unsettled", "efficiency", *INSIDE),
 )
+ALWAYS = ("mae", "mse", "final", "tail_mae", "tail_mse", *POOLED)  # of every signal that has an exact answer at all
 NORMAL = ("mae", "tail_mae", *INSIDE)  # of a normal error alone
 
 
@@ -57,9 +58,8 @@ def _rows(cell: CellMoments, label: str, bound: Values | None) -> list[Row]:
             if metric == "recovery_time" and not (cell.planned.problem.jumps < cell.planned.cell.times.ticks).any():
                 continue
             values = found.get(metric)
-            if (values is None and metric not in RUNS_ONLY) or (
-                values is not None and np.isnan(values[i]["mean"] if i < len(values) else np.nan)
-            ):
+            known = values is not None and i < len(values) and not np.isnan(values[i]["mean"])
+            if not (known or metric in RUNS_ONLY or (why and metric in ALWAYS)):
                 continue
             row = (NOTHING if said or values is None else values[i]) | BLANK
             if metric == "final" and not said and normal and not cell.random:
@@ -89,7 +89,7 @@ def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, lis
     if label in cell.last:
         b = cell.last[label]
         for metric, values in zip(("nees", "signal_nees", "nees_states"), believed.squares(b), strict=True):
-            out[metric] = _over(cell, values)
+            out[metric] = _over(cell, values if cell.shares is None else values @ cell.shares[:, None])
         out |= {metric: _over(cell, values) for metric, values in zip(INSIDE, believed.inside(b), strict=True)}
     return {metric: columns(e) for metric, e in out.items()}
 

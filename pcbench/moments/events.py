@@ -23,6 +23,7 @@ from jaxtyping import Float
 
 from pcbench.moments.covariance import both, product, squared
 from pcbench.moments.given import Plan
+from pcbench.moments.merging import merged
 from pcbench.moments.vector import Form, slope, vector, vectors
 from pcbench.simulation import steps
 from pcbench.simulation.problem import Layout, Packet, State
@@ -36,6 +37,7 @@ class Moving(NamedTuple):
     flight: Float[Array, "1+P rows f C"]  # packets on the network by number: what was measured, what was noted
     P: Float[Array, "D D C"]  # covariance
     apart: Float[Array, "P D C"]  # where linear maps put the runs with noise, less the run without
+    unlike: Any = ()  # [C] of modes: by how much those that met differed in what noise does not reach
 
 
 class Means(NamedTuple):
@@ -47,6 +49,7 @@ class Means(NamedTuple):
     plan: Plan
     std: Array  # [q, C] of a sample
     chance: Array  # [C] that a sample arrives at all; 1: it does
+    mix: Any = ()  # merging.Mix, where the cells are modes
 
 
 def sense(layout: Layout, p: Any, k: Array, state: State, nothing: Any, rest: Any) -> Array:
@@ -77,11 +80,12 @@ def jump(layout: Layout, p: Any, k: Array, state: State, packet: Array, rest: An
 
 
 def happen(by: Means, k: Array, m: Moving, noise: Array) -> Moving:
-    """Let everything that the schedules have for tick k happen: sense, note and tell, then deliver, the oldest packet first.
+    """Let everything that the schedules have for tick k happen: modes change, sense, note and tell, deliver, the oldest first.
 
     `noise` [P, S, q] is that of the runs with noise, by arrival.
     """
     q = by.std.shape[0]
+    m = merged(by.form, by.mix, k, m) if by.mix else m
     number = jnp.stack([by.plan.sense[k]] * q + [by.plan.note[k]] * (m.flight.shape[2] - q))
     rows = jnp.arange(m.flight.shape[1] - 1)[:, None, None]
     here = rows == _place(number, m)[None]

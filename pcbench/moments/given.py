@@ -44,6 +44,7 @@ class Given(NamedTuple):
     start: Any  # [P, 2 n] of the start
     chance: Any  # [C] that a sample arrives at all
     network: Any  # (late, lost) [J, 1, C] uniform numbers of every decision of a network to the plant; (): none
+    mix: Any = ()  # merging.Mix, where the cells are modes
 
 
 def plan_of(schedules: list[Schedule]) -> Plan:

@@ -50,6 +50,7 @@ class Found(NamedTuple):
     sums: sums_of.Sums
     rows: Any  # Recorded; (): nothing is recorded
     last: Any = ()  # Last, of a layout with consistency
+    unlike: Any = ()  # [C] of modes, as in `events.Moving`
 
 
 class Tick(NamedTuple):
@@ -77,7 +78,15 @@ def run(layout: Layout, shape: Shape, given: Given) -> Found:
     std = jnp.broadcast_to(
         p.noise_std if p.noise_std.ndim == 2 else p.noise_std[:, None], (len(p.noise_std), shape.cells)
     )
-    by = Means(layout, shape.form, over_cells(p, shape.own), given.plan, std, given.chance)
+    by = Means(
+        layout=layout,
+        form=shape.form,
+        over=over_cells(p, shape.own),
+        plan=given.plan,
+        std=std,
+        chance=given.chance,
+        mix=given.mix,
+    )
 
     def events(k: Array, m: Moving) -> Moving:
         return happen(by, k, m, given.arrivals[k])
@@ -89,7 +98,7 @@ def run(layout: Layout, shape: Shape, given: Given) -> Found:
         return following, lax.fori_loop(k, following, partial(_tick, by, shape, given), c)
 
     _, carried = lax.while_loop(lambda at: at[0] < stop, segment, (jnp.asarray(0), _begin(by, shape, given)))
-    return Found(carried.sums, carried.rows, carried.last)
+    return Found(carried.sums, carried.rows, carried.last, carried.moving.unlike)
 
 
 def _tick(by: Means, shape: Shape, given: Given, k: Array, c: Carried) -> Carried:
@@ -192,7 +201,8 @@ def _begin(by: Means, shape: Shape, given: Given) -> Carried:
     D = A + rows * f * form.flight
     flight = jnp.zeros((1 + many, rows, f, cells))
     apart = jnp.zeros((many, D, cells)).at[:, :A].set(jnp.sum(B[None] * drawn[:, None], 2))
-    m = Moving(runs, flight, jnp.zeros((D, D, cells)).at[:A, :A].set(squared(B)), apart)
+    unlike = jnp.zeros(cells) if by.mix else ()
+    m = Moving(runs, flight, jnp.zeros((D, D, cells)).at[:A, :A].set(squared(B)), apart, unlike)
     m = taken(by, zero, m, jnp.broadcast_to((jnp.arange(f) >= q)[None, :, None], (rows - 1, f, cells)))
     for place in range(given.plan.early.shape[0]):
         there = jnp.any(given.plan.early[place] >= 0, 0)

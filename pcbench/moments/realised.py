@@ -3,13 +3,14 @@
 Given those an error is affine in normals, and moments are exact; over them moments are averaged, with a standard error.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.moments import since
 from pcbench.moments.vector import forms
 from pcbench.planning import alone
 from pcbench.planning.padding import Plan
@@ -26,6 +27,7 @@ class Realised(NamedTuple):
     problem: Problem
     network: tuple[NDArray[np.float64], ...]  # (late, lost) [J, 1] of every decision; (): no network
     chance: float = 1.0  # that a sample arrives at all
+    mode: Any = None  # modes.Mode, of a cell that is there once for each of its modes
 
 
 def random(p: Plan) -> bool:
@@ -68,18 +70,15 @@ def losses_alone(p: Plan) -> bool:
 def over_losses(p: Plan) -> Realised | None:
     """Return a cell of one observer as its moments over losses move; None where the observer remembers what was lost.
 
-    That is so where an arrival changes more than numbers that noise reaches: the time of the newest sample, a covariance. Then
-    its map depends on earlier losses, and moments are averaged over drawn schedules.
+    That is so where an arrival changes more than numbers that noise reaches: the time of the newest sample, a covariance; or
+    where it asks when the last arrival was. Then its map depends on earlier losses: moments are averaged over drawn schedules.
     """
-    clock = p.cell.times.clocks[0]
-    sure = shared.schedule(
-        shared.samples([clock._replace(loss=0.0)], p.cell.times.ticks),
-        p.cell.times.ticks,
-        len(p.problem.noise_std),
-        p.cell.times.error,
-    )
+    clock, ticks = p.cell.times.clocks[0]._replace(loss=0.0), p.cell.times.ticks
+    sure = shared.schedule(shared.samples([clock], ticks), ticks, len(p.problem.noise_std), p.cell.times.error)
     one = p.problem._replace(schedule=sure)
     layout = p.layout._replace(width=1, watch=False, strides=False)
-    if forms(layout, p.problem) != forms(layout, one) or "other" in forms(layout, one):
+    known = forms(layout, one)
+    if forms(layout, p.problem) != known or "other" in known or since.asked(layout, one):
         return None
-    return Realised(layout._replace(ring=max(layout.ring, shared.in_flight(sure))), one, (), 1.0 - clock.loss)
+    ring = max(layout.ring, shared.in_flight(sure))
+    return Realised(layout._replace(ring=ring), one, (), 1.0 - p.cell.times.clocks[0].loss)

@@ -10,18 +10,21 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from pcbench.moments import items as items_of
 from pcbench.moments.apart import ALONE, computed
 from pcbench.moments.believed import Believed
 from pcbench.moments.bending import ROUNDING, bent
+from pcbench.moments.combined import combined
 from pcbench.moments.compiled import MANY
 from pcbench.moments.given import shared_of
+from pcbench.moments.items import Asked, Item
+from pcbench.moments.modes import delays_alone
 from pcbench.moments.program import Found
-from pcbench.moments.realised import Realised, losses_alone, over_losses, random, realised
+from pcbench.moments.realised import losses_alone, realised
 from pcbench.moments.sums import Sums, nothing
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.simulation import batch
-from pcbench.simulation.problem import Problem
 from pcbench.simulation.schedule import per_lane
 from pcbench.study.cells import Cell
 
@@ -38,15 +41,8 @@ class CellMoments(NamedTuple):
     sums: Sums  # arrays [..., S]
     rows: Any = ()  # Recorded [..., S]
     last: dict[str, Believed] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
-    mixture: bool = False  # over which samples are lost: means and squares are exact, and no distribution is normal
-
-
-class Asked(NamedTuple):
-    """What is asked of all cells of a study."""
-
-    root_seed: int
-    schedules: int  # realisations of a random cell: those of the first seeds
-    recorded: str = ""  # nothing, "std" or "covariance" at every tick
+    mixture: bool = False  # over losses or delays: means and squares are exact, and no distribution is normal
+    shares: Any = None  # [S] of `last`, whose realisations are modes of the cell; None: each counts alike
 
 
 def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
@@ -60,7 +56,8 @@ def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     for p in padding.checked(drafts(cells)):
         room = padding.room_of(p)
         whole = padding.fitted(p, room._replace(ring=max(room.ring, padding.rounded(ring))))
-        apart = not together and (split or losses_alone(whole) or _remembered(whole) > LARGE)
+        mixed = losses_alone(whole) or delays_alone(whole)
+        apart = not together and (split or mixed or _remembered(whole) > LARGE)
         yield from _split(whole) if apart else [whole]
 
 
@@ -80,40 +77,18 @@ def _split(p: Plan) -> Iterator[Plan]:
 def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
     """Yield the moments of each planned cell, in their order."""
     parts: dict[int, list[Part]] = {}
-    done = 0
+    done, unlike = 0, set[Hashable]()
     with ThreadPoolExecutor(batch.cores()) as pool:
-        for items, found in _computed(pool, _batches(plans, asked), asked.recorded):
+        for items, found in _computed(pool, _batches(plans, asked, unlike), asked.recorded):
             for at, item in enumerate(items):
                 parts.setdefault(item.cell, []).append(Part(item, jax.tree.map(lambda a, at=at: a[..., at], found)))
             while done in parts and len(parts[done]) == parts[done][0].item.many:
-                yield _gathered(parts.pop(done))
+                mine = parts.pop(done)
+                if mine[0].item.whole and not np.max([part.found.unlike for part in mine]) <= ROUNDING:
+                    unlike.add(items_of.kind(mine[0].item.whole))
+                    mine = batch.in_float64(_averaged, mine[0].item, asked)
+                yield _gathered(mine)
                 done += 1
-
-
-class Item(NamedTuple):
-    """One realisation of one cell."""
-
-    planned: Plan  # without its long tables
-    cell: int
-    place: int  # which realisation, of
-    many: int
-    random: bool
-    sizes: dict[str, int]  # by observer, what it estimates
-    one: Realised
-    bend: float = 0.0  # how far its plant is from affine, where it is and has noise
-
-
-def _signals(p: Plan) -> dict[str, int]:
-    """How many signals each observer of a planned cell estimates."""
-    n = len(p.problem.x0)
-    if n == len(p.problem.band):
-        return {label: n for label, _ in p.layout.observers}
-
-    def estimates(problem: Problem) -> dict[str, Any]:
-        gains, xhat0 = problem.gains, problem.xhat0
-        return {label: o.estimate(gains[label], o.init(gains[label], xhat0)) for label, o in p.layout.observers}
-
-    return {label: e.shape[0] for label, e in jax.eval_shape(estimates, p.problem).items()}
 
 
 class Part(NamedTuple):
@@ -123,24 +98,33 @@ class Part(NamedTuple):
     found: Found
 
 
-def _batches(plans: Iterable[Plan], asked: Asked) -> Iterator[list[Item]]:
-    """Yield the cells of each call."""
+def _averaged(item: Item, asked: Asked) -> list[Part]:
+    """Compute a cell on drawn schedules, as what its observer remembers tells of more than its modes."""
+    drawn = [realised(item.whole, asked.root_seed, seed) for seed in range(asked.schedules)] if item.whole else []
+    out: list[Part] = []
+    for first in range(0, len(drawn), MANY):
+        ones = drawn[first : first + MANY]
+        found = computed(ones, asked.recorded)
+        for at, one in enumerate(ones):
+            mine = item._replace(place=first + at, many=len(drawn), random=True, one=one, whole=None)
+            out.append(Part(mine, jax.tree.map(lambda a, at=at: a[..., at], found)))
+    return out
+
+
+def _batches(plans: Iterable[Plan], asked: Asked, unlike: set[Hashable]) -> Iterator[list[Item]]:
+    """Yield the cells of each call; cells whose kind is `unlike` are not tried by modes."""
     groups: dict[Hashable, list[Item]] = {}
     for number, p in enumerate(plans):
         if (bend := bent(p)) > ROUNDING:  # nothing is compiled for it
-            light = p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={}))
-            one = Realised(p.layout, p.problem, ())
-            yield [Item(light, number, place=0, many=1, random=False, sizes=_signals(p), one=one, bend=bend)]
+            yield [items_of.bent(p, number, bend)]
             continue
-        mixed = over_losses(p) if losses_alone(p) and len(p.layout.observers) == 1 else None
-        drawn = random(p) and mixed is None
-        many = asked.schedules if drawn else 1
-        light = p._replace(problem=p.problem._replace(schedule=(), inputs=(), params=(), gains={}))
-        for seed in range(many):
-            one = mixed or realised(p, asked.root_seed, seed)
-            key = one.layout, shared_of(one.problem)
+        for item in items_of.cell(p, number, asked, unlike):
+            key = item.one.layout, shared_of(item.one.problem), item.one.mode is not None
+            together = item.many if item.whole and not item.place else 1  # modes of a cell share a call
+            if len(groups.get(key, [])) + together > MANY:
+                yield groups.pop(key)
             group = groups.setdefault(key, [])
-            group.append(Item(light, number, place=seed, many=many, random=drawn, sizes=_signals(p), one=one))
+            group.append(item)
             if len(group) == MANY:
                 yield groups.pop(key)
         while groups and (due := _due(groups, number)):
@@ -194,19 +178,23 @@ def _gathered(parts: list[Part]) -> CellMoments:
     whole = jax.tree.map(
         lambda *a: a[0][..., None] if len(a) == 1 else np.stack(a, -1), *(part.found for part in parts)
     )
+    modes = [part.item.one.mode for part in parts if part.item.one.mode]
+    shares = np.array([mode.share for mode in modes]) if modes else None
     called = dict(zip((name for name, _ in p.layout.observers), p.labels, strict=True))
     at, places = 0, {}
     for name, many in sorted(parts[0].item.sizes.items()):
         places[called[name]] = slice(at, at + many)
         at += many
+    total = whole if shares is None else combined(whole, shares)
     return CellMoments(
         planned=p,
         random=parts[0].item.random,
         signals=places,
-        sums=whole.sums,
-        rows=whole.rows,
+        sums=total.sums,
+        rows=total.rows,
         last=_believed(p, places, called, whole),
-        mixture=parts[0].item.one.chance < 1,
+        mixture=parts[0].item.one.chance < 1 or shares is not None,
+        shares=shares,
     )
 
 

@@ -27,10 +27,11 @@ def compiled(
 
     call.__name__ = name
     lowered = jax.jit(call).lower(*given())
-    if where is None:
+    said = lowered.as_text() if where else ""
+    if where is None or not kept_programs.whole(said):
         return lowered.compile(options)
     trees = f"{lowered.in_tree} {lowered.out_tree}"  # names of arguments are not in the text, and a call looks at them
-    text = kept_programs.of_text(lowered.as_text().replace(name, plain) + trees, device, options)
+    text = kept_programs.of_text(said.replace(name, plain) + trees, device, options)
     made = kept_programs.load(where, text, device)
     if made is not None:
         kept_programs.keep(where, text, asked)

@@ -6,6 +6,9 @@ program is loaded at once, in a tenth of the time that tracing takes. It is writ
 their source describes; a program of a user's own is traced in every process, as its numbers may stand in its closures.
 
 Programs are kept where `process.setup` has said so. What cannot be read or written costs time, and nothing else.
+
+Not kept is what calls functions that are no part of it: LAPACK's (`jnp.linalg`), which jax looks up in SciPy while it traces.
+In a process that has not traced, such a program jumps to nowhere, or waits for Python while Python waits for it.
 """
 
 import hashlib
@@ -31,6 +34,7 @@ from pcbench.machine.provenance import versions
 
 HIT = "/jax/compilation_cache/cache_hits"
 BASE = Path(__file__).parent.parent
+CALL = "stablehlo.custom_call"  # of a function by its name
 QUIET = ("cache", "log", "traceback", "explain")  # settings that change no program
 
 
@@ -61,6 +65,11 @@ def kind(array: Any) -> str:
 def of_text(text: str, device: Any, options: Any) -> str:
     """Return what tells a lowered program from all others."""
     return _digest([text, _device(device), repr(options), _settings(), _machine()])
+
+
+def whole(text: str) -> bool:
+    """Return whether a lowered program has in it all that it calls, so that it runs in a process that has not traced it."""
+    return CALL not in text
 
 
 def known(where: Path, asked: str) -> str | None:

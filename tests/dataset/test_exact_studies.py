@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pytest
+from commands import call
 
 import pcbench
 from pcbench.dataset import columns, compare, parquet, verify
@@ -87,7 +88,9 @@ def test_verify_status_and_compare_take_them(out, tmp_path):
     assert not verify.verify(out, 4, 0).wrong
     assert verify.status(out).closed
     pcbench.run(STUDY, out=tmp_path / "runs")
-    assert not compare.compare(out, tmp_path / "runs").changed
+    found = compare.compare(out, tmp_path / "runs")
+    assert not found.changed
+    assert not found.made_by, "the way of runs is nothing that exact numbers lack"
     (out / "exact.parquet").rename(tmp_path / "kept")
     (out / "exact.parquet").write_bytes((tmp_path / "kept").read_bytes()[:-9] + b"123456789")
     assert any("exact.parquet" in sentence for sentence in verify.verify(out, 0, 0).wrong)
@@ -117,3 +120,27 @@ def test_a_sealed_table_with_lists_is_known_again():
     assert back["process_std"].to_pylist() == [[0.1, 0.0], [0.2, 0.0]]
     spoilt = table.set_column(0, "process_std", pa.array([[0.1, 0.0], [0.3, 0.0]]))
     assert parquet.whole(parquet.encoded(spoilt.replace_schema_metadata(parquet.sealed(table).schema.metadata))) is None
+
+
+def test_of_a_plant_that_is_not_affine_it_is_said_who_and_by_how_much_in_every_row(tmp_path):
+    """Nothing is computed of it: its rows had been left out, the sentence too, and the closing table ended in a traceback."""
+    (tmp_path / "s.toml").write_text(BENT)
+    said = call("run", str(tmp_path / "s.toml"), "--exact", "--out", str(tmp_path / "out"))
+    sentence = "reactor/batch, cell 0: ekf is not affine in the noise: "
+    assert said.returncode == 0, said.stderr
+    for words in (sentence, "off by", "take runs for it", "No number in "):
+        assert words in said.stdout + said.stderr
+    stats = opened(tmp_path / "out").stats
+    assert {"mse", "mae", "final", "tail_pooled_rmse"} <= set(stats.metric)
+    assert (stats.method == "none").all()
+    assert stats.reason.str.startswith(sentence).all()
+
+
+BENT = """
+name = "bent"
+scenarios = ["reactor/batch"]
+observers = ["ekf"]
+seeds = 8
+[options.scenario]
+random_start = true
+"""

@@ -96,12 +96,12 @@ def test_losses_in_a_row_have_no_recursion():
     ids=["burst", "gamma", "histogram"],
 )
 def test_exact_answers_are_averaged_over_drawn_schedules_and_runs_come_to_them(given):
-    """Both have errors of their own: within four of the two together."""
+    """Both have errors of their own: within four of the two together. Two delays are few enough modes for no average."""
     study = PLAIN | {"lti": PLAIN["lti"] | given}
     keys = "metric == 'tail_mse' and signal == 'a'"
     exact = pcbench.exact(study, schedules=64).stats.query(keys).iloc[0]
     runs = pcbench.run(study, seeds=2048).stats.query(keys).iloc[0]
-    assert (exact.method, exact.n) == ("exact", 64)
+    assert (exact.method, exact.n) == ("exact", 0 if "delay_steps" in given else 64)
     assert abs(exact["mean"] - runs["mean"]) < 4 * np.hypot(exact.se, runs.se)
 
 

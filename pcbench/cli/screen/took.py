@@ -8,6 +8,8 @@ def sentence(result: Result, folder: str) -> str:
     p = result.provenance
     if not result.cost.runs and result.exact and not p["blocks"]:
         return f"Exact numbers of {result.stats.groupby(['scenario', 'cell']).ngroups:,} cells are in {folder}."
+    if result.study.method == "exact" and not result.exact:
+        return f"No number in {folder} is exact: its tables say why, in the column reason of stats."
     if not result.cost.runs:
         return f"Nothing was left to do: {p['blocks']} blocks in {folder}."
     spent = f"{p['wall_seconds']:.1f} s ({p['compile_seconds']:.1f} s compiling, {p['writing_seconds']:.1f} s writing)"

@@ -1,0 +1,37 @@
+"""Does an observer ask when the last arrival was (`Arrival.since`)? A look at its jump, which is traced and not run.
+
+Where it does, what it makes of an arrival depends on which sample came before, on losses too.
+"""
+
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pcbench.moments.start import begin
+from pcbench.simulation import steps
+from pcbench.simulation.problem import Layout, Packet, Problem
+
+
+def asked(layout: Layout, problem: Problem) -> bool:
+    """Return whether an observer may ask how long ago the last arrival was."""
+    leaves, tree = jax.tree.flatten(problem._replace(schedule=(), weights=()))
+    return _asks(layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves))
+
+
+@lru_cache(64)
+def _asks(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> bool:
+    p = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*each) for each in shapes])
+    zero, n, q = jnp.asarray(0), p.x0.shape[0], p.noise_std.shape[0]
+    state = jax.eval_shape(lambda p: begin(layout, p, zero, (), jnp.zeros(2 * n), ()), p)
+    notes = jax.eval_shape(lambda p, s: steps.note(layout, p, zero, s), p, state)
+
+    def jump(since: Any, p: Any, state: Any, notes: Any) -> Any:
+        row = steps.Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), since)
+        return steps.jump(layout, p, zero, state, row, Packet(jnp.zeros(q), notes))
+
+    made = jax.make_jaxpr(jump)(zero, p, state, notes).jaxpr
+    mine = made.invars[0]
+    return any(v is mine for v in [*made.outvars, *(v for e in made.eqns for v in e.invars)])
