@@ -26,6 +26,19 @@ def test_its_run_is_scipys():
     np.testing.assert_allclose(got @ [1.0, 2.0], 5.0, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    "name", ["ekf", pytest.param("iekf", marks=pytest.mark.slow), pytest.param("mhe", marks=pytest.mark.slow)]
+)
+def test_from_a_perfect_start_there_is_no_error_though_samples_are_late_lost_and_overtaking(name):
+    """Without noise and from the true pressures; a point of `ukf` is off them, so it has one."""
+    still = {"process_std": [0.0, 0.0], "noise_std": [0.0], "assumed_process_std": [1e-3, 1e-3], "xhat0": [3.0, 1.0]}
+    late = {"delay": [0.3], "delay_jitter": 0.5, "loss": 0.2, "horizon": 8.0, "tail": 4.0}
+    study = {"name": "perfect", "scenario": {"base": "reactor/batch"} | still | late, "options": {name: {"R": 0.01}}}
+    frame = pcbench.trace(study, [name])
+    pairs = [(frame[of], frame[f"{name}.{of}"]) for of in ("pressure_a", "pressure_b")]
+    assert max(np.abs(true - said).max() for true, said in pairs) < 1e-11
+
+
 def test_it_has_equilibria_below_zero_that_no_total_pressure_tells_apart():
     """At rest pB = 25 pA^2, so that pA solves 25 pA^2 + pA = y: one root is a pressure, the other is negative."""
     for total in (1.0, 2.6):
