@@ -1,16 +1,18 @@
 """bank: a Kalman filter for each of several delays, weighted by likelihood.
 
-Filter j believes every sample to be taken d_j before it arrives, and is `dkf` of that delay: it updates at that time, and goes
-to now under the stored inputs. With nu and s its innovations and their variances,
+Filter j believes samples to be late by d_j in the mean, one by as much more as its stamp says (`parts/unknown_delay`), and is
+`dkf` of that delay: it updates at that time, and goes to now under the stored inputs. With nu and s its innovations and
+their variances,
 
     log w_j <- log w_j - (nu^2 / s + log s) / 2,   weights of sum 1,   xhat = sum w_j xhat_j,   tau = sum w_j d_j
 
 and the covariance is that of the mixture. At the start w_j is the prior's density at d_j. With the right delay among the d_j
 and true noise this is the posterior mean: no causal estimator has a smaller mean square over the prior that the d_j are.
 Not claimed: anything of a delay between two of them; the weights then settle on one of its neighbours, and the filter believes
-to know it. Nor of delays that vary. A step between delays should be below the spread that the samples can tell
-(`statistics.delay_bound`), and a finer one costs in proportion.
-Time index: the estimate is of now, after the jump. Samples of one clock, in order; their age is not read.
+to know it. Nor of delays that vary and no stamp tells of. A step between delays should be below the spread that the samples
+can tell (`statistics.delay_bound`), and a finer one costs in proportion.
+Time index: the estimate is of now, after the jump. A sample that comes after a newer one is put in its place
+(`parts/reordering`), and weighs as if it had come in order. One that would be of a tick that has not been is of its arrival's.
 Source: Magill, IEEE Trans. Automatic Control 10 (1965), 434.
 """
 
@@ -25,7 +27,8 @@ from jaxtyping import Float, Int
 from pydantic import Field
 
 from pcbench.errors import UserError
-from pcbench.observers.parts import kalman, unknown_delay
+from pcbench.observers.parts import kalman, reordering, unknown_delay
+from pcbench.observers.parts.reordering import Buffer, Measurement
 from pcbench.observers.parts.unknown_delay import Gains, read, spread
 from pcbench.protocols import Arrival, Now, Observer, together
 from pcbench.synthesis.certificate import Design, Setting, uncertified
@@ -34,13 +37,19 @@ FILTERS = 21  # by default, evenly from 0 to the longest delay
 MOST = 200
 
 
-class Memory(NamedTuple):
-    """M filters, each at the time that it believes the newest sample to be of; and the estimate of now."""
+class Filters(NamedTuple):
+    """M filters, each at the time that it believes the newest sample to be of."""
 
     x: Float[Array, "M n"]
     P: Float[Array, "M n n"]
     at: Int[Array, " M"]  # tick
     weight: Float[Array, " M"]  # logarithm
+
+
+class Memory(NamedTuple):
+    """The samples that may be overtaken with the filters before them; and the estimate of now."""
+
+    buffer: Buffer
     delay: Float[Array, ""]  # s
     xhat: Float[Array, " n"]
 
@@ -58,19 +67,18 @@ def init(gains: Gains, xhat0: Float[Array, " n"]) -> Memory:
     many = gains.own.shape[0]
     apart = (gains.own * gains.dt - gains.delay) / gains.delay_std
     weight = jax.nn.log_softmax(-0.5 * jnp.square(apart))
-    return Memory(
+    first = Filters(
         x=jnp.broadcast_to(xhat0, (many, *xhat0.shape)),
         P=jnp.broadcast_to(gains.P0, (many, *gains.P0.shape)),
         at=jnp.zeros(many, int),
         weight=weight,
-        delay=mean(gains, weight),
-        xhat=xhat0,
     )
+    return Memory(reordering.start(first, gains.room, gains.C.shape[0], 1), mean(gains, weight), xhat0)
 
 
-def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "0"]:
-    """Note nothing: the inputs are stored."""
-    return jnp.zeros(0)
+def note(gains: Gains, memory: Memory, now: Now) -> Float[Array, "1"]:
+    """Leave a place for the tick at which the sample will arrive; the inputs are stored."""
+    return jnp.zeros(1)
 
 
 def carried(gains: Gains, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
@@ -87,29 +95,37 @@ def carried(gains: Gains, now: Now, x: Array, P: Array, start: Array, stop: Arra
     return lax.fori_loop(0, jnp.max(stop - start), tick, (x, P))
 
 
-def updated(gains: Gains, arrival: Arrival, x: Array, P: Array) -> tuple[Array, Array, Array]:
+def updated(gains: Gains, sample: Measurement, x: Array, P: Array) -> tuple[Array, Array, Array]:
     """Return mean and covariance of one filter after a sample of its tick, and the logarithm of what that was likely."""
     likelihood = jnp.zeros(())
     for channel in range(gains.C.shape[0]):
-        c, r, fresh = gains.C[channel], gains.R[channel], arrival.fresh[channel]
-        nu, s = arrival.value[channel] - c @ x, c @ P @ c + r
+        c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
+        nu, s = sample.value[channel] - c @ x, c @ P @ c + r
         likelihood = likelihood - jnp.where(fresh, 0.5 * (nu * nu / s + jnp.log(s)), 0.0)
         K = kalman.gain(P @ c, s, fresh)
         x, P = x + jnp.where(fresh, K * nu, 0.0), kalman.covariance(P, K, c, r)
     return x, P, likelihood
 
 
+def step(gains: Gains, now: Now, before: Filters, sample: Measurement) -> Filters:
+    """Update every filter at the time that it believes a sample to be of, and weigh it by what it expected."""
+    came = sample.note[0].astype(int)
+    taken = jnp.maximum(jnp.minimum(sample.taken - gains.own, came), before.at)  # 0 at the start
+    x, P = carried(gains, now, before.x, before.P, before.at, taken)
+    x, P, likelihood = jax.vmap(partial(updated, gains, sample))(x, P)
+    return Filters(x, P, taken, jax.nn.log_softmax(before.weight + likelihood))
+
+
 def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    taken = jnp.maximum(now.tick - gains.own, 0)
-    x, P = carried(gains, now, memory.x, memory.P, memory.at, taken)
-    x, P, likelihood = jax.vmap(partial(updated, gains, arrival))(x, P)
-    weight = jax.nn.log_softmax(memory.weight + likelihood)
-    present = carried(gains, now, x, P, taken, jnp.full_like(taken, now.tick))[0]
-    return Memory(x, P, taken, weight, mean(gains, weight), jnp.exp(weight) @ present)
+    came = jnp.asarray(now.tick, float)[None]
+    sample = Measurement(unknown_delay.due(gains, now, arrival), arrival.value, arrival.fresh, came)
+    buffer, at = reordering.replay(partial(step, gains, now), memory.buffer, sample)
+    present = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))[0]
+    return Memory(buffer, mean(gains, at.weight), jnp.exp(at.weight) @ present)
 
 
 def jump(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-    """Update every filter at the time that it believes, and weigh it by what it expected."""
+    """Put what arrived in its place, and mix what the filters make of now."""
     after: Memory = together(lambda memory, arrival: _jumped(gains, memory, now, arrival))(memory, arrival)
     return after
 
@@ -131,8 +147,9 @@ def estimate(gains: Gains, memory: Memory) -> Float[Array, " signals"]:
 
 def _believed(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals signals"]:
     """Return the covariance of the mixture: of each filter, and of their means and delays about those of all."""
-    x, P = carried(gains, now, memory.x, memory.P, memory.at, jnp.full_like(memory.at, now.tick))
-    share, n = jnp.exp(memory.weight), gains.C.shape[1]
+    at = reordering.newest(partial(step, gains, now), memory.buffer)
+    x, P = carried(gains, now, at.x, at.P, at.at, jnp.full_like(at.at, now.tick))
+    share, n = jnp.exp(at.weight), gains.C.shape[1]
     z = jnp.concatenate([x, (gains.dt * gains.own)[:, None]], 1)
     apart = z - (share @ z)[None]
     whole = (share[:, None] * apart).T @ apart

@@ -1,10 +1,11 @@
 """ekf-delay: an extended Kalman filter that has the delay of its samples as one more state.
 
-z = (x, tau), x the state as many ticks ago as the longest delay, L: at tick b = k - L when a sample arrives at tick k. Then a
-sample's time lies ahead of b whatever tau is, and no motion is undone (a cart that brakes at 122 1/s grows e^24 times in 0.2 s
-backwards). With x_i the prediction of tick i from x_b, i = k - tau / h between whole ticks by a straight line,
+z = (x, tau), x the state as many ticks ago as the longest delay of the oldest sample, L: at tick b = k - L when a sample
+arrives at tick k. Then a sample's time lies ahead of b whatever tau is, and no motion is undone (a cart that brakes at 122 1/s
+grows e^24 times in 0.2 s backwards). With x_i the prediction of tick i from x_b, i = k - (a - abar) - tau / h (a: the sample's
+age, `parts/unknown_delay`) between whole ticks by a straight line,
 
-    y = C x_(k - tau/h) + v,   H = [C F_i, -C x'_i],   x'_i = (x_(i+1) - x_i) / h,   F_i the slope of x_i by x_b
+    y = C x_i + v,   H = [C F_i, -C x'_i],   x'_i = (x_(i+1) - x_i) / h,   F_i the slope of x_i by x_b
 
 one update in Joseph's form, channel by channel, at the predicted z; tau is kept within [0, L h] and walks with `delay_walk`.
 Then x_b is carried to now. Before L ticks have passed b = 0.
@@ -12,8 +13,9 @@ Then x_b is carried to now. Before L ticks have passed b = 0.
 Findings, on cart/unknown-delay (guide, unknown_delay): begun near, it is as good as the bound allows, and honest; that it is
 always biased and over-confident (arXiv:2106.00391, arXiv:2605.13266) does not hold there. Begun two of its deviations off it is
 both: the first samples are used at slopes of the wrong time, and what they seem to tell is believed for ever. `bank` is not.
-Not claimed: that the delay is found from far; where the motion does not show it (x' = 0) nothing is learnt.
-Time index: the estimate is of now, after the jump. Samples of one clock, in order; their age is not read.
+Not claimed: that the delay is found from far; where the motion does not show it (x' = 0) nothing is learnt. The process noise
+between b and a sample's time is not counted, so with much of it the filter is over-confident.
+Time index: the estimate is of now, after the jump. Samples of any age and in any order: each lies ahead of b.
 Source: Nilsson, Skog, Haendel, Joint state and measurement time-delay estimation of nonlinear state space systems, ISSPA 2010.
 """
 
@@ -94,9 +96,9 @@ def predicted(gains: Gains, now: Now, x: Array, base: Array, first: Array) -> Se
 
 def _jumped(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Memory:
     """Carry state and delay to the base, update there by a sample between ticks, and go to now."""
-    base, n = jnp.maximum(now.tick - gains.longest, 0), gains.C.shape[1]
+    base, n = jnp.maximum(now.tick - gains.longest - gains.later, 0), gains.C.shape[1]
     z, P = carried(whole(gains), now, memory.z, memory.P, memory.at, base)
-    place = jnp.clip(now.tick - z[n] / gains.dt, base, now.tick)
+    place = jnp.clip(unknown_delay.due(gains, now, arrival) - z[n] / gains.dt, base, now.tick)
     first = jnp.clip(jnp.floor(place), base, jnp.maximum(now.tick - 1, base)).astype(int)
     part, seen = place - first, predicted(gains, now, z[:n], base, first)
     (xa, Fa), (xb, Fb) = seen.before, seen.after

@@ -4,7 +4,7 @@
 6 atm in each; noise of 0.1 atm a sample, process noise of 0.001 atm a sample. Decided here: a horizon of 30 s, the tail from
 15 s, no delay (it is an axis), a tick of 0.1 s, settled within 0.1 atm; a run has diverged beyond 1000 atm.
 
-`ekf-tuned` is the answer: told of 100 times the process noise (in standard deviation), as a filter whose slopes are wrong so
+`ekf-doubts` is the answer: told of 100 times the process noise (in standard deviation), as a filter whose slopes are wrong so
 far from the truth has to be, it does not fail. `mhe-bounded` knows that pressures are not negative.
 Source: Haseltine, Rawlings 2005, also TWMCC report 2002-03; the answer after Schneider and Georgakis 2013, whose tuning is
 another.
@@ -16,7 +16,7 @@ from pcbench.scenarios.scenario import Belief, Loop, Sampling, Scenario, Scoring
 
 LABELS: dict[str, dict[str, Any]] = {
     "mhe-bounded": {"lower": 0.0},
-    "ekf-tuned": {"Q": [0.01, 0.01]},
+    "ekf-doubts": {"Q": [0.01, 0.01]},
 }
 
 BATCH = Scenario(
@@ -24,7 +24,7 @@ BATCH = Scenario(
     summary="total pressure of 2 A <-> B every 0.1 s, a poor start",
     source="Haseltine, Rawlings 2005",
     plant="reactor",
-    observers=("ekf", "ekf-tuned", "iekf", "ukf", "mhe", "mhe-bounded"),
+    observers=("ekf", "ekf-doubts", "iekf", "ukf", "mhe", "mhe-bounded"),
     truth=Truth(x0=(3.0, 1.0), process_std=(1e-3, 1e-3)),
     loop=Loop(input="zero"),
     sampling=Sampling(sampling_period=(0.1,), delay=(0.0,), noise_std=(0.1,)),

@@ -136,6 +136,15 @@ STUDIES = {
         scenarios=["reactor/batch"],
         seeds=256,
     ),
+    "fair-reactor": Study(  # does tuning, the same for all, do what bounds do?
+        name="fair-reactor",
+        scenarios=["reactor/batch"],
+        observers=["ekf", "ukf", "mhe-bounded"],
+        seeds=256,
+        options={"mhe-bounded": {"window": 4, "iterations": 1}},  # as good here, and a quarter of the cost
+        tuning=["paper", "tuned"],
+        tune=Tune(objective="tail_rmse", only=["Q"], budget=40, training=128),
+    ),
     "map": Study(  # which period and which delay can I afford? 20 x 20, without a seed
         name="map",
         scenarios=["cart/gaussian"],

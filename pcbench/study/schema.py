@@ -53,6 +53,7 @@ class Tune(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
     objective: str = Field("rmse", description="metric of the tables to make small; exact: by default pooled_rmse")
     signal: str | None = Field(None, description="of which signal; default: the first that a closing table shows")
+    only: list[str] | None = Field(None, min_length=1, description="options that are tuned; default: all that may be")
     exact: bool = Field(False, description="take its expected value over all noise, without training runs")
     budget: int = Field(60, ge=1, le=100_000, description="times that all training runs are simulated")
     training: int = Field(256, ge=2, le=100_000, description="training runs; their seeds are far from a study's")

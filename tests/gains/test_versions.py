@@ -85,6 +85,12 @@ MISTAKES = [
     ({"tune": {"budget": 0}}, "tune.budget: got 0"),
     ({"tune": {"exact": True, "objective": "rmse"}}, "rmse, which has no exact value"),
     ({"tune": {"effort": 3}}, "tune: 'effort' is no key here"),
+    ({"tune": {"only": []}}, "tune.only: got [], expected a list of at least 1"),
+    ({"tune": {"only": ["Qq"]}}, "tune.only: 'Qq' is no option that an observer of the study tunes"),
+    (
+        {"scenarios": None, "scenario": {"base": "cart/gaussian", "options": {"pccebo-tuned": {"gain": "lmi"}}}},
+        "got pccebo-tuned for gains of pccebo, expected a label that little has no options for",
+    ),
 ]
 
 
@@ -95,6 +101,20 @@ def test_mistakes_are_one_sentence_and_write_nothing(changes, sentence, tmp_path
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
     assert not (tmp_path / "out").exists()
+
+
+def test_only_what_is_named_is_tuned_of_each_observer_that_has_it(monkeypatch):
+    """Of dkf R, of pccebo nothing: it has no R, so there is no tuned version of it."""
+    asked = []
+
+    def without_start(*_, only, **__):
+        asked.append(only)
+        raise tune.NoStart("none")
+
+    monkeypatch.setattr(tune, "tune", without_start)
+    made = prepared(observers=["pccebo", "dkf"], seeds=2, tune=FAIR["tune"] | {"only": ["R"], "training": 2})
+    assert asked == [["R"]]
+    assert [v.label for v in made.versions if v.tuning == "tuned"] == ["dkf-tuned"]
 
 
 def test_a_folder_that_is_another_studys_is_left_alone(tmp_path):

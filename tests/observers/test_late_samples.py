@@ -14,7 +14,7 @@ import pytest
 from documents import PAGES
 from harness import ODD, Case, inputs, setting, starts
 from reference import irregular, late
-from reference.linear import Model
+from reference.linear import Model, discretise, process_noise
 
 import pcbench
 from pcbench.dynamics import linear
@@ -115,6 +115,50 @@ def test_discarding_is_the_optimum_of_what_is_kept(schedule):
     want = irregular.dkf(MODEL, inputs(CASE), kept, starts(CASE)[1], KNOWN.P0, R, W)
     same(found("kf-discard", schedule, limit=12 * H)[0], want)
     assert 0 < len(kept) < len(plant(schedule)[1])
+
+
+def test_between_the_samples_that_it_keeps_discarding_believes_what_the_model_alone_would():
+    """P+ = F P F' + Q from tick to tick, but where one that is kept arrives; and there it is dkf of those alone."""
+    P = found("kf-discard", "wild", limit=12 * H)[1]
+    kept = [s for s in plant("wild")[1] if s.arrival - s.taken <= 12]
+    there = driven.traffic(TIMES["wild"], kept, TICKS, 2)
+    same(P, driven.run("dkf", KNOWN, {}, there, inputs(CASE), starts(CASE)[1])[1])
+    F, Q = discretise(ODD.A, ODD.B, H)[0], process_noise(ODD.A, W, H)
+    alone = [k for k in range(1, TICKS + 1) if k not in {s.arrival for s in kept}]
+    assert len(alone) > 100
+    same(P[alone], F @ P[np.array(alone) - 1] @ F.T + Q)
+
+
+def test_taking_late_for_now_is_biased_by_the_motion_over_the_delay():
+    """Of what moves evenly: behind by speed times delay, once it has forgotten its start."""
+    moving = linear.Model(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)))
+    speed, late = 0.7, 15
+    case = Case(moving, 5, late, ticks=TICKS, h=H, noise_std=0.1, x0=[1.0], u=np.full((TICKS + 1, 1), speed))
+    known = setting(case)._replace(process_std=(0.5,))
+    times = [[(t, t + late) for t in range(0, TICKS + 1, 5)]]
+    model = Model(moving.A, moving.B, moving.C, H)
+    x, samples = irregular.simulate(model, inputs(case), np.ones(1), times, [np.zeros(TICKS + 1)])
+    there = driven.traffic(times, samples, TICKS, 1)
+    e = {name: x - driven.run(name, known, {}, there, inputs(case), np.zeros(1))[0] for name in ("kf-now", "dkf")}
+    np.testing.assert_allclose(e["kf-now"][-5:], speed * late * H, rtol=1e-6)
+    assert np.abs(e["dkf"][-5:]).max() < 1e-6
+
+
+ON_TIME = [
+    name for name in LATE if name not in ("kf-now", "kf-shift")
+]  # these two use a sample at another time than its own
+
+
+@pytest.mark.parametrize("name", ON_TIME)
+def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_overtaking(name):
+    x, samples = plant("wild", noise=False)
+    there = driven.traffic(TIMES["wild"], samples, TICKS, 2)
+    xhat, _ = driven.run(name, KNOWN, {}, there, inputs(CASE), starts(CASE)[0])
+    assert np.abs(xhat - x).max() < 1e-12 * np.abs(x).max()
+    earlier = [[(max(t - 1, 0), arrival) for t, arrival in each] for each in TIMES["wild"]]
+    slipped = driven.traffic(earlier, [s._replace(taken=max(s.taken - 1, 0)) for s in samples], TICKS, 2)
+    xhat, _ = driven.run(name, KNOWN, {}, slipped, inputs(CASE), starts(CASE)[0])
+    assert np.abs(xhat - x).max() > 1e-4 * np.abs(x).max(), "a tick of slip is seen"
 
 
 @pytest.mark.parametrize(("schedule", "horizon"), [("late", 30), ("wild", 40), ("wild", 25)])

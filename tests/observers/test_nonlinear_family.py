@@ -135,6 +135,20 @@ def test_looking_back_without_bounds_is_the_optimum_of_a_linear_plant_whatever_t
     same(P, of_linear("dkf", schedule)[1])
 
 
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("iekf", {}), pytest.param("ukf", CUBATURE, marks=pytest.mark.slow), ("mhe", {"window": 4})],
+    ids=str,
+)
+def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_overtaking(name, options):
+    """Of the linear plant, where no spread of points moves a mean; the reactor's is in `test_reactor`."""
+    x, samples = plant("wild", noise=False)
+    there = driven.traffic(TIMES["wild"], samples, TICKS, 2)
+    xhat, _, squares = driven.whole(name, KNOWN, options, there, inputs(CASE), starts(CASE)[0])
+    assert np.abs(xhat - x).max() < 1e-12 * np.abs(x).max()
+    assert squares[:, 0].max() < 1e-20, "no innovation"
+
+
 ANYWHERE = {"unknown_range": ((-np.inf, np.inf),)}
 
 

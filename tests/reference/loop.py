@@ -37,6 +37,11 @@ class Network(NamedTuple):
     spread: int = 0  # of the sensor's delay
     loss: float = 0.0
     std: float = 0.0  # of commands
+    stamp: tuple[int, float, int] = (
+        0,
+        0.0,
+        0,
+    )  # a sample's is later by an offset, a drift [ticks a tick], and a jitter
 
 
 class Run(NamedTuple):
@@ -119,6 +124,13 @@ def samples(sensor: Network, N: int, q: int, root: int, seed: int) -> list[tuple
     return out
 
 
+def stamped(sensor: Network, taken: int, root: int, seed: int) -> int:
+    """The tick that the stamp of a sample says."""
+    offset, drift, jitter = sensor.stamp
+    drawn = int(threefry.uniform(root, seed, "stamp", 0, taken, 1)[0] * (2 * jitter + 1)) - jitter
+    return max(taken + offset + round(drift * taken) + drawn, 0)
+
+
 def arrivals(network: Network, N: int, root: int, seed: int) -> dict[int, int]:
     """By decision, the tick at which its command arrives; lost ones have none."""
     out = {}
@@ -148,7 +160,7 @@ def simulate(plant: Plant, sensor: Network, actuator: Network, law: Any, N: int,
     taken = {t: (a, i) for t, a, i in samples(sensor, N, q, root, seed)}
     comes = arrivals(actuator, N, root, seed)
     x, xhat, kept = plant.x0, plant.xhat0, None
-    measured: dict[int, tuple[int, Array]] = {}  # by the tick it was taken
+    measured: dict[int, tuple[int, Array]] = {}  # by the tick that it says it was taken
     sent: list[Array] = []
     known: list[Array] = []
     xs, hats, us = [], [], []
@@ -156,7 +168,7 @@ def simulate(plant: Plant, sensor: Network, actuator: Network, law: Any, N: int,
         if k in taken:
             arrives, i = taken[k]
             v = np.array([threefry.normal(root, seed, "measurement", j, i) for j in range(q)])
-            measured[k] = arrives, plant.C @ x + plant.noise * v
+            measured[stamped(sensor, k, root, seed)] = arrives, plant.C @ x + plant.noise * v
         if any(arrives == k for arrives, _ in measured.values()):
             there = {t: y for t, (arrives, y) in measured.items() if 0 <= arrives <= k}
             xhat, _ = filtered(plant, known, there, k)

@@ -1,8 +1,9 @@
 """Filters that look for the delay of their samples, the long way: every sample of every filter again at every arrival.
 
-Plant x' = A x + B u under held u, ticks of h; y = C x + v; samples come, all of one delay that nobody knows.
-`bank`: for each delay a textbook filter whose samples are of arrival - delay (0 at least); the mixture of them.
+Plant x' = A x + B u under held u, ticks of h; y = C x + v; samples come late, how late in the mean nobody knows.
+`bank`: for each delay a textbook filter of all samples at hand in the order they were taken; the mixture of them.
 `ekf_delay`: state of L ticks ago and delay; the sample's time between ticks by a straight line, slopes by matrix powers.
+Samples are those of `linear`, one for each channel; of their age both read by how much it differs from a believed mean.
 """
 
 import numpy as np
@@ -25,25 +26,34 @@ def grown(Ad, Q, P, ticks):
     return P
 
 
-def bank(model: Model, u, samples, xhat0, P0, R, Q, delays, mean, std):
-    """Return per tick (xhat [n], delay [s]) and, at the last tick, the covariance of both; `samples`: (arrival, y [q])."""
+def due(s, believed):
+    """When a sample would have come, had it been as late as the mean; of one stamped 0 nobody knows whether it is older."""
+    return s.taken + believed if s.taken else min(s.arrival, believed)
+
+
+def bank(model: Model, u, samples, xhat0, P0, R, Q, delays, mean, std, believed):
+    """Return per tick (xhat [n], delay [s]) and, at the last tick, the covariance of both; `samples` those that arrive.
+
+    `believed` [ticks]: the mean age by which the observer knows how much older than that a sample is.
+    """
     Ad, Bd = discretise(model.A, model.B, model.h)
     N, h, n = len(u) - 1, model.h, len(Ad)
+    in_order = sorted(samples, key=lambda s: (s.taken, s.arrival, s.channel))
     out, P_end = [], None
     for k in range(N + 1):
         z, w, Ps = [], [], []
         for d in delays:
             x, P, at, log = np.array(xhat0, float), np.array(P0, float), 0, -0.5 * ((d * h - mean) / std) ** 2
-            for arrival, y in samples:
-                if arrival > k:
-                    break
-                taken = max(arrival - d, 0)
+            for s in in_order:
+                if s.arrival > k:
+                    continue
+                taken = max(min(due(s, believed) - d, s.arrival), at)
                 x, P, at = moved(Ad, Bd, u, x, at, taken), grown(Ad, Q, P, taken - at), taken
-                S = model.C @ P @ model.C.T + np.diag(R)
-                nu = y - model.C @ x
-                log -= 0.5 * (nu @ np.linalg.solve(S, nu) + np.log(np.linalg.det(S)))
-                K = P @ model.C.T @ np.linalg.inv(S)
-                x, P = x + K @ nu, P - K @ S @ K.T
+                c, r = model.C[s.channel], R[s.channel]
+                S, nu = c @ P @ c + r, s.value - c @ x
+                log -= 0.5 * (nu * nu / S + np.log(S))
+                K = P @ c / S
+                x, P = x + K * nu, P - np.outer(K, K) * S
             z.append(np.append(moved(Ad, Bd, u, x, at, k), d * h))
             Ps.append(grown(Ad, Q, P, k - at))
             w.append(log)
@@ -56,31 +66,42 @@ def bank(model: Model, u, samples, xhat0, P0, R, Q, delays, mean, std):
     return np.array(out), P_end
 
 
-def ekf_delay(model: Model, u, samples, xhat0, P0, R, Q, mean, std, longest, walk):
-    """Return per tick (xhat [n], delay [s]); `longest` [ticks], `walk` [s^2] a tick."""
+def instants(samples, k):
+    """What arrives at tick k: for each tick of sampling, oldest first, (one of them, channels, values)."""
+    here = [s for s in samples if s.arrival == k]
+    for taken in sorted({s.taken for s in here}):
+        group = sorted((s for s in here if s.taken == taken), key=lambda s: s.channel)
+        yield group[0], [s.channel for s in group], np.array([s.value for s in group])
+
+
+def ekf_delay(model: Model, u, samples, xhat0, P0, R, Q, mean, std, longest, walk, believed, later=0):
+    """Return per tick (xhat [n], delay [s]); `longest`, `believed` and `later` [ticks], `walk` [s^2] a tick.
+
+    `believed` is the mean age, `later` by how much the oldest sample is older than that.
+    """
     Ad, Bd = discretise(model.A, model.B, model.h)
     N, h, n = len(u) - 1, model.h, len(Ad)
     A2, Q2 = np.eye(n + 1), np.zeros((n + 1, n + 1))
     A2[:n, :n], Q2[:n, :n], Q2[n, n] = Ad, Q, walk
-    z, P, base, out, arriving = np.append(xhat0, mean), np.zeros((n + 1, n + 1)), 0, [], dict(samples)
+    z, P, base, out = np.append(xhat0, mean), np.zeros((n + 1, n + 1)), 0, []
     P[:n, :n], P[n, n] = P0, std**2
     xhat = np.array(xhat0, float)
     for k in range(N + 1):
-        if k in arriving:
-            new = max(k - longest, 0)
+        for one, channels, y in instants(samples, k):
+            new, C = max(k - longest - later, 0), model.C[channels]
             z = np.append(moved(Ad, Bd, u, z[:n], base, new), z[n])
             P, base = grown(A2, Q2, P, new - base), new
-            place = min(max(k - z[n] / h, base), k)
+            place = min(max(due(one, believed) - z[n] / h, base), k)
             i = min(max(int(np.floor(place)), base), max(k - 1, base))
             part = place - i
             a = moved(Ad, Bd, u, z[:n], base, i)
             b = moved(Ad, Bd, u, a, i, i + 1) if i < k else a
             Fa = matrix_power(Ad, i - base)
             Fb = Ad @ Fa if i < k else Fa
-            H = np.column_stack([model.C @ ((1 - part) * Fa + part * Fb), -(model.C @ (b - a)) / h])
-            S = H @ P @ H.T + np.diag(R)
+            H = np.column_stack([C @ ((1 - part) * Fa + part * Fb), -(C @ (b - a)) / h])
+            S = H @ P @ H.T + np.diag(np.asarray(R)[channels])
             K = P @ H.T @ np.linalg.inv(S)
-            z = z + K @ (arriving[k] - model.C @ ((1 - part) * a + part * b))
+            z = z + K @ (y - C @ ((1 - part) * a + part * b))
             P = P - K @ S @ K.T
             z[n] = min(max(z[n], 0.0), longest * h)
             xhat = moved(Ad, Bd, u, z[:n], base, k)

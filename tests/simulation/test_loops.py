@@ -66,6 +66,20 @@ def test_lqr_with_jitter_and_loss_on_both_sides_is_the_references_run_by_run():
         assert np.isnan(got["cost", "rate"]), "one number a run stands with its first signal"
 
 
+STAMPS = {"stamp_offset": -0.02, "stamp_drift": -3e4, "stamp_jitter": 0.02}
+
+
+@pytest.mark.slow
+def test_a_loop_whose_stamps_are_wrong_is_the_references():
+    """An offset, a drift and a jitter at once, beside random networks on both sides."""
+    p, law, stamp = plant(), feedback(plant(), 2, 3 + 5 // 2), (-2, -3e-2, 2)
+    sensor = RANDOM | STAMPS | {"jitter": 0.0}
+    want = loop.simulate(p, SENSOR._replace(jitter=0, stamp=stamp), ACTUATOR, law, N, 0, 1)
+    assert gap(pcbench.trace(study(LQR | BOTH, sensor), "dkf", seed=1), want) < 1e-10
+    right = loop.simulate(p, SENSOR._replace(jitter=0), ACTUATOR, law, N, 0, 1)
+    assert np.abs(right.x - want.x).max() > 1e-3, "they matter to the plant"
+
+
 @pytest.mark.parametrize(
     ("late", "knows"),
     [(4, True), (0, False), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0, True), (4, False)))],

@@ -144,6 +144,16 @@ def test_an_axis_of_them_is_refused_where_nothing_is_sampled():
         pcbench.run("arm/sine", axes={"stamp_drift": [5.0]}, seeds=1)
 
 
+@pytest.mark.slow
+def test_in_a_loop_of_the_paper_an_offset_is_a_delay_error_that_nobody_assumes():
+    older, offset = (
+        pcbench.run("helicopter/constant", observers=["ekf"], axes={name: [late]}, seeds=1).runs.set_index("signal")
+        for name, late in (("assumed_delay_error", 0.01), ("stamp_offset", -0.01))
+    )
+    np.testing.assert_allclose(older["rmse"], offset["rmse"], rtol=1e-9)
+    assert (older["rmse"] > 1e-4).all()
+
+
 @pytest.mark.parametrize("axis", ["stamp_jitter", "delay_gamma"])
 def test_a_loop_of_the_paper_is_not_offered_with_times_of_each_runs_own(axis):
     with pytest.raises(

@@ -1,6 +1,7 @@
 """A study that varies its axes one by one; how much of each fault is borne; and the guide's figures of `faults`."""
 
 import re
+import tomllib
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,7 @@ from pcbench import plots
 from pcbench.errors import UserError
 from pcbench.plots import faults_borne
 from pcbench.report import pictures, sentences
-from pcbench.study import as_toml, read
+from pcbench.study import STUDIES, as_toml, read
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 AXES = {"outlier_probability": [0.0, 0.1, 0.2], "noise_std": [0.3], "loss": [0.0, 0.5]}
@@ -84,6 +85,30 @@ def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
         plots.bearing(others)
 
 
+def test_losses_in_a_row_are_no_fault_that_stands_alone():
+    """Which is why `burst` is not among those of `faults`."""
+    axes = {**STUDIES["faults"].axes, "burst": [0.0, 5.0]}
+    with pytest.raises(
+        UserError, match="got burst = 5 in cart/gaussian with a loss of 0, expected a loss between 0 and 1"
+    ):
+        read.grid_of("faults", {"axes": axes}, [])
+
+
+@pytest.mark.slow
+def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
+    section = PAGES["outliers.md"].split("## Losses in a row")[1]
+    study = tomllib.loads(section.split("```toml")[1].split("```")[0]) | {"seeds": 256}
+    stats = pcbench.run(study).stats
+    mean = stats[stats.signal == "position"].set_index(["observer", "metric", "burst"])["mean"]
+    rows = re.findall(r"^\| (\d+) \| (.*) \|$", section, re.M)
+    assert [float(burst) for burst, _ in rows] == study["axes"]["burst"]
+    for burst, said in rows:
+        *errors, nees = map(float, said.split(" | "))
+        np.testing.assert_allclose([mean[o, "tail_rmse", float(burst)] for o in LABELS], errors, rtol=0.01)
+        assert mean["dkf", "nees", float(burst)] == pytest.approx(nees, rel=0.01)
+        assert mean["open-loop", "tail_rmse", float(burst)] == pytest.approx(4.16, rel=0.01)
+
+
 @pytest.mark.slow
 def test_the_guides_figures_of_faults_are_what_comes_out():
     """One run of the whole study: three tables."""
@@ -106,6 +131,7 @@ def test_the_guides_figures_of_faults_are_what_comes_out():
         np.testing.assert_allclose(found, [float(e) for e in errors], rtol=0.01)
         if nees.strip():
             assert mean[label, "nees", at("outlier_probability", 0.05)] == pytest.approx(float(nees), rel=0.01)
+    page = page.split("## Losses in a row")[0]
     rows = re.findall(r"^\| (none|\w+ = [\d.-]+) \| (.*) \|$", page, re.M)
     assert len(rows) == 16
     for name, said in rows:

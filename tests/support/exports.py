@@ -18,7 +18,7 @@ WILD = {  # late, lost and overtaking samples
     "name": "wild",
     "scenario": {"base": "cart/white", "horizon": 4.0, "tail": 2.0, "jitter": 0.05, "delay_jitter": 0.6, "loss": 0.2},
 }
-REGULAR = ("kfbo", "open-loop", "ekf-delay", "bank", *HOMES)  # samples of one age, or at home elsewhere
+REGULAR = ("kfbo", "open-loop", *HOMES)  # samples of one age, or at home elsewhere
 
 
 @cache

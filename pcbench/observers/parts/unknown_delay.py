@@ -1,9 +1,15 @@
 """What filters share that do not know how late samples are: a linear model, tick by tick, and what they believe of the delay.
 
-All samples are late by one delay tau, the same for all channels and constant, which nobody tells: the age of an arrival is not
-read. A prior N(m, s^2) of it, cut off at 0 and at `longest`, is the unknown of the plant where it has one that is a delay
-(`unknown0`, `unknown_std`), or else the believed delay and half of it. What is between a sample's time and now is
-gone through again under the stored inputs.
+Samples of the first channel are late by tau in the mean, which nobody tells. By how much one sample is later than another its
+stamp says: an arrival at tick k with a believed age a, where the mean of the first channel is believed to be abar, was taken at
+
+    k - (a - abar) - tau / h,
+
+so a constant error of all stamps is looked for, and ages may vary, samples be lost or overtake, and channels have clocks of
+their own. Without stamps (`stamps = false`) ages are not read: all are late by tau, and what varies about it is noise that the
+filter does not know of. A prior N(m, s^2) of tau, cut off at 0 and at `longest`, is the unknown of the plant where it has one
+that is a delay (`unknown0`, `unknown_std`), or else the believed delay and half of it. What is between a sample's time and now
+is gone through again under the stored inputs.
 """
 
 from typing import Any, NamedTuple
@@ -11,13 +17,13 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from pydantic import Field
 
 from pcbench.dynamics import linear
 from pcbench.errors import UserError
 from pcbench.observers.parts import assumed_noise
-from pcbench.protocols import Leaf, Now, Room
+from pcbench.protocols import Arrival, Leaf, Now, Room
 from pcbench.synthesis.certificate import Setting
 
 MOST = 2000  # ticks that are gone through again at every arrival
@@ -36,6 +42,10 @@ class Gains(NamedTuple):
     delay_std: Leaf  # s, its standard deviation
     dt: Leaf  # s
     longest: Leaf  # ticks, beyond which no delay is looked for
+    mean: Leaf  # ticks, the believed age of the first channel's samples, and
+    later: Leaf  # by how much a sample may be older than that
+    stamps: Leaf  # 1: by how much ages differ is told; 0: it is not
+    room: Room  # for samples that may be overtaken
     told: Room  # [1] the delay is part of the estimate; [0]: it is not
     own: Any = ()
 
@@ -54,6 +64,19 @@ class Options(assumed_noise.Options):
     delay: float | None = Field(None, ge=0, description="s, mean of the prior of the delay; default: the scenario's")
     delay_std: float | None = Field(None, gt=0, description="s, its standard deviation; default: the scenario's")
     longest: float | None = Field(None, gt=0, description="s, the longest delay; default: mean and three deviations")
+    stamps: bool = Field(
+        True, description="stamps say by how much ages differ, but for a constant; else ages are not read"
+    )
+
+
+def due(gains: Gains, now: Now, arrival: Arrival) -> Int[Array, ""]:
+    """Return the tick at which what arrives now would have come, had it been as late as samples are in the mean.
+
+    No stamp says a time before 0. One that says 0 may be of earlier: such a sample is late as the mean, if that is no later.
+    """
+    age = jnp.max(jnp.where(arrival.fresh, arrival.age, 0))  # channels that arrive together were sampled together
+    stamped = jnp.where(age < now.tick, now.tick - age + gains.mean, jnp.minimum(now.tick, gains.mean))
+    return jnp.where(gains.stamps, stamped, now.tick)
 
 
 def carried(by: Moves, now: Now, x: Array, P: Array, start: Array, stop: Array) -> tuple[Array, Array]:
@@ -67,12 +90,21 @@ def carried(by: Moves, now: Now, x: Array, P: Array, start: Array, stop: Array) 
 
 
 def design(setting: Setting, options: Options, name: str) -> Gains:
-    """Gather what is assumed; raise UserError for a plant with feedthrough or an unknown input, or a delay that is too long."""
+    """Gather what is assumed; raise UserError for a plant with feedthrough or an unknown input, or a delay that is too long.
+
+    And where channels are late by different delays and no stamp says which is which.
+    """
     where, model, dt = f"{name} in {setting.scenario}", setting.model, setting.dt
     if model.E is not None or np.any(model.feedthrough):
         raise UserError(
             f"{where}: got a plant with {'an unknown input' if model.E is not None else 'feedthrough D'}, expected "
             "x' = A x + B u, y = C x: a sample's time is what it looks for; leave it out, or take dkf."
+        )
+    if not options.stamps and len(set(setting.delay)) > 1:
+        each = ", ".join(f"{d * dt:g}" for d in setting.delay)
+        raise UserError(
+            f"{where}: got stamps = false with delays of {each} s, expected one for all channels: it would take them for "
+            "equal; leave stamps out, or give one delay."
         )
     known = len(setting.unknown_std) == 1
     mean = setting.unknown0[0] if known else setting.delay[0] * dt
@@ -102,6 +134,10 @@ def design(setting: Setting, options: Options, name: str) -> Gains:
         delay_std=np.asarray(float(std)),
         dt=np.asarray(dt),
         longest=np.asarray(longest),
+        mean=np.asarray(setting.delay[0]),
+        later=np.asarray(max(setting.latest - setting.delay[0], 0) if options.stamps else 0),
+        stamps=np.asarray(int(options.stamps)),
+        room=setting.room if options.stamps else np.zeros(0),
         told=np.zeros(int(known)),
     )
 

@@ -1,0 +1,69 @@
+"""Estimators and faults that cannot be, from the command line: exit 2, one sentence, nothing written."""
+
+import pytest
+from commands import call
+
+UNKNOWN, BATCH = "cart/unknown-delay", "reactor/batch"
+WRONG = [
+    (UNKNOWN, "bank", "options.bank.delay=-0.1", "delay: got -0.1, expected greater than or equal to 0"),
+    (UNKNOWN, "bank", "options.bank.delay_std=nan", "delay_std: got nan, expected a finite number"),
+    (UNKNOWN, "bank", "options.bank.delays=[0.1,-0.2]", "got -0.2 to 0.1 s, expected 0 to the longest"),
+    (UNKNOWN, "bank", "options.bank.delays=[0.1,inf]", "delays: got inf"),
+    (UNKNOWN, "ekf-delay", "options.ekf-delay.longest=20", "longest delay of 20 s, expected a tick, 0.01 s, to 10 s"),
+    (UNKNOWN, "ekf-delay", "options.ekf-delay.delay_walk=-1", "delay_walk: got -1"),
+    (UNKNOWN, "ekf-delay", "options.ekf-delay.stamps=1", "stamps: got 1, expected a valid boolean"),
+    ("csth/10s-noise", "bank", "options.bank.stamps=false", "got stamps = false with delays of 20, 50, 70 s"),
+    (
+        BATCH,
+        "mhe",
+        "options.mhe.window=302",
+        "a window of 302 samples, longer than the horizon, in which 301 are taken",
+    ),
+    (BATCH, "mhe", "options.mhe.window=0", "window: got 0"),
+    (BATCH, "mhe", "options.mhe.iterations=-2", "iterations: got -2"),
+    (BATCH, "mhe", "options.mhe.lower=[0.0,5.0]", "got bounds that leave out xhat0 = [0.1, 4.5]"),
+    (BATCH, "mhe", "options.mhe.upper=nan", "upper: got nan"),
+    (BATCH, "particle", "options.particle.particles=100000000000", "particles, which take"),
+    (BATCH, "particle", "options.particle.particles=0", "particles: got 0"),
+    (BATCH, "particle", "options.particle.resample=2", "resample: got 2"),
+    (BATCH, "ukf", "options.ukf.alpha=-1", "alpha: got -1"),
+    (BATCH, "iekf", "options.iekf.iterations=0", "iterations: got 0"),
+    (BATCH, "ekf", "options.ekf.Q=[-1,1]", "Q[0]: got -1"),
+    (BATCH, "ekf", "options.ekf.R=nan", "R: got nan"),
+    ("cart/white", "dkf", "options.dkf.gate=-1", "gate: got -1"),
+    ("cart/white", "dkf", "options.dkf.huber=nan", "huber: got nan"),
+    ("cart/white", "dkf", "options.dkf.gate_opens=0", "gate_opens: got 0"),
+    ("cart/white", "kf-discard", "options.kf-discard.limit=-1", "limit: got -1"),
+    ("cart/white", "kf-horizon", "options.kf-horizon.horizon=99", "a horizon of 99 s, expected at most the run's 10 s"),
+    ("cart/white", "kf-rewind", "options.kf-rewind.keep=inf", "keep: got inf"),
+    ("cart/white", "kf-alexander", "axes.assumed_delay_error=[0.01]", "assumed_delay_error of 0.01 s, expected 0"),
+    ("cart/white", "kf-cloning", "axes.stamp_offset=[-0.01]", "got stamp_offset, expected stamps that are right"),
+    ("cart/white", "kfbo", "axes.stamp_drift=[100.0]", "got stamp_drift, expected one constant delay"),
+    ("cart/white", "kfbo", "axes.delay_gamma=[0.1]", "got delay_gamma, expected one constant delay"),
+    ("csth/10s-noise", "chain", "axes.stamp_drift=[100.0]", "got stamp_drift, expected regular samples"),
+    ("helicopter/constant", "ekf", "axes.stamp_jitter=[0.01]", "got random sampling in helicopter/constant"),
+    ("helicopter/constant", "mhe", "seeds=1", "mhe in helicopter/constant got a closed loop"),
+    ("arm/sine", "smo", "axes.outlier_probability=[0.1]", "which measures continuously and without noise"),
+    ("arm/sine", "smo", "axes.resolution=[0.1]", "which measures continuously and without noise"),
+    ("cart/nominal", "dkf", "axes.noise_tail=[3.0]", "whose samples have no noise"),
+    ("cart/white", "dkf", "axes.noise_tail=[1.0]", "expected more than 2 degrees of freedom"),
+    ("cart/white", "dkf", "axes.burst=[5.0]", "with a loss of 0, expected a loss between 0 and 1"),
+    ("cart/white", "dkf", "axes.resolution=[-1.0]", "expected a number of at least 0"),
+    ("cart/white", "dkf", "axes.stamp_jitter=[nan]", "got nan, expected a finite number"),
+    ("cart/white", "dkf", "axes.stamp_jitter=[0.1]", "expected less than half the shortest interval"),
+    ("cart/white", "dkf", "axes.assumed_noise_scale=[0.0]", "expected a number greater than 0"),
+    ("cart/white", "dkf", "axes.outlier_probability=[2.0]", "expected a probability from 0 to 1"),
+    ("fair-reactor", "ekf", 'tune.only=["Qq"]', "'Qq' is no option that an observer of the study tunes"),
+]
+
+
+@pytest.mark.parametrize(("study", "observer", "given", "sentence"), WRONG)
+def test_what_cannot_be_is_one_sentence_and_writes_nothing(study, observer, given, sentence, tmp_path):
+    words = ("run", study, "--observers", observer, "--seeds", 1, "--set", given, "--out", tmp_path / "out")
+    done = call(*words)
+    assert done.returncode == 2
+    assert sentence in done.stderr
+    assert done.stderr.startswith("pcbench: ")
+    assert done.stderr.count("\n") == 1, "one line, no traceback"
+    assert not done.stdout
+    assert not (tmp_path / "out").exists()
