@@ -4,7 +4,7 @@ import signal
 import sys
 
 from pcbench.cli.stopping import STOPPED, asked, interrupt, stop_if_asked, unraisable
-from pcbench.errors import UserError, missing
+from pcbench.errors import UserError, missing, out_of_memory, said
 from pcbench.machine import threads
 
 __all__ = ["main"]
@@ -41,9 +41,14 @@ def main() -> None:
     except Exception as error:
         if asked():  # what a library makes of it
             sys.exit(_stopped())
-        if not hasattr(error, "format_message"):  # the command line's own usage errors have one
+        if out_of_memory(error):
+            code = _complain(
+                f"memory ran out ({said(error)}), expected more; end other programs, or ask for less at a time."
+            )
+        elif hasattr(error, "format_message"):  # as the command line's own usage errors have
+            code = _complain(_of_usage(error))
+        else:
             raise
-        code = _complain(_of_usage(error))
     sys.exit(code)
 
 

@@ -153,7 +153,7 @@ def _run(
     tail, out_from = a.cell.times.tail, int((1 - judging.HELD_OUT) * a.last)
     sums = {label: judging.Sums() for label, o in p.layout.observers if o.innovation}
     model = smoother.model_of(p.setting, p.problem.xhat0)
-    enough = model is not None and smoother.numbers_kept(model, a.last + 1) <= smoother.MOST
+    enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
     schema = folder.fields({o: list(signals[:many]) for o, many in p.sizes.items()}, a.clock.start, a.clock.dt)
 
@@ -196,7 +196,7 @@ def _results(
     distances = scoring.distances(into, smoothed, list(a.cell.options), signals)
     if smoothed is None:
         a.said.append(
-            "distances to a smoother are left out: it needs a linear model without unknown inputs, and a shorter log."
+            "distances to a smoother are left out: it needs a linear model without unknown inputs, and memory for all ticks."
         )
     metrics = scoring.metrics_table(score, signals, a.clock.dt, a.cell.times.tail) if score else pd.DataFrame()
     round_ = rounding(a)
