@@ -14,6 +14,7 @@ from logged import MOTOR, plain, rows
 import pcbench
 from pcbench import plots
 from pcbench.cli import exporting
+from pcbench.dataset import store
 from pcbench.export import files
 from pcbench.plots.log_delays import BINS, edges_of
 from pcbench.replaying import folder
@@ -79,15 +80,52 @@ def test_an_export_without_a_place_is_refused_before_it_is_made(here, place, mon
     assert not list((here / "shut").iterdir())
 
 
-def test_a_replay_that_is_stopped_leaves_nothing_half_written(tmp_path):
-    def stopped():
-        with folder.writing(tmp_path) as write:
-            write(pa.table({"t": [0.0, 1.0]}))
-            raise KeyboardInterrupt
+def stopped(*_):
+    raise KeyboardInterrupt
 
+
+def standing(where):
+    """What stands in a folder, by name."""
+    return {str(p.relative_to(where)): p.read_text() for p in where.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("at", ["estimates", "summary"])
+def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, at):
+    before = dict.fromkeys(("estimates.parquet", "replay.json"), "of an earlier replay")
+    for name, text in before.items():
+        (tmp_path / name).write_text(text)
+
+    def replayed():
+        with folder.draft(tmp_path) as draft:
+            draft.write(pa.table({"t": [0.0, 1.0]}))
+            if at == "estimates":
+                stopped()
+            draft.close()
+            folder.finish(draft, {})
+
+    monkeypatch.setattr(store, "put_json", stopped)
     with pytest.raises(KeyboardInterrupt):
-        stopped()
-    assert not list(tmp_path.iterdir())
+        replayed()
+    assert standing(tmp_path) == before
+
+
+@pytest.mark.parametrize(("at", "left"), [("put", "old"), ("replace", "new")])
+def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatch, at, left):
+    """Of an export, a replay and draws: stopped while they are written, or while they get their names."""
+    target, names, calls = store.target(tmp_path), ("a", "b/b", "c"), []
+    store.put_all(target, dict.fromkeys(names, b"old"))
+    module = store if at == "put" else os
+    does = getattr(module, at)
+
+    def stopped_at_the_second(*given):
+        mine = at == "put" or "partial" not in str(given[0])  # `put` renames too
+        calls.extend([given] if mine else [])
+        return stopped() if mine and len(calls) == 2 else does(*given)
+
+    monkeypatch.setattr(module, at, stopped_at_the_second)
+    with pytest.raises(KeyboardInterrupt):
+        store.put_all(target, dict.fromkeys(names, b"new"))
+    assert standing(tmp_path) == dict.fromkeys(names, left)
 
 
 def test_the_picture_has_every_arrival_and_all_shares(here):
