@@ -15,6 +15,7 @@ from pcbench.logs.log import Log, Table
 from pcbench.logs.survey import Survey, survey
 from pcbench.logs.ticks import better, ticks
 from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning.padding import rounded
 from pcbench.plants import signals_of
 from pcbench.replaying import feed, folder, judging, scoring, smoother, stretch
@@ -58,12 +59,14 @@ def replay(
     start: float | None = None,
     seed: int = 0,
     overrides: list[str] | None = None,
+    progress: Progress = SILENT,
 ) -> Replayed:
     """Run observers of a plant on a log, and return what can be known of them; with `out`, a folder, estimates stand there.
 
     `log` is a folder or file of tables, or a TOML that says what of a bag is which channel (`pcbench.logs`); `plant` a study of
     one scenario and one cell, whose outputs are the log's channels in their order. `delay` [s] stands for arrivals that the log
     does not have, `start` [s] is the log's time of tick 0, by default its first. `seed` is for observers that draw numbers.
+    `progress` hears of ticks.
     Raises UserError, with the row, for whatever the user can mend.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
@@ -73,7 +76,7 @@ def replay(
         room = feed.room(a.log, a.found, a.clock, length, a.last)
         p = prepared(a.cell, room, a.last, a.log.name)
         with folder.draft(Path(spare if out is None else out)) as draft:
-            sums, score, smoothed = _run(a, p, room.slots, length, draft, seed)
+            sums, score, smoothed = _run(a, p, room.slots, length, draft, seed, progress)
             return _results(a, p, sums, score, smoothed, draft, out is None)
 
 
@@ -135,7 +138,7 @@ def rounding(a: Asked) -> dict[str, Any]:
 
 
 def _run(
-    a: Asked, p: Prepared, slots: int, length: int, draft: folder.Draft, seed: int
+    a: Asked, p: Prepared, slots: int, length: int, draft: folder.Draft, seed: int, progress: Progress
 ) -> tuple[dict[str, judging.Sums], Any, np.ndarray | None]:
     """Run all parts of a log; write estimates, return sums of innovations, the score against truth and the smoothed states."""
     scored = a.log.truth is not None
@@ -171,11 +174,13 @@ def _run(
         if before is not None:
             yield before
 
+    progress.begin("ticks", a.last + 1)
     for part, seen in computed():
         here = part.first + np.arange(length)
         kept = min(length, a.last + 1 - part.first)
         found = [np.asarray(seen.estimates[label])[:kept] for label, _ in p.layout.observers]
         draft.write(folder.table(schema, here[:kept] * a.clock.dt, found))
+        progress.step(kept)
         for label, numbers in seen.surprise.items():
             flat = np.asarray(numbers).reshape(-1, stretch.JUDGED)
             sums[label] = judging.add(sums[label], flat, np.repeat(here >= out_from, slots))

@@ -2,6 +2,11 @@
 
 import json
 import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +23,8 @@ from pcbench.dataset import store
 from pcbench.export import files
 from pcbench.plots.log_delays import BINS, edges_of
 from pcbench.replaying import folder
+
+PCBENCH = [sys.executable, "-m", "pcbench"]
 
 
 @pytest.fixture
@@ -126,6 +133,48 @@ def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatc
     with pytest.raises(KeyboardInterrupt):
         store.put_all(target, dict.fromkeys(names, b"new"))
     assert standing(tmp_path) == dict.fromkeys(names, left)
+
+
+def interrupted(words, cwd, ready):
+    """What a command leaves that gets Ctrl-C once it is ready, or None where it was done before."""
+    with subprocess.Popen(
+        [*PCBENCH, *words], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        while not ready() and process.poll() is None:
+            time.sleep(0.01)
+        if process.poll() is not None:
+            return None
+        process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=300)
+    assert process.returncode in (0, 130), stderr  # 0: it had ended and was leaving
+    if process.returncode:
+        assert stderr.splitlines()[-1] == "pcbench: stopped; every file already written is complete."
+        assert "Traceback" not in stderr
+    return {p.name for p in (cwd / "out").rglob("*")}
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_a_replay_leaves_no_file(tmp_path):
+    many = 400_000
+    t = np.arange(many) * 0.01
+    (tmp_path / "motor.toml").write_text(tomli_w.dumps(MOTOR))
+    rows(
+        tmp_path / "flight",
+        plain() | {"channel": ["y1"] * many, "sampled": t, "arrived": t, "value": t},
+        kind="parquet",
+    )
+    words = ["replay", "flight", "--plant", "motor.toml", "--observers", "dkf,ukf", "--out", "out"]
+    assert interrupted(words, tmp_path, (tmp_path / "out" / ".estimates.parquet.part").exists) == set()
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_an_export_leaves_all_of_its_files_or_none(tmp_path):
+    whole = {"dkf.c", "dkf.h", "dkf_gains.h", "gains.json", "gains.mat", "main.c", "vector.h"}
+    for wait in (1.5, 2.5, 3.5, 4.5):
+        until = time.monotonic() + wait
+        left = interrupted(["export", "cart/white", "dkf", "--out", "out"], tmp_path, lambda: time.monotonic() > until)  # noqa: B023
+        assert left in (None, set(), whole)
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
 
 
 def test_the_picture_has_every_arrival_and_all_shares(here):
