@@ -1,6 +1,7 @@
 """What a user did wrong, or a user's code raised, as one sentence: where, what was found, what was expected, what to do."""
 
 import difflib
+import errno
 import os
 import re
 import sysconfig
@@ -64,6 +65,20 @@ def short(text: str) -> str:
 def said(error: Any) -> str:
     """Return the first sentence of what another library said, without its full stop."""
     return short(re.split(r"\.\s|\n", str(error).strip())[0].rstrip("."))
+
+
+def out_of_memory(error: BaseException) -> bool:
+    """Say whether an error is that memory ran out: Python's, the system's, a library's or a compiled program's."""
+    of_system = isinstance(error, OSError) and error.errno == errno.ENOMEM
+    return isinstance(error, MemoryError) or of_system or str(error).startswith("RESOURCE_EXHAUSTED")
+
+
+def unreadable(error: BaseException, where: str, instead: str) -> UserError:
+    """Say why a file could not be read: memory ran out, or what its reader says of it, and what was expected `instead`."""
+    found = said(error) if str(error) else "it ends too early"
+    if out_of_memory(error):
+        return UserError(f"{where}: memory ran out while it was read ({found}), expected more; end other programs.")
+    return UserError(f"{where}: {found}; expected {instead}.")
 
 
 def shown(value: Any) -> str:

@@ -1,10 +1,12 @@
 """The command line: parse, call, print. Whatever the user can mend is one sentence and exit code 2."""
 
+import os
 import signal
 import sys
+from contextlib import suppress
 
 from pcbench.cli.stopping import STOPPED, asked, interrupt, stop_if_asked, unraisable
-from pcbench.errors import UserError, missing
+from pcbench.errors import UserError, missing, out_of_memory, said
 from pcbench.machine import threads
 
 __all__ = ["main"]
@@ -40,11 +42,27 @@ def main() -> None:
         code = _complain(missing(str(error.name)))
     except Exception as error:
         if asked():  # what a library makes of it
-            sys.exit(_stopped())
-        if not hasattr(error, "format_message"):  # the command line's own usage errors have one
+            code = _stopped()
+        elif out_of_memory(error):
+            code = _complain(
+                f"memory ran out ({said(error)}), expected more; end other programs, or ask for less at a time."
+            )
+        elif hasattr(error, "format_message"):  # as the command line's own usage errors have
+            code = _complain(_of_usage(error))
+        else:
             raise
-        code = _complain(_of_usage(error))
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is done is done
+    if code == STOPPED:
+        _leave()
     sys.exit(code)
+
+
+def _leave() -> None:
+    """End the process at once: a program that computes in another thread crashes the interpreter that ends beside it."""
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(STOPPED)
 
 
 def _of_usage(error: Exception) -> str:

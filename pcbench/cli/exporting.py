@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from pcbench.cli.shared import Quiet, Set, console, out, say, setup
+from pcbench.cli.stopping import stop_if_asked
 
 
 def export(
@@ -26,6 +27,7 @@ def export(
 
     files.require_place(folder)
     found = files.exported(study, observer, seed, changes)
+    stop_if_asked()
     made = files.write(found, folder)
     if quiet:
         print(folder)

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 import typer
 
 from pcbench.cli.shared import RANKS, Folder, Metric, Quiet, Set, Signals, chosen, console, names, out, say, setup
+from pcbench.cli.stopping import stoppable
 
 Name = Annotated[str, typer.Option(help="what the tables call it")]
 
@@ -28,7 +29,7 @@ def draws(
 
     asked: dict[str, Any] = {"seeds": seeds, "observers": names(observers) if observers else None}
     with bar(quiet) as progress:
-        draws.write(read.grid_of(study, asked, changes or []), folder, progress)
+        draws.write(read.grid_of(study, asked, changes or []), folder, stoppable(progress))
     print(f"{folder}/draws: samples, inputs and starts; columns, units and what to leave stand in its README.md")
 
 
@@ -49,7 +50,7 @@ def score(
     from pcbench.guests import score
 
     with bar(quiet) as progress:
-        result = score.score(folder, estimates, name, progress, say)
+        result = score.score(folder, estimates, name, stoppable(progress), say)
     _shown(result, folder, metric, signal, quiet)
 
 
@@ -70,7 +71,7 @@ def guest(
     from pcbench.guests import guest
 
     with bar(quiet) as progress:
-        result = guest.run(folder, reference, name, progress, say)
+        result = guest.run(folder, reference, name, stoppable(progress), say)
     _shown(result, folder, metric, signal, quiet)
 
 

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from pcbench.cli.shared import AsJson, Quiet, Set, console, names, out, say, setup
+from pcbench.cli.stopping import stoppable
 
 Late = Annotated[float | None, typer.Option(help="how late every sample is [s], where the log does not say")]
 File = Annotated[
@@ -58,11 +59,21 @@ def replay(
     setup()
     from pcbench.cli.screen import logs
     from pcbench.cli.screen.json import readable
+    from pcbench.cli.screen.progress import bar
     from pcbench.replaying import replay
 
-    found = replay.replay(
-        file, plant, names(observers), out=folder, delay=delay, start=start, seed=seed, overrides=changes
-    )
+    with bar(quiet or as_json, "reading the log") as progress:
+        found = replay.replay(
+            file,
+            plant,
+            names(observers),
+            out=folder,
+            delay=delay,
+            start=start,
+            seed=seed,
+            overrides=changes,
+            progress=stoppable(progress),
+        )
     if as_json:
         print(readable(found.summary | {"out": folder}))
         return

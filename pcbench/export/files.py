@@ -120,11 +120,11 @@ def require_place(out: str | Path) -> None:
 
 
 def write(found: Exported, out: str | Path) -> list[Path]:
-    """Write the files into a folder, which may be there; raise UserError where that cannot be done."""
+    """Write the files into a folder, which may be there: all or none; raise UserError where that cannot be done."""
     target = store.target(Path(out).expanduser())
     store.make(target)
-    for name, content in found.files.items():
-        store.put(target, name, content if isinstance(content, bytes) else content.encode())
+    each = {name: content if isinstance(content, bytes) else content.encode() for name, content in found.files.items()}
+    store.put_all(target, each)
     return [Path(target.root) / name for name in found.files]
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import ownership, store
+from pcbench.dataset import ownership, parquet, store
 from pcbench.dynamics import linear
 from pcbench.guests import runs
 from pcbench.machine import process
@@ -81,12 +81,16 @@ def write(grid: Grid, out: str | Path, progress: Progress = SILENT) -> store.Tar
         )
         every = {name: np.concatenate([np.asarray(each[name]) for each in samples]) for name in SAMPLES}
         columns = [pa.array(every[name], SAMPLES[name][0], from_pandas=True) for name in SAMPLES]
-        store.put_table(target, f"{FOLDER}/samples.parquet", pa.Table.from_arrays(columns, schema=schema))
-        store.put_table(target, f"{FOLDER}/starts.parquet", _joined(starts))
-        store.put_table(target, f"{FOLDER}/inputs.parquet", _joined([_inputs(p) for p in plans]))
-        store.put(target, f"{FOLDER}/cells.json", (json.dumps([_cell(p) for p in plans], indent=2) + "\n").encode())
+        tables = {
+            "samples": pa.Table.from_arrays(columns, schema=schema),
+            "starts": _joined(starts),
+            "inputs": _joined([_inputs(p) for p in plans]),
+        }
+        files = {f"{FOLDER}/{name}.parquet": parquet.encoded(table) for name, table in tables.items()}
+        files[f"{FOLDER}/cells.json"] = (json.dumps([_cell(p) for p in plans], indent=2) + "\n").encode()
         rows = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (_, unit, meaning) in SAMPLES.items())
-        store.put(target, f"{FOLDER}/README.md", README.format(rows=rows).encode())
+        files[f"{FOLDER}/README.md"] = README.format(rows=rows).encode()
+        store.put_all(target, files)
         return target
 
 

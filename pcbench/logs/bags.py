@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from pcbench.errors import UserError, said
+from pcbench.errors import UserError, unreadable
 from pcbench.logs.log import Floats
 from pcbench.logs.messages import parts, require_topic
 
@@ -23,7 +23,7 @@ def fields(
     except (UserError, ImportError):
         raise
     except Exception as error:  # a damaged bag is noticed by its reader, by the store below it or in a message
-        raise UserError(f"{where}: {path.name}: {said(error)}; expected a whole bag; mend or convert it.") from None
+        raise unreadable(error, f"{where}: {path.name}", "a whole bag; mend or convert it") from None
 
 
 def _messages(reader: Any, topic: str) -> Iterator[tuple[int, Any]]:

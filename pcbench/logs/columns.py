@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from pyarrow import csv
 
-from pcbench.errors import UserError, said, unknown
+from pcbench.errors import UserError, unknown, unreadable
 
 KINDS = (".parquet", ".csv")
 MANY = 1 << 16  # rows of a part
@@ -51,7 +51,5 @@ def require(path: Path, there: Sequence[str], wanted: Sequence[str], where: str 
 
 
 def _unreadable(path: Path, error: Exception) -> UserError:
-    return UserError(
-        f"{path}: {said(error)}; expected a {path.suffix.lower().removeprefix('.')} file of numbers under one line of heads; "
-        "mend the file."
-    )
+    kind = path.suffix.lower().removeprefix(".")
+    return unreadable(error, str(path), f"a {kind} file of numbers under one line of heads; mend the file")

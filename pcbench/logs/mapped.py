@@ -56,23 +56,31 @@ class Mapping(BaseModel):
     truth: dict[str, Column] = {}
 
 
-class Format(NamedTuple):
-    """How one kind of file is read: (path, topic, fields, those that are times, their unit, where) -> parts of its fields."""
+Read = Callable[..., Iterator[dict[str, Floats]]]  # (path, topic, fields, those that are times, their unit, where)
 
-    read: Callable[..., Iterator[dict[str, Floats]]]
+
+class Format(NamedTuple):
+    """How one kind of file is read."""
+
+    reader: Callable[[set[str]], Read]  # given all topics that will be asked for, what yields parts of a topic's fields
     stamp: str  # the field of stamps, where none is named
     arrived: str | None  # and of arrivals
 
 
+def _by_parts(read: Read) -> Callable[[set[str]], Read]:
+    """What needs not know the topics beforehand."""
+    return lambda topics: read
+
+
 FORMATS = {
-    ".bag": Format(bags.fields, "header.stamp", RECEIVED),
-    ".db3": Format(bags.fields, "header.stamp", RECEIVED),
-    "": Format(bags.fields, "header.stamp", RECEIVED),
-    ".mcap": Format(mcaps.fields, "header.stamp", RECEIVED),
-    ".ulg": Format(flight.fields, "timestamp_sample", "timestamp"),
-    ".mat": Format(matlab.fields, "t", None),
-    ".csv": Format(wide.fields, "t", None),
-    ".parquet": Format(wide.fields, "t", None),
+    ".bag": Format(_by_parts(bags.fields), "header.stamp", RECEIVED),
+    ".db3": Format(_by_parts(bags.fields), "header.stamp", RECEIVED),
+    "": Format(_by_parts(bags.fields), "header.stamp", RECEIVED),
+    ".mcap": Format(_by_parts(mcaps.fields), "header.stamp", RECEIVED),
+    ".ulg": Format(flight.reader, "timestamp_sample", "timestamp"),
+    ".mat": Format(_by_parts(matlab.fields), "t", None),
+    ".csv": Format(_by_parts(wide.fields), "t", None),
+    ".parquet": Format(_by_parts(wide.fields), "t", None),
 }
 
 
@@ -86,15 +94,19 @@ def opened(path: Path, delay: float | None = None) -> Log:
     if kind is None:
         known = ", ".join(k for k in FORMATS if k)
         raise UserError(f"{path.name}: log: got {found.log}, expected a folder of ROS 2 or one of {known}; convert it.")
+    every = [*found.channels.values(), *found.inputs.values(), *found.truth.values()]
+    read = kind.reader({c.topic for c in every})
     names = tuple(found.channels)
     parts = [_times(c, kind, f"{path.name}: channels.{name}", delay) for name, c in found.channels.items()]
 
     def measurements() -> Iterator[Batch]:
-        each = (_channel(kind, file, c, *parts[i], i, found, path) for i, c in enumerate(found.channels.values()))
+        each = (_channel(read, file, c, *parts[i], i, found, path) for i, c in enumerate(found.channels.values()))
         return heapq.merge(*each, key=lambda batch: batch.sampled[0])
 
-    return Log(path.name, names, measurements, _table(found.inputs, kind, file, found, path, "inputs"),
-               _table(found.truth, kind, file, found, path, "truth"))  # fmt: skip
+    inputs, truth = (
+        _table(getattr(found, what), read, kind.stamp, file, found, path, what) for what in ("inputs", "truth")
+    )
+    return Log(path.name, names, measurements, inputs, truth)
 
 
 def _read(path: Path) -> Mapping:
@@ -129,7 +141,7 @@ def _times(c: Column, kind: Format, where: str, delay: float | None) -> tuple[st
 
 
 def _channel(
-    kind: Format,
+    read: Read,
     file: Path,
     c: Column,
     stamp: str,
@@ -141,7 +153,7 @@ def _channel(
 ) -> Iterator[Batch]:
     wanted = [c.field, stamp] + ([arrived] if arrived else [])
     row = 1
-    for part in kind.read(file, c.topic, wanted, set(wanted[1:]), m.time_unit, path.name):
+    for part in read(file, c.topic, wanted, set(wanted[1:]), m.time_unit, path.name):
         many = len(part[c.field])
         if many:
             came = part[arrived] if arrived else part[stamp] + (late or 0.0)
@@ -149,7 +161,9 @@ def _channel(
         row += many
 
 
-def _table(given: dict[str, Column], kind: Format, file: Path, m: Mapping, path: Path, what: str) -> Table | None:
+def _table(
+    given: dict[str, Column], read: Read, usual: str, file: Path, m: Mapping, path: Path, what: str
+) -> Table | None:
     """Inputs or truth: columns of one topic, which has one time for all."""
     if not given:
         return None
@@ -160,14 +174,14 @@ def _table(given: dict[str, Column], kind: Format, file: Path, m: Mapping, path:
                 f"{path.name}: {what}.{name}: got other times than {what}.{next(iter(given))}, expected one topic and one t "
                 f"for all {what}; write them so."
             )
-    stamp = first.t or kind.stamp
+    stamp = first.t or usual
 
-    def read() -> Iterator[Rows]:
+    def rows() -> Iterator[Rows]:
         row = 1
         wanted = [stamp, *(c.field for c in given.values())]
-        for part in kind.read(file, first.topic, wanted, {stamp}, m.time_unit, path.name):
+        for part in read(file, first.topic, wanted, {stamp}, m.time_unit, path.name):
             values = np.stack([c.scale * part[c.field] for c in given.values()], 1)
             yield Rows(part[stamp], values, np.arange(row, row + len(values)))
             row += len(values)
 
-    return Table(tuple(given), read)
+    return Table(tuple(given), rows)

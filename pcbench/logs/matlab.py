@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pcbench.errors import UserError, said, unknown
+from pcbench.errors import UserError, unknown, unreadable
 from pcbench.logs.log import Floats
 from pcbench.logs.units import SECONDS
 
@@ -20,9 +20,7 @@ def fields(
     try:
         there: dict[str, Any] = {k: v for k, v in loadmat(path, simplify_cells=True).items() if k[:2] != "__"}
     except Exception as error:  # SciPy raises MatReadError, zlib.error and TypeError among others
-        raise UserError(
-            f"{where}: {path.name}: {said(error)}; expected MATLAB's format 7 or less; save it with -v7."
-        ) from None
+        raise unreadable(error, f"{where}: {path.name}", "MATLAB's format 7 or less; save it with -v7") from None
     for part in filter(None, topic.split(".")):
         if not isinstance(there.get(part), dict):
             raise unknown(f"{where}: {path.name}", "struct", part, [k for k, v in there.items() if isinstance(v, dict)])

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from pcbench.errors import UserError, said
+from pcbench.errors import UserError, unreadable
 from pcbench.logs.log import Floats
 from pcbench.logs.messages import parts, require_topic
 
@@ -27,8 +27,7 @@ def fields(
     except (UserError, ImportError):
         raise
     except Exception as error:  # of the reader, of a decompressor or of a message that is none
-        found = said(error) if str(error) else "it ends too early"
-        raise UserError(f"{where}: {path.name}: {found}; expected a whole MCAP file; mend it.") from None
+        raise unreadable(error, f"{where}: {path.name}", "a whole MCAP file; mend it") from None
 
 
 def _messages(reader: Any, topic: str, where: str, indexed: bool) -> Iterator[tuple[int, Any]]:

@@ -1,5 +1,6 @@
 """The memory that this process may use."""
 
+import sys
 from contextlib import suppress
 from pathlib import Path
 
@@ -33,10 +34,22 @@ def _limits() -> list[Path]:
 
 
 def free() -> int:
-    """Return the bytes of memory that are free now, within what this process may use."""
+    """Return the bytes of memory that are free now, within what this process may use, by `ulimit -d` too."""
     import psutil
 
-    return min(int(psutil.virtual_memory().available), usable())
+    return min(int(psutil.virtual_memory().available), usable(), _left_of_data())
+
+
+def _left_of_data() -> int:
+    """The bytes by which this process's data may grow; where there is no such limit, more than there are."""
+    import psutil
+
+    if sys.platform != "linux":
+        return sys.maxsize
+    import resource
+
+    limit, _ = resource.getrlimit(resource.RLIMIT_DATA)
+    return sys.maxsize if limit == resource.RLIM_INFINITY else max(limit - int(psutil.Process().memory_info().data), 0)
 
 
 def allowed(given: str | int | None) -> float:

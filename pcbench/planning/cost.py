@@ -2,8 +2,10 @@
 
 A sample costs `note`, `sampled` where there is one, and `jump`; a tick `flow` and `estimate`. Counted are the products of
 floats: each of a matrix product (with its addition), each entry multiplied, divided, or put through a root, a power or another
-function. Additions, comparisons and what is only moved are free. A loop counts as often as it goes round, for a sample of the
-believed age that follows one of a period before; of the branches of a choice that one runs, where it is made by an index.
+function. Additions, comparisons and what is only moved are free. A loop counts as often as it goes round, for the last sample
+of a run whose samples are a period apart and of the believed age; of the branches of a choice that one runs, where it is made
+by an index. So whole numbers that an observer remembers (ticks, places in a ring) are those of the end, for loops over a window
+that is not full yet are shorter; floats are those of the start, and a loop that depends on them is counted as it goes there.
 Not claimed: time. What a processor does with so many products is for a clock to say.
 """
 
@@ -14,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Arrival
@@ -59,22 +62,50 @@ def _of(p: Plan, name: str, o: Any) -> Cost:
     gains, q = problem.gains[name], len(p.cell.scenario.sampling.delay)
     clocks = p.cell.times.clocks
     age = max((clock.period if clock.delay is None else clock.delay) + clock.later for clock in clocks)
-    k = age + max(clock.period for clock in clocks)
-    memory = o.init(gains, problem.xhat0)
-    note = o.note(gains, memory, present(problem, jnp.asarray(k - age), False))
-    decided, open_ = (present(problem, jnp.asarray(k), known) for known in (True, False))
+    period = max(clock.period for clock in clocks)
+    last = max((p.cell.times.ticks - age) // period, 1)
+    memory = _worn(o, problem, last, age, period, name, q)
+    k = jnp.asarray(age + last * period)
+    note = o.note(gains, memory, present(problem, k - age, False))
+    decided, open_ = (present(problem, k, known) for known in (True, False))
 
     def sample(gains: Any, memory: Any, value: Any) -> Any:
         told = o.sampled(gains, memory, open_, jnp.ones(q, bool)) if o.sampled else memory
-        ticks = jnp.full(q, age)
-        arrival = Arrival(value, jnp.ones(q, bool), ticks, jnp.ones(q, int), note, jnp.asarray(1))
-        return o.note(gains, told, open_), o.jump(gains, told, open_, arrival)
+        return o.note(gains, told, open_), o.jump(gains, told, open_, _arrival(value, age, note))
 
     def tick(gains: Any, memory: Any) -> Any:
         return o.flow(gains, memory, decided), o.estimate(gains, memory)
 
     size = sum(np.size(leaf) * np.asarray(leaf).dtype.itemsize for leaf in jax.tree.leaves(memory))
     return Cost(counted(sample, gains, memory, jnp.ones(q)), counted(tick, gains, memory), size)
+
+
+def _arrival(value: Any, age: int, note: Any) -> Arrival:
+    q = len(value)
+    return Arrival(value, jnp.ones(q, bool), jnp.full(q, age), jnp.ones(q, int), note, jnp.asarray(1))
+
+
+def _worn(o: Any, p: Any, last: int, age: int, period: int, name: str, q: int) -> Any:
+    """The memory of the start, its whole numbers as they are before sample number `last` arrives."""
+    gains = p.gains[name]
+    leaves, tree = jax.tree.flatten(jax.tree.map(jnp.asarray, o.init(gains, p.xhat0)))
+    whole = [not jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
+    if not any(whole):
+        return jax.tree.unflatten(tree, leaves)
+
+    def with_(ticks: Sequence[Any]) -> Any:
+        new = iter(ticks)
+        return jax.tree.unflatten(tree, [next(new) if w else a for w, a in zip(whole, leaves, strict=True)])
+
+    def after(number: Any, ticks: Sequence[Any]) -> list[Any]:
+        memory, now = with_(ticks), present(p, age + number * period, False)
+        note = o.note(gains, memory, present(p, number * period, False))
+        told = o.sampled(gains, memory, now, jnp.ones(q, bool)) if o.sampled else memory
+        new = jax.tree.leaves(o.jump(gains, told, now, _arrival(jnp.ones(q), age, note)))
+        return [a.astype(b.dtype) for a, b, w in zip(new, leaves, whole, strict=True) if w]
+
+    before = [a for a, w in zip(leaves, whole, strict=True) if w]
+    return with_(jax.jit(lambda before: lax.fori_loop(0, last, after, before))(before))
 
 
 def counted(f: Any, *args: Any) -> int:

@@ -19,7 +19,7 @@ def of(study: Study, scenario: str, out: str | Path | None, cell: int = 0) -> pd
     one = next(each for each in cells(study, scenario) if each.number == cell)
     if one.scenario.sampling.continuous:
         return None
-    return kept(out, Thing(f"{scenario}.costs", one, ["costs"]), lambda: _made(one))
+    return kept(out, Thing(f"{scenario}.costs", one, ["of the last sample"]), lambda: _made(one))
 
 
 def _made(cell: Cell) -> pd.DataFrame:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -28,9 +28,18 @@ def fields(observers: dict[str, list[tuple[str, str]]], start: float, dt: float)
     return pa.schema(out, metadata={"pcbench.schema": SCHEMA, "start": repr(start), "dt": repr(dt)})
 
 
+class Draft(NamedTuple):
+    """A replay's files before they have their names."""
+
+    folder: Path
+    estimates: Path  # the file, which can be read once it is closed
+    write: Callable[[pa.Table], None]  # some ticks more
+    close: Callable[[], None]
+
+
 @contextmanager
-def writing(folder: Path) -> Iterator[Callable[[pa.Table], None]]:
-    """Write tables part by part into the file of estimates, which has its name once it is whole."""
+def draft(folder: Path) -> Iterator[Draft]:
+    """Make a replay's files beside their names: `finish` gives them these, and what was stopped before leaves nothing."""
     writers: list[pq.ParquetWriter] = []
     part = folder / f".{ESTIMATES}.part"
 
@@ -39,19 +48,32 @@ def writing(folder: Path) -> Iterator[Callable[[pa.Table], None]]:
             writers.append(pq.ParquetWriter(part, found.schema, compression="snappy", use_dictionary=False))
         writers[0].write_table(found, row_group_size=len(found))
 
+    def close() -> None:
+        while writers:
+            writers.pop().close()
+
     try:
         folder.mkdir(parents=True, exist_ok=True)
         try:
-            yield write
+            yield Draft(folder, part, write, close)
         finally:
-            for writer in writers:
-                writer.close()
-        part.rename(folder / ESTIMATES)
+            close()
     except OSError as error:
         raise UserError(f"--out {folder}: {error.strerror}, expected a folder to write to; give another.") from None
     finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+        for each in (part, _summary(part)):
+            with suppress(OSError):
+                each.unlink(missing_ok=True)
+
+
+def finish(d: Draft, summary: dict[str, Any]) -> None:
+    """Write what else is known beside the estimates, NaN as null, and give both files their names."""
+    store.put_json(store.target(d.folder), _summary(d.estimates).name, plain(summary))
+    store.renamed([(d.estimates, d.folder / ESTIMATES), (_summary(d.estimates), d.folder / SUMMARY)])
+
+
+def _summary(part: Path) -> Path:
+    return part.with_name(f".{SUMMARY}.part")
 
 
 def table(schema: pa.Schema, t: np.ndarray, estimates: list[np.ndarray]) -> pa.Table:
@@ -60,19 +82,14 @@ def table(schema: pa.Schema, t: np.ndarray, estimates: list[np.ndarray]) -> pa.T
     return pa.Table.from_arrays([pa.array(np.ascontiguousarray(c)) for c in columns], schema=schema)
 
 
-def parts(folder: Path) -> Iterator[tuple[int, pa.Table]]:
-    """Yield the estimates of a folder part by part, with the tick at which each begins."""
+def parts(file: Path) -> Iterator[tuple[int, pa.Table]]:
+    """Yield the estimates of a file part by part, with the tick at which each begins."""
     first = 0
-    with pq.ParquetFile(folder / ESTIMATES) as file:
-        for i in range(file.num_row_groups):
-            found = file.read_row_group(i, use_threads=False)
+    with pq.ParquetFile(file) as there:
+        for i in range(there.num_row_groups):
+            found = there.read_row_group(i, use_threads=False)
             yield first, found
             first += len(found)
-
-
-def summarise(folder: Path, summary: dict[str, Any]) -> None:
-    """Write what else is known beside the estimates; NaN is null."""
-    store.put_json(store.target(folder), SUMMARY, plain(summary))
 
 
 def plain(thing: Any) -> Any:

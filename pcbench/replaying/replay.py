@@ -15,6 +15,7 @@ from pcbench.logs.log import Log, Table
 from pcbench.logs.survey import Survey, survey
 from pcbench.logs.ticks import better, ticks
 from pcbench.machine import process
+from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning.padding import rounded
 from pcbench.plants import signals_of
 from pcbench.replaying import feed, folder, judging, scoring, smoother, stretch
@@ -58,12 +59,14 @@ def replay(
     start: float | None = None,
     seed: int = 0,
     overrides: list[str] | None = None,
+    progress: Progress = SILENT,
 ) -> Replayed:
     """Run observers of a plant on a log, and return what can be known of them; with `out`, a folder, estimates stand there.
 
     `log` is a folder or file of tables, or a TOML that says what of a bag is which channel (`pcbench.logs`); `plant` a study of
     one scenario and one cell, whose outputs are the log's channels in their order. `delay` [s] stands for arrivals that the log
     does not have, `start` [s] is the log's time of tick 0, by default its first. `seed` is for observers that draw numbers.
+    `progress` hears of ticks.
     Raises UserError, with the row, for whatever the user can mend.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
@@ -72,9 +75,9 @@ def replay(
         length = min(LENGTH, max(rounded(a.last + 1), 2))
         room = feed.room(a.log, a.found, a.clock, length, a.last)
         p = prepared(a.cell, room, a.last, a.log.name)
-        into = Path(spare if out is None else out)
-        sums, score, smoothed = _run(a, p, room.slots, length, into, seed)
-        return _results(a, p, sums, score, smoothed, into, out is None)
+        with folder.draft(Path(spare if out is None else out)) as draft:
+            sums, score, smoothed = _run(a, p, room.slots, length, draft, seed, progress)
+            return _results(a, p, sums, score, smoothed, draft, out is None)
 
 
 def asked(
@@ -135,7 +138,7 @@ def rounding(a: Asked) -> dict[str, Any]:
 
 
 def _run(
-    a: Asked, p: Prepared, slots: int, length: int, into: Path, seed: int
+    a: Asked, p: Prepared, slots: int, length: int, draft: folder.Draft, seed: int, progress: Progress
 ) -> tuple[dict[str, judging.Sums], Any, np.ndarray | None]:
     """Run all parts of a log; write estimates, return sums of innovations, the score against truth and the smoothed states."""
     scored = a.log.truth is not None
@@ -153,7 +156,7 @@ def _run(
     tail, out_from = a.cell.times.tail, int((1 - judging.HELD_OUT) * a.last)
     sums = {label: judging.Sums() for label, o in p.layout.observers if o.innovation}
     model = smoother.model_of(p.setting, p.problem.xhat0)
-    enough = model is not None and smoother.numbers_kept(model, a.last + 1) <= smoother.MOST
+    enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
     schema = folder.fields({o: list(signals[:many]) for o, many in p.sizes.items()}, a.clock.start, a.clock.dt)
 
@@ -171,32 +174,34 @@ def _run(
         if before is not None:
             yield before
 
-    with folder.writing(into) as write:
-        for part, seen in computed():
-            here = part.first + np.arange(length)
-            kept = min(length, a.last + 1 - part.first)
-            found = [np.asarray(seen.estimates[label])[:kept] for label, _ in p.layout.observers]
-            write(folder.table(schema, here[:kept] * a.clock.dt, found))
-            for label, numbers in seen.surprise.items():
-                flat = np.asarray(numbers).reshape(-1, stretch.JUDGED)
-                sums[label] = judging.add(sums[label], flat, np.repeat(here >= out_from, slots))
-            if enough:
-                u[part.first : part.first + kept] = part.inputs[p.back :][:kept]
-                k, slot, channel = np.nonzero(part.window.fresh)
-                y[part.window.taken[k, slot], channel] = part.window.value[k, slot, channel]
+    progress.begin("ticks", a.last + 1)
+    for part, seen in computed():
+        here = part.first + np.arange(length)
+        kept = min(length, a.last + 1 - part.first)
+        found = [np.asarray(seen.estimates[label])[:kept] for label, _ in p.layout.observers]
+        draft.write(folder.table(schema, here[:kept] * a.clock.dt, found))
+        progress.step(kept)
+        for label, numbers in seen.surprise.items():
+            flat = np.asarray(numbers).reshape(-1, stretch.JUDGED)
+            sums[label] = judging.add(sums[label], flat, np.repeat(here >= out_from, slots))
+        if enough:
+            u[part.first : part.first + kept] = part.inputs[p.back :][:kept]
+            k, slot, channel = np.nonzero(part.window.fresh)
+            y[part.window.taken[k, slot], channel] = part.window.value[k, slot, channel]
+    draft.close()
     return sums, score, np.asarray(smoother.compiled()(model, u, y)) if enough else None
 
 
 def _results(
-    a: Asked, p: Prepared, sums: dict[str, judging.Sums], score: Any, smoothed: Any, into: Path, loose: bool
+    a: Asked, p: Prepared, sums: dict[str, judging.Sums], score: Any, smoothed: Any, draft: folder.Draft, loose: bool
 ) -> Replayed:
     """Make tables of what a run left."""
     signals = signals_of(a.cell.scenario)
     innovations = pd.DataFrame([{"observer": label, **judging.judgement(each)} for label, each in sums.items()])
-    distances = scoring.distances(into, smoothed, list(a.cell.options), signals)
+    distances = scoring.distances(draft.estimates, smoothed, list(a.cell.options), signals)
     if smoothed is None:
         a.said.append(
-            "distances to a smoother are left out: it needs a linear model without unknown inputs, and a shorter log."
+            "distances to a smoother are left out: it needs a linear model without unknown inputs, and memory for all ticks."
         )
     metrics = scoring.metrics_table(score, signals, a.clock.dt, a.cell.times.tail) if score else pd.DataFrame()
     round_ = rounding(a)
@@ -218,6 +223,7 @@ def _results(
         "distances": distances.to_dict("records"),
         "metrics": metrics.to_dict("records"),
     }
-    folder.summarise(into, summary)
-    estimates = pd.concat([t.to_pandas() for _, t in folder.parts(into)], ignore_index=True) if loose else None
+    every = [t.to_pandas() for _, t in folder.parts(draft.estimates)] if loose else []
+    folder.finish(draft, summary)
+    estimates = pd.concat(every, ignore_index=True) if loose else None
     return Replayed(innovations, distances, metrics, estimates, folder.plain(summary))

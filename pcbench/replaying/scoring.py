@@ -44,7 +44,7 @@ def _unit(metric: str, unit: str) -> str:
     return {"mse": f"({unit})^2", "tail_mse": f"({unit})^2", "unsettled": "1", "diverged": "1"}.get(metric, unit)
 
 
-def distances(into: Path, smoothed: Any, observers: list[str], signals: Signals) -> "pd.DataFrame":
+def distances(file: Path, smoothed: Any, observers: list[str], signals: Signals) -> "pd.DataFrame":
     """Return the rms over all ticks of each estimate less the smoothed state, by observer and signal; empty: no smoother."""
     import pandas as pd
 
@@ -52,7 +52,7 @@ def distances(into: Path, smoothed: Any, observers: list[str], signals: Signals)
         return pd.DataFrame(columns=["observer", "signal", "unit", "rms"])
     states = signals[: smoothed.shape[1]]
     sums, many = dict.fromkeys(((o, s) for o in observers for s, _ in states), 0.0), 0
-    for first, table in folder.parts(into):
+    for first, table in folder.parts(file):
         for o in observers:
             for i, (signal, _) in enumerate(states):
                 e = table.column(f"{o}.{signal}").to_numpy() - smoothed[first : first + len(table), i]

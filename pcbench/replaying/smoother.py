@@ -20,10 +20,12 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from pcbench.dynamics import linear
+from pcbench.machine import memory
 from pcbench.protocols import Leaf
 from pcbench.synthesis.certificate import Setting
 
 MOST = 1 << 26  # numbers that are kept of a whole log, at most
+COPIES = 1.5  # of them that are held at a time, with what else grows
 
 
 class Linear(NamedTuple):
@@ -59,10 +61,14 @@ def model_of(known: Setting, xhat0: Any) -> Linear | None:
     return Linear(Phi, Gamma, Q, model.C, model.feedthrough, R=R, x0=np.asarray(xhat0, float), P0=known.P0)
 
 
-def numbers_kept(model: Linear, ticks: int) -> int:
-    """Return how many numbers smoothing takes."""
+def fits(model: Linear, ticks: int) -> bool:
+    """Say whether there is memory to smooth so many ticks.
+
+    It is asked beforehand: a compiled program that finds none may end the process.
+    """
     q, n = model.C.shape
-    return ticks * (2 * n + n * n + q * (n + 3) + model.Gamma.shape[1])
+    numbers = ticks * (2 * n + n * n + q * (n + 3) + model.Gamma.shape[1])
+    return numbers <= MOST and COPIES * 8 * numbers <= memory.free()
 
 
 def forward(model: Linear, u: Array, y: Array) -> Forward:

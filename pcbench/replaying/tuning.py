@@ -74,15 +74,19 @@ def tune_log(
         def design(point: Vector) -> Any:
             return planning.designed(label, entry, known, parameters.put(options, every, point)).gains
 
-        look = likelihood.evaluator(record, design)
         cut = int((1 - judging.HELD_OUT) * a.last)
-        first = look(at)
-        _require_samples(first, cut, len(at), where)
+        brought = record.part.window.fresh.sum((1, 2))
+        _require_samples(record.part.first + np.arange(len(brought)), brought, cut, len(at), where)
         target = store.target(str(out) if out is not None else spare)
         names = parameters.entries(every)
         about = f"{where}: {', '.join(names)} of {_digest(record)}, for {digest(study, [a.cell])[:12]}"
         trials = History(target, about, names)
         progress.begin("points", budget)
+        progress.note("compiling")
+        look = likelihood.evaluator(record, design)
+        first = look(at)
+        _require_samples(first.tick, first.numbers[:, 1], cut, len(at), where)  # an observer may leave some out
+        _require_start(first, where)
         tune.descend("descent", trials, at, lambda point: _value(look(point), cut), budget, where, progress)
         return tuned.finish(
             tuned.Outcome(
@@ -144,16 +148,18 @@ def _free(entry: Entry, options: BaseModel, designed: Design, only: list[str] | 
     return found
 
 
-def _require_samples(first: Found, cut: int, free: int, where: str) -> None:
-    """Raise UserError where there is too little to tune on, or to judge on."""
-    early = first.tick < cut
+def _require_samples(tick: Any, numbers: Any, cut: int, free: int, where: str) -> None:
+    """Raise UserError where too few `numbers` [N] came at ticks [N] to tune on, or to judge on."""
+    early, least = tick < cut, FEWEST * free
     for part, which in (("the part that is tuned on", early), ("the part that is held out", ~early)):
-        many, least = int(first.numbers[which, 1].sum()), FEWEST * free
-        if many < least:
+        if (many := int(numbers[which].sum())) < least:
             raise UserError(
                 f"{where}: got {many} measured numbers in {part}, expected {least} or more, {FEWEST} for each of {free} free "
                 "parameters; take a longer log, or tune fewer with --only."
             )
+
+
+def _require_start(first: Found, where: str) -> None:
     if not np.isfinite(first.each).all():
         raise tune.NoStart(
             f"{where}: its likelihood at the start is not finite, expected a start that works; write one under [options]."

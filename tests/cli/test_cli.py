@@ -354,3 +354,16 @@ def test_ctrl_c_where_python_cannot_raise_it_still_stops(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=900, check=False)
     assert done.returncode == 130
     assert done.stderr == "pcbench: stopped; every file already written is complete.\n"
+
+
+@pytest.mark.parametrize("raised", ["MemoryError('of 3 GiB')", "RuntimeError('RESOURCE_EXHAUSTED: Out of memory')"])
+def test_where_memory_runs_out_a_command_says_so(raised):
+    code = (
+        "import sys\nfrom pcbench import cli\nfrom pcbench.cli import catalogue\n"
+        f"def plant(name):\n    raise {raised}\n"
+        "catalogue.CATALOGUE['plants'] = catalogue.CATALOGUE['plants'][0], plant\n"
+        "sys.argv = ['pcbench', 'list', 'plants']\ncli.main()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=900, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith("pcbench: memory ran out (")

@@ -2,6 +2,11 @@
 
 import json
 import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +19,12 @@ from logged import MOTOR, plain, rows
 import pcbench
 from pcbench import plots
 from pcbench.cli import exporting
+from pcbench.dataset import store
 from pcbench.export import files
 from pcbench.plots.log_delays import BINS, edges_of
 from pcbench.replaying import folder
+
+PCBENCH = [sys.executable, "-m", "pcbench"]
 
 
 @pytest.fixture
@@ -79,15 +87,94 @@ def test_an_export_without_a_place_is_refused_before_it_is_made(here, place, mon
     assert not list((here / "shut").iterdir())
 
 
-def test_a_replay_that_is_stopped_leaves_nothing_half_written(tmp_path):
-    def stopped():
-        with folder.writing(tmp_path) as write:
-            write(pa.table({"t": [0.0, 1.0]}))
-            raise KeyboardInterrupt
+def stopped(*_):
+    raise KeyboardInterrupt
 
+
+def standing(where):
+    """What stands in a folder, by name."""
+    return {str(p.relative_to(where)): p.read_text() for p in where.rglob("*") if p.is_file()}
+
+
+@pytest.mark.parametrize("at", ["estimates", "summary"])
+def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, at):
+    before = dict.fromkeys(("estimates.parquet", "replay.json"), "of an earlier replay")
+    for name, text in before.items():
+        (tmp_path / name).write_text(text)
+
+    def replayed():
+        with folder.draft(tmp_path) as draft:
+            draft.write(pa.table({"t": [0.0, 1.0]}))
+            if at == "estimates":
+                stopped()
+            draft.close()
+            folder.finish(draft, {})
+
+    monkeypatch.setattr(store, "put_json", stopped)
     with pytest.raises(KeyboardInterrupt):
-        stopped()
-    assert not list(tmp_path.iterdir())
+        replayed()
+    assert standing(tmp_path) == before
+
+
+@pytest.mark.parametrize(("at", "left"), [("put", "old"), ("replace", "new")])
+def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatch, at, left):
+    """Of an export, a replay and draws: stopped while they are written, or while they get their names."""
+    target, names, calls = store.target(tmp_path), ("a", "b/b", "c"), []
+    store.put_all(target, dict.fromkeys(names, b"old"))
+    module = store if at == "put" else os
+    does = getattr(module, at)
+
+    def stopped_at_the_second(*given):
+        mine = at == "put" or "partial" not in str(given[0])  # `put` renames too
+        calls.extend([given] if mine else [])
+        return stopped() if mine and len(calls) == 2 else does(*given)
+
+    monkeypatch.setattr(module, at, stopped_at_the_second)
+    with pytest.raises(KeyboardInterrupt):
+        store.put_all(target, dict.fromkeys(names, b"new"))
+    assert standing(tmp_path) == dict.fromkeys(names, left)
+
+
+def interrupted(words, cwd, ready):
+    """What a command leaves that gets Ctrl-C once it is ready, or None where it was done before."""
+    with subprocess.Popen(
+        [*PCBENCH, *words], cwd=cwd, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        while not ready() and process.poll() is None:
+            time.sleep(0.01)
+        if process.poll() is not None:
+            return None
+        process.send_signal(signal.SIGINT)
+        _, stderr = process.communicate(timeout=300)
+    assert process.returncode in (0, 130), stderr  # 0: it had ended and was leaving
+    if process.returncode:
+        assert stderr.splitlines()[-1] == "pcbench: stopped; every file already written is complete."
+        assert "Traceback" not in stderr
+    return {p.name for p in (cwd / "out").rglob("*")}
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_a_replay_leaves_no_file(tmp_path):
+    many = 400_000
+    t = np.arange(many) * 0.01
+    (tmp_path / "motor.toml").write_text(tomli_w.dumps(MOTOR))
+    rows(
+        tmp_path / "flight",
+        plain() | {"channel": ["y1"] * many, "sampled": t, "arrived": t, "value": t},
+        kind="parquet",
+    )
+    words = ["replay", "flight", "--plant", "motor.toml", "--observers", "dkf,ukf", "--out", "out"]
+    assert interrupted(words, tmp_path, (tmp_path / "out" / ".estimates.parquet.part").exists) == set()
+
+
+@pytest.mark.slow
+def test_ctrl_c_in_an_export_leaves_all_of_its_files_or_none(tmp_path):
+    whole = {"dkf.c", "dkf.h", "dkf_gains.h", "gains.json", "gains.mat", "main.c", "vector.h"}
+    for wait in (1.5, 2.5, 3.5, 4.5):
+        until = time.monotonic() + wait
+        left = interrupted(["export", "cart/white", "dkf", "--out", "out"], tmp_path, lambda: time.monotonic() > until)  # noqa: B023
+        assert left in (None, set(), whole)
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
 
 
 def test_the_picture_has_every_arrival_and_all_shares(here):

@@ -22,7 +22,6 @@ from pcbench.observers import OBSERVERS
 DOUBLE = 1e-12  # of the signal's size: sums of a few products, in another order
 EXPORTED = [name for name in OBSERVERS if name not in exports.REFUSED]
 QUICK = ("dkf",)
-BY_MEMORY = ("mhe", "ekf-delay", "bank")  # their loops go by what they remember, and the column counts a fresh one
 
 
 def _once(names):
@@ -49,7 +48,7 @@ def test_a_published_scenario_is_replayed_to_rounding(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in EXPORTED if name not in BY_MEMORY])
+@pytest.mark.parametrize("name", [*EXPORTED, "mhe-bounded"])
 def test_products_and_bytes_are_those_of_the_cost_column(name):
     found = exports.of(name)
     cost = pcbench.costs(exports.HOMES.get(name, "cart/white"), observers=[name]).iloc[0]

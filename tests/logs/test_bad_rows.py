@@ -1,11 +1,13 @@
 """What is wrong with a log is one sentence that names the file and the row."""
 
 import numpy as np
+import pyarrow as pa
 import pytest
 from logged import MOTOR, plain, rows
 
 import pcbench
 from pcbench.errors import UserError
+from pcbench.logs import columns as files
 from pcbench.logs import reading
 from pcbench.logs.survey import survey
 
@@ -47,6 +49,20 @@ def test_a_word_among_numbers_is_quoted(tmp_path):
     folder = rows(tmp_path / "log", spoilt("value", 3, "much"))
     with pytest.raises(UserError, match="'much'"):
         survey(reading.opened(folder))
+
+
+def test_where_memory_runs_out_the_file_is_not_blamed(tmp_path, monkeypatch):
+    folder = rows(tmp_path / "log", plain())
+
+    def full(*_):
+        raise pa.ArrowMemoryError("malloc of 1048576 failed")
+
+    monkeypatch.setattr(files.csv, "open_csv", full)
+    with pytest.raises(UserError) as caught:
+        reading.opened(folder)
+    assert str(caught.value).endswith(
+        "memory ran out while it was read (malloc of 1048576 failed), expected more; end other programs."
+    )
 
 
 @pytest.mark.parametrize(("head", "scale"), [("sampled [ms]", 1e3), ("sampled [ns]", 1e9), ("sampled", 1.0)])

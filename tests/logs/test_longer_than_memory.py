@@ -22,10 +22,27 @@ print(json.dumps(pcbench.log(sys.argv[1]).to_dict("records")))
 """
 
 
+REPLAY_LIMIT = 740 * MEGABYTE  # half of it are imports and compiled programs
+REPLAY = """
+import json, resource, sys
+import pcbench, pandas, pyarrow.parquet
+pcbench.setup()
+resource.setrlimit(resource.RLIMIT_DATA, (int(sys.argv[2]), int(sys.argv[2])))
+experiment = dict(sampling_period=1e-3, delay=5e-3, noise_std=1.0, process_std=[0.0, 0.01], horizon=10.0)
+plant = dict(name="motor", lti=dict(A=[[0.0, 1.0], [-2.0, -3.0]], B=[[0.0], [1.0]], C=[[1.0, 0.0]], **experiment))
+print(json.dumps([pcbench.replay(sys.argv[1], plant, "dkf", out=sys.argv[3]).summary]))
+"""
+
+
 def looked_at(path, size):
     """What is in a log, by a process that cannot hold `size` bytes."""
-    assert size > LIMIT
-    words = [sys.executable, "-c", LOOK, str(path), str(LIMIT)]
+    return by_a_small_process(LOOK, path, size, LIMIT)
+
+
+def by_a_small_process(code, path, size, limit, *more):
+    """What a process prints that may hold `limit` bytes, of a log that is `size` long."""
+    assert size > limit
+    words = [sys.executable, "-c", code, str(path), str(limit), *map(str, more)]
     plain = os.environ | {
         "ARROW_DEFAULT_MEMORY_POOL": "system",
         "MALLOC_ARENA_MAX": "2",
@@ -56,6 +73,22 @@ def test_a_table_longer_than_memory_is_read(kind, tmp_path):
     row = looked_at(path, path.stat().st_size)
     assert (row["samples"], row["out_of_order"], row["doubled"]) == (many, 0, 0)
     assert row["delay_mean"] == pytest.approx(0.0625, abs=1e-9)
+
+
+@pytest.mark.slow
+def test_a_table_longer_than_memory_is_replayed(tmp_path):
+    """Lines with a remark each, as loggers leave them; for a smoother, which holds the whole log, memory does not suffice."""
+    many, path = 3_500_000, tmp_path / "flight.csv"
+    whole = table(many)
+    remark = pa.DictionaryArray.from_arrays(np.zeros(many, np.int8), ["nothing to report. " * 10]).cast(
+        pa.large_string()
+    )
+    pyarrow.csv.write_csv(whole.append_column("remark", remark), path)
+    summary = by_a_small_process(REPLAY, path, path.stat().st_size, REPLAY_LIMIT, tmp_path / "out")
+    assert summary["innovations"][0]["samples"] == many
+    assert "and memory for all ticks." in " ".join(summary["said"])
+    assert summary["innovations"][0]["nis"] == pytest.approx(1.0, abs=0.01)
+    assert pq.ParquetFile(tmp_path / "out" / "estimates.parquet").metadata.num_rows == summary["ticks"] + 1
 
 
 @pytest.mark.slow

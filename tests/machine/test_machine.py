@@ -1,6 +1,8 @@
 """Memory that may be used, amounts as a user writes them, and JSON for a program."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import psutil
@@ -56,3 +58,19 @@ def test_numbers_that_json_does_not_know_are_null_or_words():
     assert json.loads(readable(said)) == {
         "a": None, "b": [1.0, None], "c": "-inf", "d": {"real": 1.0, "imag": 2.0}, "e": [0.5, True], "3": None,
     }  # fmt: skip
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such limit")
+def test_memory_that_is_free_keeps_to_the_limit_of_data():
+    code = """
+import resource
+from pcbench.machine import memory
+resource.setrlimit(resource.RLIMIT_DATA, (1 << 29, 1 << 29))
+before = memory.free()
+held = bytearray(1 << 26)
+print(before, before - memory.free())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    before, less = map(int, done.stdout.split())
+    assert 1 << 26 < before < 1 << 29
+    assert less == pytest.approx(1 << 26, abs=1 << 22)

@@ -51,6 +51,25 @@ def test_costs_of_observers_of_two_states_and_one_output():
     assert found.memory["open-loop"] == 2 * 8
 
 
+def test_a_loop_over_what_is_remembered_goes_round_as_at_the_end_of_a_run():
+    """Of `ekf-delay` state, input, slope go on over the longest delay (4 + 2 + 8 products a tick), all it keeps over a period.
+
+    That are 3 states, of which one is the delay, an input, and a covariance: 9 + 3 + 54.
+    """
+
+    def products(longest, period):
+        study = {
+            "name": "t",
+            "scenario": {"base": "cart/white", "sampling_period": period, "delay": 0.2, "horizon": 2.0, "tail": 1.0},
+        }
+        study |= {"options": {"ekf-delay": {"longest": longest}}}
+        return int(pcbench.costs(study, observers=["ekf-delay"])["sample"].iloc[0])
+
+    least = products(0.3, 0.2)
+    assert products(0.5, 0.2) - least == 200 * (4 + 2 + 8)
+    assert products(0.3, 0.3) - least == 100 * (9 + 3 + 54)
+
+
 def test_error_against_cost_has_a_point_for_every_observer_that_costs():
     row = {"scenario": "cart/white", "cell": 0, "signal": "position", "unit": "m", "metric": "tail_rmse"}
     stats = pd.DataFrame(

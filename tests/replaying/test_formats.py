@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import pyulog
 import recorded
 from logged import MOTOR, rows
 
@@ -93,6 +94,18 @@ def test_a_recording_that_is_cut_off_is_one_sentence(run, write, share, tmp_path
         survey(reading.opened(path))
     assert str(caught.value).startswith("log.toml: run")
     assert ": ;" not in str(caught.value)
+
+
+def test_a_flight_log_is_loaded_once_and_of_its_topics_those_that_are_asked_for(run, tmp_path, monkeypatch):
+    path, asked, loads = recorded.ulog(tmp_path, run[2]), [], pyulog.ULog
+    path.write_text(
+        path.read_text().replace("[inputs.u1]", "[channels.y2]").replace("motor", "angle")
+    )  # one topic, twice
+    monkeypatch.setattr(pyulog, "ULog", lambda *given: asked.append(given[1]) or loads(*given))
+    log = reading.opened(path)
+    for _ in range(2):
+        assert survey(log).rows == 2 * len(run[2].sampled)
+    assert asked == [["angle"]]
 
 
 @pytest.mark.parametrize("write", [recorded.mcap_of_ros2, recorded.mcap_of_json])

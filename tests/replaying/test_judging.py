@@ -40,6 +40,16 @@ def books(folder):
     )
 
 
+def test_a_smoother_is_left_out_before_memory_runs_out(replayed, monkeypatch):
+    folder, found = replayed
+    assert not found.distances.empty
+    monkeypatch.setattr(smoother.memory, "free", lambda: 1 << 14)
+    found = pcbench.replay(folder, MOTOR, ["dkf", "kf-cloning", "open-loop"])
+    assert found.distances.empty
+    (said,) = (sentence for sentence in found.summary["said"] if "smoother" in sentence)
+    assert said.endswith("it needs a linear model without unknown inputs, and memory for all ticks.")
+
+
 def test_what_a_filter_expects_is_what_the_book_says(replayed):
     folder, found = replayed
     nu, s = books(folder)

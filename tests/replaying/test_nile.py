@@ -4,6 +4,7 @@ Durbin and Koopman, Time Series Analysis by State Space Methods (2001), section 
 the most likely variances are 1469.1 and 15099. `nile.csv` is `statsmodels/datasets/nile/nile.csv`, byte for byte.
 """
 
+import json
 import shutil
 from pathlib import Path
 
@@ -54,6 +55,13 @@ def test_the_log_is_a_hundred_years_without_a_gap(nile):
     (row,) = described(survey(reading.opened(nile)))
     assert (row["samples"], row["first"], row["last"], row["gaps"], row["doubled"]) == (100, 1871.0, 1970.0, 0, 0)
     assert (row["interval_least"], row["interval_most"]) == (1.0, 1.0)
+
+
+def test_the_notebook_of_a_recording_has_the_same_flows():
+    notebook = json.loads((HERE.parents[2] / "notebooks" / "14_a_recording.ipynb").read_text())
+    code = "".join(line for cell in notebook["cells"] for line in cell["source"])
+    written = code.split('flows = """')[1].split('"""')[0].split()
+    assert written == [line.split(",")[1] for line in HERE.read_text().splitlines()[1:]]
 
 
 def test_the_filter_with_the_books_variances_is_consistent_and_its_innovations_white(nile):

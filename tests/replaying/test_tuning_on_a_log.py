@@ -1,17 +1,23 @@
 """Tuning on a log finds what makes it most likely: as the book's recursion and SciPy do, and the truth within its interval."""
 
+import json
 import tomllib
 
 import numba
 import numpy as np
 import pytest
+import tomli_w
 from logged import rows
 from reference import logs as reference
 from scipy.optimize import minimize
 from scipy.stats import binom
 
 import pcbench
+from pcbench.cli import tuning
 from pcbench.errors import UserError
+from pcbench.gains import history
+from pcbench.machine.progress import Progress
+from pcbench.replaying import likelihood
 from pcbench.replaying.tuning import tune_log
 
 DT, LATE, MANY = 0.05, 2, 401
@@ -116,7 +122,6 @@ def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp
     ("observer", "more", "many", "sentence"),
     [
         ("pccebo", {}, 60, "expected one that does, for else a log has no likelihood"),
-        ("dkf", {}, 20, "measured numbers in the part that is tuned on, expected 20 or more"),
         ("dkf", {"only": ["walk"]}, 60, "got 'walk' to tune, expected R or q or Q"),
         ("dkf", {"budget": 0}, 60, "--budget: got 0"),
     ],
@@ -126,6 +131,64 @@ def test_what_cannot_be_tuned_is_one_sentence(tmp_path, observer, more, many, se
     with pytest.raises(UserError) as caught:
         tune_log(tmp_path / "log", PLANT, observer, **more)
     assert sentence in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("many", "inputs_until", "got"),
+    [
+        (20, 19, "got 12 measured numbers in the part that is tuned on"),
+        (60, 600, "got 0 measured numbers in the part that is held out"),
+    ],
+)
+def test_a_part_with_too_few_samples_or_none_is_refused_before_anything_is_compiled(
+    tmp_path, many, inputs_until, got, monkeypatch
+):
+    monkeypatch.setattr(likelihood, "evaluator", lambda *_: pytest.fail("it is compiled first"))
+    recording(tmp_path / "log", 1, many)
+    rows(tmp_path / "log", None, {"t": [0.0, inputs_until * DT], "u1": [0.0, 0.0]})
+    with pytest.raises(UserError, match=f"{got}, expected 20 or more"):
+        tune_log(tmp_path / "log", PLANT, "dkf", out=tmp_path / "tuned")
+    assert not (tmp_path / "tuned").exists()
+
+
+def test_a_tuning_that_was_stopped_goes_on_and_its_json_is_that_of_one_in_a_piece(tmp_path, monkeypatch, capsys):
+    recording(tmp_path / "log", 1)
+    (tmp_path / "lag.toml").write_text(tomli_w.dumps(PLANT))
+    monkeypatch.setattr(history, "PAUSE", 0.0)
+    looked, evaluator = [], likelihood.evaluator
+
+    def counted(*given):
+        look = evaluator(*given)
+        return lambda at: (looked.append(1), look(at))[1]
+
+    def stop_at_the_fourth(_):
+        if len(looked) > 4:  # the first is asked for twice: do the samples suffice?
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(likelihood, "evaluator", counted)
+    whole = tune_log(tmp_path / "log", tmp_path / "lag.toml", "dkf")
+    in_a_piece = len(looked)
+    looked.clear()
+    with pytest.raises(KeyboardInterrupt):
+        tune_log(
+            *(tmp_path / "log", tmp_path / "lag.toml", "dkf"),
+            out=tmp_path / "tuned",
+            progress=Progress(lambda *_: None, stop_at_the_fourth, lambda _: None),
+        )
+    assert [p.name for p in (tmp_path / "tuned").iterdir()] == ["history.parquet"]
+    looked.clear()
+    tuning.tune(
+        *(str(tmp_path / "lag.toml"), "dkf"), log=str(tmp_path / "log"), folder=str(tmp_path / "tuned"), as_json=True
+    )
+    assert len(looked) == in_a_piece - 4
+    said = json.loads(capsys.readouterr().out)
+    assert said["found"] == whole.found
+    assert said["intensities"] == [i._asdict() for i in whole.intensities]
+    assert (said["points"], said["gain"], said["kept_start"]) == (len(whole.points), whole.gain, "")
+    assert said["held_out"]["tuned"]["nis"] == whole.held_out["tuned"]["nis"]
+    recording(tmp_path / "log", 2)
+    with pytest.raises(UserError, match="holds another tuning"):
+        tune_log(tmp_path / "log", tmp_path / "lag.toml", "dkf", out=tmp_path / "tuned")
 
 
 @pytest.mark.slow
