@@ -4,7 +4,7 @@ Gains are designed before anything is written; cells are laid out as their tasks
 hardly grows with a study's axes.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -18,25 +18,21 @@ from pcbench.dataset.columns import SCHEMA
 from pcbench.dataset.cost import Cost, added
 from pcbench.dataset.executors import Executor
 from pcbench.dataset.ownership import Owned
+from pcbench.dataset.planned import Gaps, SeedsOf, planned
 from pcbench.dataset.seeds import Seeds, counted, gaps
 from pcbench.errors import UserError
 from pcbench.machine import provenance
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.machine.stopwatch import Stopwatch
-from pcbench.planning import once, padding, remembered
-from pcbench.planning.padding import Plan
 from pcbench.study.cells import Cell
 
 CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
 TASKS = 64  # to share among cores and workers
-DRAFTS = 2**27  # bytes of drafts that are kept between planning and computing, those of 10,000 cells of few schedules
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
-SeedsOf = Callable[[Cell], Seeds]
 Heard = Callable[
     [tuple[str, int], int, cell_rows.Held], None
 ]  # (key of a cell, how many of its runs are there now, blocks)
 Close = Callable[[list[Block], dict[tuple[str, int], int]], Heard]
-Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
 
 
 class Sizes(NamedTuple):
@@ -160,14 +156,14 @@ def fill(
     _simulated(owned, todo)
     cost, took = Cost(), Stopwatch()
     with took("planning"):
-        planned = _planned(owned, todo, wanted)
+        plan = planned(owned, todo, wanted)
     ownership.begin(target, owned)
     progress.begin("runs", runs_in(todo))
     progress.note("compiling")
     work = partial(task.compute, task.Work(target.uri, owned.study.name, owned.study.root_seed, sizes.memory))
     heard = close(*_expected(there, todo)) if close else None
     compiled: dict[Any, float] = {}
-    for report in execute(work, took.each("planning", planned.tasks(wanted))):
+    for report in execute(work, took.each("planning", plan.tasks(wanted))):
         _alike(report)
         compiled[report.program] = report.compile_seconds
         spent = Cost(report.runs, {}, 0.0, report.computing_seconds, report.writing_seconds)
@@ -220,35 +216,3 @@ def _block(owned: Owned, wanted: SeedsOf, sizes: Sizes, cell: Cell) -> int:
     while may_double() and task.bytes_of_a_block(cell, 2 * size) < sizes.memory:
         size *= 2
     return size
-
-
-class Planned(NamedTuple):
-    """What is to be done: designed and checked. Of many cells those that are not kept are laid out again as tasks are drawn."""
-
-    owned: Owned
-    todo: Gaps
-    room: padding.Capacity
-    ask: once.Once  # has the designs
-    kept: tuple[Plan, ...] = ()  # drafts of the first cells
-    cells: int = 0  # how many cells those are
-
-    def drafts(self, wanted: SeedsOf) -> Iterator[Plan]:
-        """Yield the cells' drafts."""
-        yield from self.kept
-        if self.cells < len(self.owned.cells):
-            many = lambda cell: wanted(cell).many  # noqa: E731
-            yield from planning.drafts(self.owned.cells, self.todo, self.ask, many, self.cells)
-
-    def tasks(self, wanted: SeedsOf) -> Iterator[task.Task]:
-        """Yield the tasks, cell by cell."""
-        for p in self.drafts(wanted):
-            ranges = {label: each for label, each in self.todo.get(p.cell.key, {}).items() if label in p.labels}
-            if ranges:
-                yield from task.tasks(padding.fitted(p, self.room, self.ask), p.layout.width, ranges)
-
-
-def _planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
-    """Design what is to be done, and find the room that it takes; raise UserError where that cannot be."""
-    first, keep = Planned(owned, todo, padding.Capacity(), once.once()), remembered.Drafts(DRAFTS)
-    room = padding.needed(keep.passing(padding.checked(first.drafts(wanted))))
-    return first._replace(room=room, kept=keep.whole(), cells=keep.cells)

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import block_files, cell_rows, columns, store
+from pcbench.dataset import block_files, cell_rows, columns, runs_table, store
 from pcbench.dataset.pickled import pack, unpack
 from pcbench.dataset.seeds import Seeds
 from pcbench.errors import UserError
@@ -154,8 +154,8 @@ def block(
     }
     common = {} if common is None else common
     if many not in common:
-        common[many] = columns.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
-    table = columns.runs_table(common[many], results, p.carries_input[label])
+        common[many] = runs_table.common_columns(columns.keys(work.study, p.cell), np.arange(*seeds), signals[:many])
+    table = runs_table.runs_table(common[many], results, p.carries_input[label])
     name = block_files.Block(p.cell.scenario.name, label, p.cell.number, seeds).name
     kept = {m: results[m] for m in (*RUN_METRICS, "diverged", "unsettled") if m in results}
     return name, (block_files.sealed(table, about), cell_rows.Runs(about, kept))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pcbench.dataset import fill, ownership, store
+from pcbench.dataset import planned as planning
 from pcbench.machine import process
 from pcbench.planning import arrays
 from pcbench.study import read
@@ -29,7 +30,7 @@ def planned(study, place):
     """What is planned of a study, and how often a draft is made of its cells."""
     owned = ownership.claim(place, read.grid_of(study | {"seeds": 2}, {}, []))
     wanted = fill.everything(owned, [])
-    return fill._planned(owned, fill.missing(owned, [], wanted, lambda cell: 64), wanted), wanted
+    return planning.planned(owned, fill.missing(owned, [], wanted, lambda cell: 64), wanted), wanted
 
 
 @pytest.mark.parametrize("study", [OPEN, CLOSED], ids=["open", "closed"])
@@ -40,7 +41,7 @@ def test_what_is_planned_is_the_same_whatever_is_kept(study, tmp_path, monkeypat
     for room in (2**30, 0, None):
         if room is None:  # so that the second cell does not fit as a whole
             room = size
-        monkeypatch.setattr(fill, "DRAFTS", room)
+        monkeypatch.setattr(planning, "DRAFTS", room)
         made.clear()
         with process.float64():
             plan, wanted = planned(study, store.target(tmp_path / "out"))

@@ -16,7 +16,7 @@ from reference import statistics as reference
 from scipy import stats
 
 from pcbench import statistics
-from pcbench.dataset import columns, growing, summary
+from pcbench.dataset import adjusted, columns, growing
 from pcbench.statistics import order_statistics, selection, winning
 
 RNG = np.random.default_rng(5)
@@ -188,7 +188,7 @@ def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells(at_once
     table = growing.GrowingTable({})
     for row in rows:
         table.add(columns.rows_table([row | {"p_holm": np.nan}], [*row, "p_holm"]))
-    done = pq.read_table(pa.BufferReader(summary.adjusted(table.content(), {})))
+    done = pq.read_table(pa.BufferReader(adjusted.adjusted(table.content(), {})))
     for i, row in enumerate(done.to_pylist()):
         small, large = 0.001 * (1 + i % 8), 0.001 * (9 + i % 8)
         assert row["p_holm"] == pytest.approx(2 * small if row["cell"] == 0 else max(2 * small, large))

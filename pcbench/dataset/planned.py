@@ -1,0 +1,48 @@
+"""What of a study is to be done, cell by cell: designed and checked before anything is written, and cut into tasks."""
+
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
+
+from pcbench import planning
+from pcbench.dataset import task
+from pcbench.dataset.ownership import Owned
+from pcbench.dataset.seeds import Seeds
+from pcbench.planning import once, padding, remembered
+from pcbench.planning.padding import Plan
+from pcbench.study.cells import Cell
+
+DRAFTS = 2**27  # bytes of drafts that are kept between planning and computing, those of 10,000 cells of few schedules
+SeedsOf = Callable[[Cell], Seeds]
+Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
+
+
+class Planned(NamedTuple):
+    """What is to be done: designed and checked. Of many cells those that are not kept are laid out again as tasks are drawn."""
+
+    owned: Owned
+    todo: Gaps
+    room: padding.Capacity
+    ask: once.Once  # has the designs
+    kept: tuple[Plan, ...] = ()  # drafts of the first cells
+    cells: int = 0  # how many cells those are
+
+    def drafts(self, wanted: SeedsOf) -> Iterator[Plan]:
+        """Yield the cells' drafts."""
+        yield from self.kept
+        if self.cells < len(self.owned.cells):
+            many = lambda cell: wanted(cell).many  # noqa: E731
+            yield from planning.drafts(self.owned.cells, self.todo, self.ask, many, self.cells)
+
+    def tasks(self, wanted: SeedsOf) -> Iterator[task.Task]:
+        """Yield the tasks, cell by cell."""
+        for p in self.drafts(wanted):
+            ranges = {label: each for label, each in self.todo.get(p.cell.key, {}).items() if label in p.labels}
+            if ranges:
+                yield from task.tasks(padding.fitted(p, self.room, self.ask), p.layout.width, ranges)
+
+
+def planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
+    """Design what is to be done, and find the room that it takes; raise UserError where that cannot be."""
+    first, keep = Planned(owned, todo, padding.Capacity(), once.once()), remembered.Drafts(DRAFTS)
+    room = padding.needed(keep.passing(padding.checked(first.drafts(wanted))))
+    return first._replace(room=room, kept=keep.whole(), cells=keep.cells)
