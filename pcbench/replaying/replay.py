@@ -106,6 +106,12 @@ def asked(
         raise UserError(
             f"{opened.name}: got nothing after {begin:g} s, expected samples there; give an earlier --start."
         )
+    for name, seen in found.channels.items():
+        if seen.out_of_order:
+            said.append(
+                f"row {seen.out_of_order_row} of channel {name} has a stamp that goes back, the first of {seen.out_of_order}: "
+                "each counts at its stamp."
+            )
     if opened.inputs is None:
         said.append(f"{opened.name} has no inputs: they are taken to be 0.")
     if start is not None and found.start < start:
