@@ -11,7 +11,7 @@ from pcbench.errors import UserError
 from pcbench.logs import columns as files
 from pcbench.logs import reading
 from pcbench.logs.survey import described, survey
-from pcbench.replaying.replay import asked
+from pcbench.replaying.replay import turned_back
 
 
 def spoilt(column, row, value):
@@ -50,11 +50,13 @@ def test_a_bad_row_is_named(tmp_path, kind, columns, sentence):
 def test_the_first_stamp_that_goes_back_is_told_with_its_row(tmp_path):
     """It is no mistake: rows may stand in any order, and each counts at its stamp. `replay` says so too."""
     log = reading.opened(rows(tmp_path / "log", spoilt("sampled", 9, 0.012)))
-    (row,) = described(survey(log))
+    found = survey(log)
+    (row,) = described(found)
     assert (row["out_of_order"], row["out_of_order_row"]) == (1, 9)
     assert "1 sample stands behind one with a later stamp, the first in row 9" in odd(row)
-    said = asked(tmp_path / "log", MOTOR, ["open-loop"]).said
-    assert said[0].startswith("row 9 of channel y1 has a stamp that goes back, the first of 1: each counts")
+    assert turned_back(found)[0].startswith(
+        "row 9 of channel y1 has a stamp that goes back, the first of 1: each counts"
+    )
 
 
 def test_a_word_among_numbers_is_quoted(tmp_path):
