@@ -13,7 +13,7 @@ import os
 import re
 import socket
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
@@ -109,39 +109,6 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
         finally:
             with suppress(OSError):
                 os.unlink(beside)
-
-
-def put_all(target: Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
-    """Put files that belong together: in a folder of this machine all of them, or none where this is stopped."""
-    if not target.local:
-        for name, content in files.items():
-            put(target, name, content)
-        return
-    beside = {name: f"{Path(name).parent}/.{Path(name).name}-{os.getpid()}" for name in files}
-    root = Path(target.root)
-    try:
-        for name, content in files.items():
-            put(target, beside[name], content)
-        with said(target.name):
-            renamed([(root / beside[name], root / name) for name in files])
-    finally:
-        for each in beside.values():
-            with suppress(OSError):
-                (root / each).unlink(missing_ok=True)
-
-
-def renamed(pairs: Iterable[tuple[Path, Path]]) -> None:
-    """Give files that belong together their names; who is stopped in the middle does so first."""
-    left = list(pairs)
-    try:
-        while left:
-            os.replace(*left[0])
-            del left[0]
-    except KeyboardInterrupt:
-        for beside, name in left:
-            with suppress(FileNotFoundError):  # it has its name already
-                os.replace(beside, name)
-        raise
 
 
 def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench.dataset import store
+from pcbench.dataset import store, together
 from pcbench.errors import UserError
 from pcbench.export import functions, library, numbers, replay, vector
 from pcbench.export.library import About
@@ -124,7 +124,7 @@ def write(found: Exported, out: str | Path) -> list[Path]:
     target = store.target(Path(out).expanduser())
     store.make(target)
     each = {name: content if isinstance(content, bytes) else content.encode() for name, content in found.files.items()}
-    store.put_all(target, each)
+    together.put_all(target, each)
     return [Path(target.root) / name for name in found.files]
 
 

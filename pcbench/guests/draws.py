@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import ownership, parquet, store
+from pcbench.dataset import ownership, parquet, store, together
 from pcbench.dynamics import linear
 from pcbench.guests import runs
 from pcbench.machine import process
@@ -90,7 +90,7 @@ def write(grid: Grid, out: str | Path, progress: Progress = SILENT) -> store.Tar
         files[f"{FOLDER}/cells.json"] = (json.dumps([_cell(p) for p in plans], indent=2) + "\n").encode()
         rows = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (_, unit, meaning) in SAMPLES.items())
         files[f"{FOLDER}/README.md"] = README.format(rows=rows).encode()
-        store.put_all(target, files)
+        together.put_all(target, files)
         return target
 
 

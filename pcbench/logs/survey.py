@@ -33,6 +33,7 @@ class Seen(NamedTuple):
     delays: Spread = Spread()
     drift: Line = Line()
     out_of_order: int = 0
+    out_of_order_row: int = 0  # of the first
     doubled: int = 0
     doubled_row: int = 0  # of the first
     long: NDArray[Any] = np.zeros((0, 3))  # the longest intervals
@@ -82,6 +83,7 @@ def _more(seen: Seen, batch: Batch) -> Seen:
     steps = stamps - before
     forward, again = np.isfinite(steps) & (steps > 0), steps == 0
     earlier = np.maximum.accumulate(np.concatenate([[seen.newest], batch.sampled[:-1]]))
+    behind = batch.sampled < earlier
     change = np.abs(np.diff(delay, prepend=seen.delayed))
     there = np.isfinite(change)
     origin = seen.first if seen.samples else float(batch.sampled[0])
@@ -96,7 +98,8 @@ def _more(seen: Seen, batch: Batch) -> Seen:
         intervals=add(seen.intervals, stamps[forward], steps[forward]),
         delays=add(seen.delays, at, delay),
         drift=fit(seen.drift, at - origin, delay),
-        out_of_order=seen.out_of_order + int((batch.sampled < earlier).sum()),
+        out_of_order=seen.out_of_order + int(behind.sum()),
+        out_of_order_row=seen.out_of_order_row or (int(batch.row[np.argmax(behind)]) if behind.any() else 0),
         doubled=seen.doubled + int(again.sum()),
         doubled_row=seen.doubled_row or (int(rows[np.argmax(again)]) if again.any() else 0),
         long=largest(seen.long, steps[forward], stamps[forward], rows[forward]),
@@ -153,6 +156,7 @@ def _row(name: str, seen: Seen) -> dict[str, Any]:
         "delay_p95": p95,
         "delay_most": delay.most,
         "out_of_order": seen.out_of_order,
+        "out_of_order_row": seen.out_of_order_row or None,
         "doubled": seen.doubled,
         "doubled_row": seen.doubled_row or None,
         "jumps": len(stepped),

@@ -36,7 +36,8 @@ class Room(NamedTuple):
     flight: int = 1  # packets on their way, the one that is taken now too
     overtaking: int = 0  # newer packets that arrive before one
     latest: int = 0  # the greatest age at arrival
-    apart: int = 0  # the longest time from one packet to the next
+    apart: int = 0  # the longest time from one packet to the next,
+    apart_row: int = 0  # and a row of the latter
 
 
 def window(s: Stretch, channels: int, slots: int, last_arrival: int) -> tuple[Window, int]:
@@ -92,7 +93,9 @@ def tally(so_far: Tally, s: Stretch, latest: int) -> Tally:
     room, taken = so_far.room, s.taken
     mine = np.stack([taken.taken, taken.arrives, taken.packet], 1)[taken.arrives < NEVER]
     each = np.unique(np.concatenate([so_far.before, mine]), axis=0)
-    apart = np.diff(np.unique(taken.taken), prepend=max(so_far.newest, 0))
+    instants, first = np.unique(taken.taken, return_index=True)
+    apart = np.diff(instants, prepend=max(so_far.newest, 0))
+    further = int(apart.max(initial=0)) > room.apart
     newest = int(taken.packet[-1]) if len(taken.packet) else -1
     there = each[each[:, 2] >= 0]
     waiting = _waiting(there, taken, newest)
@@ -103,6 +106,7 @@ def tally(so_far: Tally, s: Stretch, latest: int) -> Tally:
             overtaking=max(room.overtaking, _overtaken(each)),
             latest=max(room.latest, int((each[:, 1] - each[:, 0]).max(initial=0))),
             apart=max(room.apart, int(apart.max(initial=0))),
+            apart_row=int(taken.row[first[np.argmax(apart)]]) if further else room.apart_row,
         ),
         each[each[:, 0] >= s.end - 1 - latest],
         int(taken.taken[-1]) if len(taken.taken) else so_far.newest,

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pcbench.dataset import store
+from pcbench.dataset import store, together
 from pcbench.dataset.columns import SCHEMA
 from pcbench.errors import UserError
 
@@ -69,7 +69,7 @@ def draft(folder: Path) -> Iterator[Draft]:
 def finish(d: Draft, summary: dict[str, Any]) -> None:
     """Write what else is known beside the estimates, NaN as null, and give both files their names."""
     store.put_json(store.target(d.folder), _summary(d.estimates).name, plain(summary))
-    store.renamed([(d.estimates, d.folder / ESTIMATES), (_summary(d.estimates), d.folder / SUMMARY)])
+    together.renamed([(d.estimates, d.folder / ESTIMATES), (_summary(d.estimates), d.folder / SUMMARY)])
 
 
 def _summary(part: Path) -> Path:

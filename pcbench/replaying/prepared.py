@@ -102,7 +102,8 @@ def _require_fit(cell: Cell, room: Room, where: str) -> None:
         )
         raise UserError(f"{where}: got a scenario that {what}, expected one that samples; take another plant file.")
     if room.apart + room.latest > cell.times.ticks:
+        gap = f"{room.apart * s.dt:g} s without a sample before row {room.apart_row}"
         raise UserError(
-            f"{where}: got {room.apart * s.dt:g} s without a sample and some up to {room.latest * s.dt:g} s late, expected "
-            f"less than the horizon of {s.horizon:g} s in all; cut the log there, or write a longer horizon."
+            f"{where}: got {gap} and some up to {room.latest * s.dt:g} s late, expected less than the horizon of {s.horizon:g} "
+            "s in all; cut the log there, or write a longer horizon."
         )

@@ -72,6 +72,7 @@ def replay(
     names = [observers] if isinstance(observers, str) else list(observers)
     with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
         a = asked(log, plant, names, delay=delay, start=start, overrides=overrides)
+        a.said.extend(turned_back(a.found))
         length = min(LENGTH, max(rounded(a.last + 1), 2))
         room = feed.room(a.log, a.found, a.clock, length, a.last)
         p = prepared(a.cell, room, a.last, a.log.name)
@@ -119,6 +120,16 @@ def asked(
         last=int(last[0]),
         said=said,
     )
+
+
+def turned_back(found: Survey) -> list[str]:
+    """Return a sentence for each channel whose stamps go back, as they do where a sample overtakes another."""
+    return [
+        f"row {seen.out_of_order_row} of channel {name} has a stamp that goes back, the first of {seen.out_of_order}: each "
+        "counts at its stamp."
+        for name, seen in found.channels.items()
+        if seen.out_of_order
+    ]
 
 
 def table_ends(table: Table) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from logged import MOTOR, plain, rows
 import pcbench
 from pcbench import plots
 from pcbench.cli import exporting
-from pcbench.dataset import store
+from pcbench.dataset import store, together
 from pcbench.export import files
 from pcbench.plots.log_delays import BINS, edges_of
 from pcbench.replaying import folder
@@ -120,7 +120,7 @@ def test_a_replay_that_is_stopped_leaves_what_was_there(tmp_path, monkeypatch, a
 def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatch, at, left):
     """Of an export, a replay and draws: stopped while they are written, or while they get their names."""
     target, names, calls = store.target(tmp_path), ("a", "b/b", "c"), []
-    store.put_all(target, dict.fromkeys(names, b"old"))
+    together.put_all(target, dict.fromkeys(names, b"old"))
     module = store if at == "put" else os
     does = getattr(module, at)
 
@@ -131,7 +131,7 @@ def test_files_that_belong_together_are_written_all_or_none(tmp_path, monkeypatc
 
     monkeypatch.setattr(module, at, stopped_at_the_second)
     with pytest.raises(KeyboardInterrupt):
-        store.put_all(target, dict.fromkeys(names, b"new"))
+        together.put_all(target, dict.fromkeys(names, b"new"))
     assert standing(tmp_path) == dict.fromkeys(names, left)
 
 

@@ -1,6 +1,7 @@
 """Observers that live elsewhere: they see what the simulation's observers see, and are judged as those are."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -10,8 +11,8 @@ from documents import blocks
 import pcbench
 from pcbench.dataset import verify
 from pcbench.errors import UserError
-from pcbench.guests import draws, guest, score, worker
-from pcbench.study import read
+from pcbench.guests import draws, entry, guest, score, worker
+from pcbench.study import own_entries, read
 
 SCENARIO = {"base": "cart/white", "horizon": 3.0, "tail": 1.0, "jitter": 0.05, "delay_jitter": 0.6, "loss": 0.2}
 STUDY = {"name": "away", "scenario": SCENARIO, "observers": ["dkf"], "seeds": 3, "axes": {"noise_std": [0.1, 0.5]}}
@@ -144,6 +145,15 @@ def test_estimates_that_are_not_whole_are_refused(study, tmp_path, what):
 def test_a_guests_name_is_its_own(study, name, words):
     with pytest.raises(UserError, match=words):
         score.score(study[0], "nothing.parquet", name)
+
+
+def test_a_study_with_a_guest_is_the_same_whatever_stands_in_pcbenchs_own_file(tmp_path, monkeypatch):
+    """Else a release that edits the file would not know the guests that an earlier one has scored."""
+    before = own_entries.load("observer", entry.REFERENCE, "test").code
+    (tmp_path / "entry.py").write_text(Path(entry.__file__).read_text() + "# edited\n")
+    monkeypatch.setattr(entry, "__file__", str(tmp_path / "entry.py"))
+    after = own_entries.load("observer", entry.REFERENCE, "test").code
+    assert (before, before.digest) == (after, own_entries.ELSEWHERE)
 
 
 def test_closed_loops_have_no_draws(tmp_path):

@@ -6,10 +6,12 @@ import pytest
 from logged import MOTOR, plain, rows
 
 import pcbench
+from pcbench.cli.screen.logs import odd
 from pcbench.errors import UserError
 from pcbench.logs import columns as files
 from pcbench.logs import reading
-from pcbench.logs.survey import survey
+from pcbench.logs.survey import described, survey
+from pcbench.replaying.replay import turned_back
 
 
 def spoilt(column, row, value):
@@ -43,6 +45,18 @@ def test_a_bad_row_is_named(tmp_path, kind, columns, sentence):
         survey(reading.opened(rows(tmp_path / "log", columns, kind=kind)))
     assert sentence in str(caught.value)
     assert str(caught.value).count(". ") == 0
+
+
+def test_the_first_stamp_that_goes_back_is_told_with_its_row(tmp_path):
+    """It is no mistake: rows may stand in any order, and each counts at its stamp. `replay` says so too."""
+    log = reading.opened(rows(tmp_path / "log", spoilt("sampled", 9, 0.012)))
+    found = survey(log)
+    (row,) = described(found)
+    assert (row["out_of_order"], row["out_of_order_row"]) == (1, 9)
+    assert "1 sample stands behind one with a later stamp, the first in row 9" in odd(row)
+    assert turned_back(found)[0].startswith(
+        "row 9 of channel y1 has a stamp that goes back, the first of 1: each counts"
+    )
 
 
 def test_a_word_among_numbers_is_quoted(tmp_path):
@@ -103,7 +117,10 @@ def test_a_bad_row_of_inputs_is_named(tmp_path, inputs, sentence):
     ("columns", "sentence"),
     [
         (spoilt("sampled", 9, 0.301), "got a sample on the same tick"),
-        (plain() | {"sampled": plain()["sampled"] * 200, "arrived": plain()["sampled"] * 200}, "without a sample"),
+        (
+            plain() | {"sampled": plain()["sampled"] * 200, "arrived": plain()["sampled"] * 200},
+            "10 s without a sample before row 2",
+        ),
         (plain() | {"channel": ["y1", "y2"] * 20}, "got the channels y1, y2, expected one for each of the 1 outputs"),
     ],
 )

@@ -40,7 +40,10 @@ def odd(row: dict[Any, Any]) -> list[str]:
         )
     if row["out_of_order"]:
         stand = "stands" if row["out_of_order"] == 1 else "stand"
-        out.append(f"{_many(row['out_of_order'], 'sample')} {stand} behind one with a later stamp")
+        where = int(row["out_of_order_row"])
+        out.append(
+            f"{_many(row['out_of_order'], 'sample')} {stand} behind one with a later stamp, the first in row {where}"
+        )
     if row["doubled"]:
         stand = "stands" if row["doubled"] == 1 else "stand"
         out.append(f"{_many(row['doubled'], 'stamp')} {stand} there twice, the first in row {int(row['doubled_row'])}")
