@@ -99,11 +99,9 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
                 f.write(content)
                 f.flush()
                 os.fsync(f.fileno())
-            try:
-                os.replace(beside, path)
-            except FileNotFoundError:
+            if not os.path.isdir(os.path.dirname(path)):
                 _folders(target.root, name)
-                os.replace(beside, path)
+            os.replace(beside, path)
             if lasting:
                 _sync_folder(Path(path).parent)
         finally:
@@ -112,15 +110,14 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
 
 
 def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:
-    """Put one Parquet file, checked before it is seen: its rows and schema are read back."""
+    """Put one Parquet file, checked before it is seen: how many rows it has, and what it says of itself."""
     put(target, name, parquet.encoded(table), lasting)
 
 
 def last(target: Target, folders: Iterable[str]) -> None:
     """Let the names of all files in some folders below the target outlast a power cut."""
-    for folder in folders:
-        if target.local:
-            _sync_folder(Path(target.root) / folder)
+    for folder in folders if target.local else ():
+        _sync_folder(Path(target.root) / folder)
 
 
 def put_json(target: Target, name: str, content: dict[str, Any]) -> None:
