@@ -21,11 +21,10 @@ from pcbench import planning
 from pcbench.dataset import run_study, store
 from pcbench.dataset.ownership import BESIDE, TEXT
 from pcbench.dataset.seeds import Seeds, common, counted
-from pcbench.errors import UserError, unknown
-from pcbench.gains import expected, parameters, tune
+from pcbench.errors import UserError
+from pcbench.gains import expected, named, parameters, tune
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.scenarios import Scenario
 from pcbench.study import Study, given, observers_of, scenarios_of
 from pcbench.study.cells import Grid
 from pcbench.study.names import entry_in
@@ -82,8 +81,8 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress 
     _ours(study, out, fresh)
     scenario = scenarios_of(study)[study.scenarios[0]]
     paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
-    _tunable(study, list(paper))
-    _new(study, scenario, list(paper))
+    named.require_tunable(study, list(paper))
+    named.require_free_labels(study, scenario, list(paper))
     versions, options = _untuned(study, paper)
     if "tuned" in study.tunings:
         starts = _better(study, versions, options, aim, progress)
@@ -99,30 +98,6 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress 
     versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
     every = {v.label: options[v.label] for v in versions}
     return ExplicitStudy(_with(study, every, list(every)), versions, aim)
-
-
-def _tunable(study: Study, observers: list[str]) -> None:
-    """Raise UserError where a name of `tune.only` is of an option that no observer of the study tunes."""
-    may = {name: None for o in observers for name in parameters.tunable(entry_in(study, o))}
-    for name in study.tune.only or ():
-        if name not in may:
-            raise unknown(f"{study.name}: tune.only", "option that an observer of the study tunes", name, [*may])
-
-
-def _new(study: Study, scenario: Scenario, observers: list[str]) -> None:
-    """Raise UserError where the scenario has options for a version's label: they would be taken for its own."""
-    for observer in observers if len(study.tunings) > 1 else ():
-        if taken := [label for t in study.tunings if (label := f"{observer}-{t}") in scenario.options]:
-            raise UserError(
-                f"{study.name}: tuning: got {taken[0]} for gains of {observer}, expected a label that {scenario.name} has no "
-                f"options for; run {observer} under another label."
-            )
-
-
-def _only(study: Study, observer: str) -> list[str] | None:
-    """The options of an observer that are tuned; None: all that may be."""
-    may = parameters.tunable(entry_in(study, observer))
-    return None if study.tune.only is None else [name for name in study.tune.only if name in may]
 
 
 def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Grid:
@@ -216,7 +191,7 @@ def _better(
 
 def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
     """Say whether a version has free parameters that its gains depend on."""
-    only = _only(study, version.observer)
+    only = named.only(study, version.observer)
     if not parameters.tunable(entry_in(study, version.observer)) or only == []:
         return False
     here = _at_first(study).model_copy(
@@ -257,7 +232,7 @@ def _tuned(
             objective=study.tune.objective,
             signal=study.tune.signal,
             exact=study.tune.exact,
-            only=_only(study, observer),
+            only=named.only(study, observer),
             training=tune.TRAINING if study.tune.exact else _training(study),
             judges=tune.JUDGES if study.tune.exact else JUDGES,
             out=None if out is None else f"{out}/tuning/{observer}",
