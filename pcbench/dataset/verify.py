@@ -9,7 +9,19 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench import planning
-from pcbench.dataset import block_files, earlier, exact_part, executors, fill, ownership, parquet, store, summary, task
+from pcbench.dataset import (
+    block_files,
+    earlier,
+    exact_again,
+    exact_part,
+    executors,
+    fill,
+    ownership,
+    parquet,
+    store,
+    summary,
+    task,
+)
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.seeds import Seeds
@@ -101,12 +113,14 @@ class Verdict(NamedTuple):
     wrong: list[str]  # a sentence each
     recomputed: list[str]  # blocks
     differing: list[str]  # a sentence each
+    exact: list[str]  # cells whose exact numbers were computed again
+    unlike: list[str]  # a sentence for each of them that has others now
 
 
 def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = SILENT) -> Verdict:
     """Check every file of a dataset, and compute `sample` blocks (None: all) again; compare bit for bit.
 
-    Blocks are drawn with `seed`. The closing tables are made again and compared too.
+    Blocks are drawn with `seed`. The closing tables are made again and compared too, and exact numbers of as many cells.
     """
     target = store.target(out)
     owned = ownership.opened(target, run=sample != 0)
@@ -126,7 +140,8 @@ def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = 
     if sample is not None and sample < len(chosen):
         chosen = [chosen[i] for i in sorted(np.random.default_rng(seed).choice(len(chosen), sample, replace=False))]
     progress.begin("computing again", len(chosen))
-    return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(target, owned, chosen, progress)))
+    again = [b.name for b in chosen], list(_again(target, owned, chosen, progress))
+    return Verdict(len(there), wrong, *again, *exact_again.differing(target, owned, sample, seed))
 
 
 def _computed_here(owned: Owned, blocks: list[Block]) -> list[Block]:
