@@ -55,7 +55,7 @@ def merge(
 
 def verify(
     folder: Folder,
-    sample: Annotated[int, typer.Option(min=0, help="blocks to compute again")] = 4,
+    sample: Annotated[int, typer.Option(min=0, help="blocks to compute again, and cells with exact numbers")] = 4,
     every: Annotated[bool, typer.Option("--all", help="compute every block again")] = False,
     seed: Annotated[int, typer.Option(min=0, help="draws the blocks")] = 0,
     exact: Annotated[
@@ -66,6 +66,8 @@ def verify(
     as_json: AsJson = False,
 ) -> None:
     """Check every file, and compute some blocks again: they must come out bit for bit. Exit code 1 where they do not.
+
+    Exact numbers must come out again to rounding.
 
     With --exact simulated means are compared with their exact values instead, wherever there are such.
 
@@ -84,7 +86,7 @@ def verify(
         print(json.dumps(found._asdict(), indent=2))
     elif not quiet:
         screen.verdict(found, folder, console())
-    if found.wrong or found.differing:
+    if found.wrong or found.differing or found.unlike:
         raise typer.Exit(1)
 
 

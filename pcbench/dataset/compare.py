@@ -22,8 +22,8 @@ from scipy.special import stdtr
 from pcbench.dataset import block_files, cell_rows, columns, earlier, ownership, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
+from pcbench.dataset.rows_apart import ROUNDING, ZERO
 from pcbench.dataset.seeds import Seeds, common, joined
-from pcbench.dataset.verify import ROUNDING, ZERO
 from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
 from pcbench.statistics.moments import Values

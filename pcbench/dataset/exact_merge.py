@@ -25,7 +25,7 @@ def pieces(targets: list[store.Target], holdings: list[Owned], whole: Owned) -> 
         first, *others = holders
         table = _read(first, whole)
         for other in others:
-            if not _agree(table, _read(other, whole)):
+            if not agree(table, _read(other, whole)):
                 raise UserError(
                     f"{other[0].name}/{other[3]}: differs from {first[0].name}/{first[3]} by more than rounding, expected "
                     "equal numbers; run the study of one of them again with --fresh."
@@ -72,8 +72,8 @@ def _numbered(table: pa.Table, moved: Moved, whole: Owned) -> pa.Table:
     return table.take(sorted(range(len(table)), key=after.__getitem__))
 
 
-def _agree(a: pa.Table, b: pa.Table) -> bool:
-    """Whether two tables hold the same but for rounding."""
+def agree(a: pa.Table, b: pa.Table) -> bool:
+    """Return whether two tables hold the same but for rounding."""
     if a.schema.names != b.schema.names or len(a) != len(b):
         return False
     for x, y in zip(a.columns, b.columns, strict=True):

@@ -9,8 +9,8 @@ import pyarrow as pa
 from pcbench.dataset import block_files, exact_merge, fill, kept_code, ownership, parquet, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
+from pcbench.dataset.rows_apart import difference
 from pcbench.dataset.seeds import Seeds, common, counted
-from pcbench.dataset.verify import difference
 from pcbench.errors import UserError
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.study.as_toml import to_toml

@@ -9,9 +9,22 @@ import numpy as np
 import pyarrow as pa
 
 from pcbench import planning
-from pcbench.dataset import block_files, earlier, exact_part, executors, fill, ownership, parquet, store, summary, task
+from pcbench.dataset import (
+    block_files,
+    earlier,
+    exact_again,
+    exact_part,
+    executors,
+    fill,
+    ownership,
+    parquet,
+    store,
+    summary,
+    task,
+)
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
+from pcbench.dataset.rows_apart import ROUNDING, ZERO, difference
 from pcbench.dataset.seeds import Seeds
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
@@ -19,10 +32,8 @@ from pcbench.study.as_toml import digest
 from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import is_certified
 
-ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
 FAIR = "fair.parquet"  # of a study with several tunings
 BESIDE = ("examples/", f"{exact_part.FOLDER}/")
-ZERO = 1e-11  # errors this small, as they are or as a part of the signal's largest, are rounding of zero
 
 
 class Share(NamedTuple):
@@ -101,12 +112,14 @@ class Verdict(NamedTuple):
     wrong: list[str]  # a sentence each
     recomputed: list[str]  # blocks
     differing: list[str]  # a sentence each
+    exact: list[str]  # cells whose exact numbers were computed again
+    unlike: list[str]  # a sentence for each of them that has others now
 
 
 def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = SILENT) -> Verdict:
     """Check every file of a dataset, and compute `sample` blocks (None: all) again; compare bit for bit.
 
-    Blocks are drawn with `seed`. The closing tables are made again and compared too.
+    Blocks are drawn with `seed`. The closing tables are made again and compared too, and exact numbers of as many cells.
     """
     target = store.target(out)
     owned = ownership.opened(target, run=sample != 0)
@@ -126,7 +139,8 @@ def verify(out: str | Path, sample: int | None, seed: int, progress: Progress = 
     if sample is not None and sample < len(chosen):
         chosen = [chosen[i] for i in sorted(np.random.default_rng(seed).choice(len(chosen), sample, replace=False))]
     progress.begin("computing again", len(chosen))
-    return Verdict(len(there), wrong, [b.name for b in chosen], list(_again(target, owned, chosen, progress)))
+    again = [b.name for b in chosen], list(_again(target, owned, chosen, progress))
+    return Verdict(len(there), wrong, *again, *exact_again.differing(target, owned, sample, seed))
 
 
 def _computed_here(owned: Owned, blocks: list[Block]) -> list[Block]:
@@ -188,39 +202,6 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
     made = f"made with {'; '.join(changed)}; " if changed else ""
     kind = "rounding" if apart.relative < ROUNDING or apart.of_largest < ZERO else "more than rounding"
     yield f"{b.name}: {made}numbers differ by {apart.relative:.1e} of themselves ({kind})."
-
-
-class Difference(NamedTuple):
-    """How far two tables' numbers are apart at most."""
-
-    relative: float
-    of_largest: float  # as a part of their signal's largest error: what is left of zero is rounding of that
-
-
-def difference(a: pa.Table, b: pa.Table) -> Difference | None:
-    """Return how far two tables' numbers are apart; None where they differ in anything else."""
-    if a.schema.names != b.schema.names or len(a) != len(b):
-        return None
-    worst, size = Difference(0.0, 0.0), _sizes(a)
-    for name in a.schema.names:
-        x, y = a[name], b[name]
-        if x.equals(y):
-            continue
-        if not pa.types.is_floating(x.type) or x.null_count != y.null_count:
-            return None
-        u, v = (np.nan_to_num(column.to_numpy()) for column in (x, y))
-        apart, larger = np.abs(u - v), np.maximum(np.abs(u), np.abs(v))
-        whole = size**2 if name in ("mse", "tail_mse") else size
-        found = Difference(float((apart / np.where(larger > 0, larger, 1)).max()), float((apart / whole).max()))
-        worst = Difference(*map(max, worst, found))
-    return worst
-
-
-def _sizes(table: pa.Table) -> np.ndarray:
-    """The largest error of its signal, for every row: at least 1e-11, below which an error is zero."""
-    peaks = np.fmax(np.nan_to_num(table["peak"].to_numpy()), ZERO)
-    _, signal = np.unique(table["signal"].to_numpy().astype(str), return_inverse=True)
-    return np.array([peaks[signal == i].max() for i in range(signal.max() + 1)])[signal]
 
 
 def _others(target: store.Target, owned: Owned) -> Iterator[str]:

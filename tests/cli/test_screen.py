@@ -3,6 +3,7 @@
 import io
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -335,3 +336,14 @@ def test_of_who_believes_nothing_nothing_is_said():
     console = Console(file=io.StringIO(), width=100)
     assert consistency.said("cart/slow", believed(1).iloc[:0], console) == []
     assert console.file.getvalue() == ""
+
+
+@pytest.mark.parametrize(
+    ("method", "n", "words"),
+    [("runs", 64, "64 seeds"), ("exact", 64, "exact, 64 schedules"), ("exact", 0, "exact")],
+)
+def test_a_title_says_what_was_averaged_over(method, n, words):
+    """Schedules that exact numbers are averaged over had been called seeds."""
+    rows = [{"metric": m, "signal": "a", "unit": "m", "n": n, "diverged": 0, "method": method} for m in ("mae", "mse")]
+    view = results.View(SimpleNamespace(name="s"), pd.DataFrame(rows), pd.DataFrame(), "mse")
+    assert view.title == f"s: error of a [m], {words}"

@@ -1,5 +1,6 @@
 """A study without a seed: the same tables, files that are checked, and runs only of what has no exact answer."""
 
+import io
 import shutil
 
 import numpy as np
@@ -7,9 +8,11 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 from commands import call
+from rich.console import Console
 
 import pcbench
-from pcbench.dataset import columns, compare, parquet, verify
+from pcbench.cli.screen import folder
+from pcbench.dataset import columns, compare, exact_part, parquet, store, verify
 from pcbench.dataset.result import opened
 from pcbench.errors import UserError
 
@@ -85,7 +88,8 @@ def test_of_one_cell_its_own_file_is_read_alone(out, tmp_path):
 
 
 def test_verify_status_and_compare_take_them(out, tmp_path):
-    assert not verify.verify(out, 4, 0).wrong
+    again = verify.verify(out, 1, 0)
+    assert (again.wrong, len(again.exact), again.unlike) == ([], 1, [])
     assert verify.status(out).closed
     pcbench.run(STUDY, out=tmp_path / "runs")
     found = compare.compare(out, tmp_path / "runs")
@@ -95,6 +99,23 @@ def test_verify_status_and_compare_take_them(out, tmp_path):
     (out / "exact.parquet").write_bytes((tmp_path / "kept").read_bytes()[:-9] + b"123456789")
     assert any("exact.parquet" in sentence for sentence in verify.verify(out, 0, 0).wrong)
     (tmp_path / "kept").rename(out / "exact.parquet")
+
+
+def test_exact_numbers_that_do_not_come_out_again_are_said(out, tmp_path):
+    """One mean is 1e-6 of itself off, in a file that is whole."""
+    copy = shutil.copytree(out, tmp_path / "copy")
+    table = exact_part.whole(store.target(copy))
+    i, at = table.schema.get_field_index("mean"), table["metric"].to_pylist().index("mse")
+    means = table["mean"].to_pylist()
+    means[at] *= 1 + 1e-6
+    column = pa.array(means, table.schema.field(i).type)
+    store.put_table(
+        store.target(copy), exact_part.NAME, parquet.sealed(table.set_column(i, table.schema.field(i), column))
+    )
+    found, said = verify.verify(copy, None, 0), io.StringIO()
+    folder.verdict(found, "copy", Console(file=said, width=200))
+    assert found.unlike == ["exact.parquet: lti, cell 0: other numbers come out now."]
+    assert said.getvalue().splitlines()[-1] == "copy: exact numbers of 1 of 2 cells came out again, to rounding."
 
 
 def test_both_simulates_what_is_not_affine_alone(tmp_path):

@@ -35,7 +35,7 @@ def status(found: Status, folder: str, console: Console) -> None:
 
 def verdict(found: Verdict, folder: str, console: Console) -> None:
     """Print what a verification found."""
-    for sentence in [*found.wrong, *found.differing]:
+    for sentence in [*found.wrong, *found.differing, *found.unlike]:
         console.print(sentence, highlight=False, markup=False, soft_wrap=True)
     wrong = f"{len(found.wrong)} complaint" + ("s" if len(found.wrong) > 1 else "")
     files = f"{found.files} blocks, {wrong}" if found.wrong else f"all {found.files} blocks are whole"
@@ -43,7 +43,11 @@ def verdict(found: Verdict, folder: str, console: Console) -> None:
     again = (
         f"{many - len(found.differing)} of {many} came out again, bit for bit" if many else "none was computed again"
     )
-    console.print(f"{folder}: {files}; {again}.", highlight=False)
+    if found.files or found.wrong or not found.exact:
+        console.print(f"{folder}: {files}; {again}.", highlight=False)
+    if many := len(found.exact):
+        said = f"exact numbers of {many - len(found.unlike)} of {many} cells came out again, to rounding"
+        console.print(f"{folder}: {said}.", highlight=False)
 
 
 def against_exact(found: Checked, console: Console) -> None:

@@ -37,10 +37,11 @@ class View(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Return scenario, signal with its unit, and runs."""
+        """Return scenario, signal with its unit, and runs, or the schedules that exact numbers are averaged over."""
         ranked = self.stats[self.stats.metric == self.metric]
-        many = int((ranked.n + ranked.diverged).max())
-        seeds = f"{many:,} seeds" if many else "exact"
+        runs = ranked[ranked.method == "runs"]
+        many, drawn = int((runs.n + runs.diverged).max() if len(runs) else 0), int(ranked.n.max())
+        seeds = f"{many:,} seeds" if many else f"exact, {drawn:,} schedules" if drawn else "exact"
         return f"{self.scenario.name}: error of {self.stats.signal.iloc[0]} [{self.unit}], {seeds}"
 
     @property
