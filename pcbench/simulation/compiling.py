@@ -30,7 +30,8 @@ def compiled(
     said = lowered.as_text() if where else ""
     if where is None or not kept_programs.whole(said):
         return lowered.compile(options)
-    trees = f"{lowered.in_tree} {lowered.out_tree}"  # names of arguments are not in the text, and a call looks at them
+    # names of arguments, and shapes of those that are not used, are not in the text, and a call looks at them
+    trees = f"{lowered.in_tree} {jax.tree.leaves(lowered.in_avals)} {lowered.out_tree}"
     text = kept_programs.of_text(said.replace(name, plain) + trees, device, options)
     made = kept_programs.load(where, text, device)
     if made is not None:

@@ -93,8 +93,21 @@ def test_a_program_of_the_same_text_for_arguments_of_other_names_is_another(wher
         return sum(given.values())
 
     for name in ("dkf", "observer", "dkf"):
-        made = compiling.compiled(total, ({name: number},), device, None, None)
+        made = compiling.compiled(total, lambda name=name: ({name: number},), device, None, None)
         assert np.asarray(made({name: np.arange(3.0)})).tolist() == [0.0, 1.0, 2.0]
+    assert len(list(where.glob("*.program"))) == 2
+
+
+def test_a_program_of_the_same_text_for_an_unused_argument_of_another_shape_is_another(where):
+    device = jax.devices()[0]
+
+    def first(a, unused):
+        return a * 2.0
+
+    for many in (2, 0, 2):
+        given = (np.arange(3.0), np.zeros(many))
+        made = compiling.compiled(first, lambda given=given: shapes(*given), device, None, None)
+        assert np.asarray(made(*given)).tolist() == [0.0, 2.0, 4.0]
     assert len(list(where.glob("*.program"))) == 2
 
 
@@ -115,7 +128,7 @@ def test_what_calls_lapack_is_not_kept(where, what, stays):
     def mine(A):
         return what(A)
 
-    made = compiling.compiled(mine, shapes(A), jax.devices()[0], OPTIONS, "asked")
+    made = compiling.compiled(mine, lambda: shapes(A), jax.devices()[0], OPTIONS, "asked")
     assert kept_programs.whole(jax.jit(mine).lower(A).as_text()) is stays
     assert (kept_programs.known(where, "asked") is not None) is stays
     assert bool(list(where.glob("*.program"))) is stays

@@ -327,7 +327,15 @@ def overwritten(rows, size, ticks, error, late=(0,) * (ROOM + 1)):
 @given(data=st.data(), clocks=any_clocks(), ticks=ticks_of, seed=seed_of)
 def test_no_packet_is_overwritten_in_the_room_that_is_claimed_beforehand(data, clocks, ticks, seed):
     """Notes may be due for samples beyond the horizon: random intervals go on there, the others end."""
-    error = misjudged(data, clocks)
+    never_overwritten(clocks, ticks, seed, misjudged(data, clocks))
+
+
+def test_a_stamp_that_drifts_beyond_the_horizon_asks_for_more_room():
+    clock = Clock((0,), 1, None, "uniform", loss=0.1, steps=(4, 25, 1), share=(0.2, 0.3, 0.5), burst=9.5)
+    never_overwritten([clock._replace(stamp=Stamp(-3, -0.06, 0))], 28, 1, 25)
+
+
+def never_overwritten(clocks, ticks, seed, error):
     late = ahead(clocks, 0, seed)
     noted = packets(clocks, ticks + max(error, 0) - min(late[: ticks + 1]), seed)
     rows = [(a, b) for a, c, _, b in noted if a <= ticks or clocks[c].profile == "uniform"]
