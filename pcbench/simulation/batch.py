@@ -10,7 +10,7 @@ import operator
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import cache, lru_cache, partial
 from threading import Lock
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -24,6 +24,7 @@ from pcbench.simulation import compiling, judging, kept_programs, loop
 from pcbench.simulation.lifted import kept_maps
 from pcbench.simulation.problem import Layout, Outcome, Problem
 
+Reads = dict[str, list[int]]  # by form, which leaves of a problem its maps depend on
 WIDTH = 1024  # lanes a call
 NARROW = (64, 256)  # of cells with few runs: 64 lanes take a quarter of the time of 1024
 HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
@@ -96,14 +97,18 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     def simulate(*a: Any) -> Outcome:
         return loop.simulate(layout, *a)
 
+    @cache
+    def traced() -> kept_maps.Traced:
+        return kept_maps.traced(lifted, given[0])
+
     def with_maps() -> tuple[Any, ...]:
-        found = jax.eval_shape(partial(kept_maps.made, lifted), given[0])
+        found = traced().shape
         return *given, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), found)
 
     asked = kept_programs.asked(layout, kinds, device, options)
-    reads = _reads(lifted, given[0], asked)
+    reads = _reads(traced, asked)
     with pools.pool(1) as beside:  # each takes seconds to make, and where it is kept tenths to load
-        maker = beside.submit(in_float64, _maker, lifted, given[0], kinds[0], reads, device, options)
+        maker = beside.submit(in_float64, _maker, lifted, given[0], kinds[0], traced, reads, device, options)
         call = compiling.compiled(simulate, with_maps, device, options, asked)
         made = maker.result()
     return Program(
@@ -119,28 +124,33 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
 
 
 def _maker(
-    layout: Layout, given: Problem, kinds: Any, reads: dict[str, list[int]], device: Any, options: Any
+    layout: Layout,
+    given: Problem,
+    kinds: Any,
+    traced: Callable[[], kept_maps.Traced],
+    reads: Reads,
+    device: Any,
+    options: Any,
 ) -> kept_maps.Maker | None:
     """What makes the maps of a layout; None where there are none."""
     if not reads:
         return None
-    mine = kept_maps.bare(layout)
 
     def maps(p: Problem) -> kept_maps.Every:
-        return kept_maps.made(mine, p)
+        return traced()(p)
 
-    asked = kept_programs.asked(("maps", mine), kinds, device, options)
+    asked = kept_programs.asked(("maps", kept_maps.bare(layout)), kinds, device, options)
     call = compiling.compiled(maps, lambda: (given,), device, options, asked)
     return kept_maps.Maker(call, tuple(sorted(set().union(*reads.values()))))
 
 
-def _reads(layout: Layout, given: Problem, asked: str | None) -> dict[str, list[int]]:
+def _reads(traced: Callable[[], kept_maps.Traced], asked: str | None) -> Reads:
     """What the maps of each form depend on; asked of its functions once, and kept beside the program."""
     where, key = kept_programs.folder(), asked and f"{asked}-reads"
     text = kept_programs.known(where, key) if where and key else None
     if text is not None:
         return dict(json.loads(text))
-    found = kept_maps.reads(layout, given)
+    found = kept_maps.reads(traced())
     if where:
         kept_programs.keep(where, json.dumps(found), key)
     return found

@@ -46,7 +46,7 @@ def bits(maps):
 def test_maps_depend_on_what_is_read_and_on_nothing_else(one):
     layout, p, make = one
     with process.float64():
-        reads, before, rng = kept_maps.reads(layout, p), make(p), np.random.default_rng(0)
+        reads, before, rng = kept_maps.reads(kept_maps.traced(layout, p)), make(p), np.random.default_rng(0)
         assert set(reads) == {"", *OBSERVERS}
         changed = {label: set() for label in reads}
         for name, a in named(p).items():
@@ -67,7 +67,7 @@ def test_problems_that_differ_in_noise_share_maps_and_those_of_another_plant_inp
     layout, p, _ = one
     calls, kept = [], kept_maps.Kept(2**30)
     with process.float64():
-        reads = sorted(set().union(*kept_maps.reads(layout, p).values()))
+        reads = sorted(set().union(*kept_maps.reads(kept_maps.traced(layout, p)).values()))
     maker = kept_maps.Maker(lambda p: calls.append(p) or {"made": np.asarray(len(calls))}, tuple(reads))
     other = p._replace(schedule=p.schedule._replace(event=~p.schedule.event))
     each = [
@@ -111,7 +111,7 @@ def test_a_call_leaves_the_same_with_maps_that_it_makes_itself(one):
 def test_a_layout_that_is_stepped_has_no_maps(one):
     layout, p, _ = one
     with process.float64():
-        assert kept_maps.reads(layout._replace(lifted=0), p) == {}
+        assert kept_maps.reads(kept_maps.traced(layout._replace(lifted=0), p)) == {}
     assert kept_maps.given(None, p) == {}
 
 

@@ -103,7 +103,7 @@ def ways(observer=None, label="dkf", case=CASE):
     layout, p = problem(case, {label: {}})
     each = ((label, observer or OBSERVERS[label].observer),)
     with process.float64():
-        found = kept_maps.reads(layout._replace(observers=each, lifted=ROOM, random_start=True), p)
+        found = kept_maps.reads(kept_maps.traced(layout._replace(observers=each, lifted=ROOM, random_start=True), p))
         return "lifted" if label in found else "stepped"
 
 
@@ -162,7 +162,7 @@ def test_a_plant_that_bends_lifts_nobody():
     layout, p = problem(CASE, {"dkf": {}})
     bent = LINEAR._replace(step=lambda params, now, x: jnp.sin(x))
     with process.float64():
-        assert kept_maps.reads(layout._replace(plant=bent, lifted=ROOM), p) == {}
+        assert kept_maps.reads(kept_maps.traced(layout._replace(plant=bent, lifted=ROOM), p)) == {}
         assert not form.plant_goes(layout._replace(plant=bent), p)
         assert not form.plant_goes(layout, p._replace(process_std=np.ones(3)))
 

@@ -15,11 +15,12 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import jaxpr_as_fun
 
 from pcbench.simulation.lifted.chunks import chunks
 from pcbench.simulation.lifted.form import forms
 from pcbench.simulation.lifted.maps import Maps, maps
-from pcbench.simulation.lifted.reach import reach
+from pcbench.simulation.lifted.reach import read
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.start import begin
 
@@ -94,9 +95,28 @@ def bare(layout: Layout) -> Layout:
     return layout._replace(width=1, ring=1)
 
 
-def reads(layout: Layout, p: Problem) -> dict[str, list[int]]:
-    """Return by form the leaves of the problem that its maps depend on; of p the shapes suffice."""
-    found, _ = reach(partial(made, layout), p)
+class Traced(NamedTuple):
+    """What makes the maps of a layout, traced: it is asked for what it reads, for their shapes, and compiled."""
+
+    closed: Any  # its jaxpr
+    shape: Every  # of arrays their shapes
+
+    def __call__(self, p: Problem) -> Every:
+        """Return the maps."""
+        every: Every = jax.tree.unflatten(
+            jax.tree.structure(self.shape), jaxpr_as_fun(self.closed)(*jax.tree.leaves(p))
+        )
+        return every
+
+
+def traced(layout: Layout, p: Problem) -> Traced:
+    """Return what makes the maps of a layout, of problems with these shapes."""
+    return Traced(*jax.make_jaxpr(partial(made, layout), return_shape=True)(p))
+
+
+def reads(maker: Traced) -> dict[str, list[int]]:
+    """Return by form the leaves of the problem that its maps depend on."""
+    found, _ = read(*maker)
     return {
         label: sorted(frozenset().union(*jax.tree.leaves(each, is_leaf=lambda a: isinstance(a, frozenset))))
         for label, each in found.items()
