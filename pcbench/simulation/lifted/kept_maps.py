@@ -15,8 +15,8 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import jaxpr_as_fun
 
+from pcbench.simulation.lanes import primitives
 from pcbench.simulation.lifted.chunks import chunks
 from pcbench.simulation.lifted.form import forms
 from pcbench.simulation.lifted.maps import Maps, maps
@@ -104,7 +104,7 @@ class Traced(NamedTuple):
     def __call__(self, p: Problem) -> Every:
         """Return the maps."""
         every: Every = jax.tree.unflatten(
-            jax.tree.structure(self.shape), jaxpr_as_fun(self.closed)(*jax.tree.leaves(p))
+            jax.tree.structure(self.shape), primitives.jaxpr_as_fun(self.closed)(*jax.tree.leaves(p))
         )
         return every
 
