@@ -54,34 +54,37 @@ def run(
     """
     began = perf_counter()
     setup()
-    from pcbench import api, statistics
-    from pcbench.cli import ahead
-    from pcbench.cli.screen.progress import bar
-    from pcbench.study import read
+    from pcbench.simulation.foreseen import foreseen
 
-    statistics.compared(metric, "--metric")
-    asked, where = read.described(read.raw_of(study, changes or []), study), chosen(signal)
-    read.require_signals(asked, where, "--signal")
-    into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
-    with bar(quiet or as_json, "designing gains") as progress:
-        result = api.run(
-            study,
-            overrides=changes,
-            seeds=seeds,
-            first_seed=first_seed,
-            observers=None if observers is None else names(observers),
-            method="exact" if exact else None,
-            out=into,
-            fresh=fresh,
-            until_se=until_se,
-            max_seeds=max_seeds,
-            dask=dask,
-            workers=workers,
-            block=block,
-            memory=memory,
-            progress=stoppable(ahead.importing(progress, ahead.CLOSING + (() if quiet else ahead.SHOWING))),
-            say=say,
-        )
+    with foreseen(("run", study, changes, seeds, observers, exact)):
+        from pcbench import api, statistics
+        from pcbench.cli import ahead
+        from pcbench.cli.screen.progress import bar
+        from pcbench.study import read
+
+        statistics.compared(metric, "--metric")
+        asked, where = read.described(read.raw_of(study, changes or []), study), chosen(signal)
+        read.require_signals(asked, where, "--signal")
+        into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
+        with bar(quiet or as_json, "designing gains") as progress:
+            result = api.run(
+                study,
+                overrides=changes,
+                seeds=seeds,
+                first_seed=first_seed,
+                observers=None if observers is None else names(observers),
+                method="exact" if exact else None,
+                out=into,
+                fresh=fresh,
+                until_se=until_se,
+                max_seeds=max_seeds,
+                dask=dask,
+                workers=workers,
+                block=block,
+                memory=memory,
+                progress=stoppable(ahead.importing(progress, ahead.CLOSING + (() if quiet else ahead.SHOWING))),
+                say=say,
+            )
     if result.study.use and find_spec("matplotlib"):
         from pcbench.report import pictures
 

@@ -33,12 +33,11 @@ def compiled(
     # names of arguments, and shapes of those that are not used, are not in the text, and a call looks at them
     trees = f"{lowered.in_tree} {jax.tree.leaves(lowered.in_avals)} {lowered.out_tree}"
     text = kept_programs.of_text(said.replace(name, plain) + trees, device, options)
-    made = kept_programs.load(where, text, device)
-    if made is not None:
+    if (found := kept_programs.load(where, text, device)) is not None:
         kept_programs.keep(where, text, asked)
-        return made
-    with kept_programs.found_by_jax() as found:
+        return found
+    with kept_programs.found_by_jax() as hits:
         made = lowered.compile(options)
-    if not found:
+    if not hits:
         kept_programs.keep(where, text, asked, made)
     return made

@@ -12,11 +12,9 @@ In a process that has not traced, such a program jumps to nowhere, or waits for 
 """
 
 import hashlib
-import pickle
 import platform
 import threading
-import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
 from pathlib import Path
@@ -26,16 +24,19 @@ from typing import Any
 import jax
 import numpy as np
 from jax import monitoring
-from jax.experimental import serialize_executable
 
 from pcbench import __version__
 from pcbench.machine import cache as kept
 from pcbench.machine.provenance import versions
+from pcbench.simulation.loaded import Loaded, as_bytes
 
 HIT = "/jax/compilation_cache/cache_hits"
 BASE = Path(__file__).parent.parent
 CALL = "stablehlo.custom_call"  # of a function by its name
 QUIET = ("cache", "log", "traceback", "explain")  # settings that change no program
+FORM = "flat"  # of a program's file; another name where it changes
+Early = Callable[[str, Any], Loaded | None]  # of a text, on a device
+_AHEAD: list[Early] = []
 
 
 def folder() -> Path | None:
@@ -64,7 +65,7 @@ def kind(array: Any) -> str:
 
 def of_text(text: str, device: Any, options: Any) -> str:
     """Return what tells a lowered program from all others."""
-    return _digest([text, _device(device), repr(options), _settings(), _machine()])
+    return _digest([FORM, text, _device(device), repr(options), _settings(), _machine()])
 
 
 def whole(text: str) -> bool:
@@ -80,11 +81,29 @@ def known(where: Path, asked: str) -> str | None:
         return None
 
 
-def load(where: Path, text: str, device: Any) -> Any:
-    """Return a compiled program on a device; None where it is not kept, or cannot be loaded."""
+def load(where: Path, text: str, device: Any) -> Loaded | None:
+    """Return a compiled program on a device, which may have been read ahead; None where it is not kept, or of no use."""
+    found = next((early for ahead in _AHEAD if (early := ahead(text, device))), None) or read(where, text, device)
     try:
-        said, given, left = pickle.loads(zlib.decompress((where / f"{text}.program").read_bytes()))
-        return serialize_executable.deserialize_and_load(said, given, left, execution_devices=[device])
+        return found if found and found.trees else None
+    except Exception:  # of types that are no more
+        return None
+
+
+@contextmanager
+def ahead(early: Early) -> Iterator[None]:
+    """Have whoever asks for a program ask `early` for it first."""
+    _AHEAD.append(early)
+    try:
+        yield
+    finally:
+        _AHEAD.remove(early)
+
+
+def read(where: Path, text: str, device: Any) -> Loaded | None:
+    """Return a compiled program from its file, on a device; None where it is not kept, or cannot be loaded."""
+    try:
+        return Loaded((where / f"{text}.program").read_bytes(), device)
     except Exception:  # whatever a damaged file, or another release's, makes of it
         return None
 
@@ -93,7 +112,7 @@ def keep(where: Path, text: str, asked: str | None, compiled: Any = None) -> Non
     """Keep a program that has just been made, and which text it was that asked for it."""
     if compiled is not None:
         try:
-            content = zlib.compress(pickle.dumps(serialize_executable.serialize(compiled)), 1)
+            content = as_bytes(compiled)
         except Exception:  # not every platform can
             return
         kept.keep(where / f"{text}.program", content)
