@@ -1,6 +1,7 @@
 """Programs are loaded ahead by a command's words: the same programs, or none; and a program knows its trees."""
 
 import json
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import jax
@@ -90,12 +91,11 @@ def test_a_note_that_is_none_costs_nothing(where, content):
 
 
 def test_for_another_device_it_is_read_anew(where, monkeypatch):
-    devices, seen = jax.devices(), []
-    monkeypatch.setattr(kept_programs, "read", lambda where, text, device: seen.append(device))
-    for _ in range(2):
+    devices = jax.devices()
+    monkeypatch.setattr(kept_programs, "read", lambda where, text, device: SimpleNamespace(trees=True, on=device))
+    for asks in (devices[1], devices[0], devices[1]):
         with foreseen(WORDS):
-            kept_programs.load(where, "twice", devices[1])
-    assert seen == [devices[1], devices[0], devices[1]]
+            assert kept_programs.load(where, "twice", asks).on == asks
 
 
 def test_where_nothing_is_kept_nothing_is_foreseen(where, monkeypatch):
