@@ -14,6 +14,7 @@ from pcbench.study import read
 
 pytestmark = pytest.mark.usefixtures("as_users_have_it")
 EVERYONE = ["pccebo", "kfbo", "dkf", "open-loop"]
+TWO = ["pccebo", "dkf"]
 SEVEN = np.array([7])
 
 
@@ -39,8 +40,15 @@ def alone(as_users_have_it):
     return results(SEVEN)["cart/gaussian-fast0"]
 
 
-def test_alone_equals_in_a_block(alone):
-    same(alone, results(np.arange(20))["cart/gaussian-fast0"], 7)
+@pytest.fixture(scope="module", params=[TWO, pytest.param(EVERYONE, marks=pytest.mark.slow)], ids=str)
+def some(request, as_users_have_it):
+    """Observers, and their run alone."""
+    return request.param, results(SEVEN, request.param)["cart/gaussian-fast0"]
+
+
+def test_alone_equals_in_a_block(some):
+    observers, alone = some
+    same(alone, results(np.arange(20), observers)["cart/gaussian-fast0"], 7, observers)
 
 
 @pytest.mark.slow
@@ -51,16 +59,19 @@ def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
     same(alone, results(np.concatenate([np.arange(100, 99 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"], -1)
 
 
-def test_one_device_equals_two(alone):
-    same(alone, results(SEVEN, devices=1)["cart/gaussian-fast0"], 0)
+def test_one_device_equals_two(some):
+    observers, alone = some
+    same(alone, results(SEVEN, observers, devices=1)["cart/gaussian-fast0"], 0, observers)
 
 
-EACH = [["dkf"]]
-MORE = [pytest.param(["kfbo", "pccebo"], marks=pytest.mark.slow)]
-MORE += [pytest.param([name], marks=pytest.mark.slow) for name in ("pccebo", "kfbo", "open-loop")]
+def test_alone_equals_without_another_observer(some):
+    """Other observers make another program, the same bits."""
+    observers, among = some
+    same(results(SEVEN, observers[-1:])["cart/gaussian-fast0"], among, 0, observers[-1:])
 
 
-@pytest.mark.parametrize("observers", [*EACH, *MORE], ids=str)
+@pytest.mark.slow
+@pytest.mark.parametrize("observers", [["kfbo", "pccebo"], ["pccebo"], ["kfbo"], ["dkf"]], ids=str)
 def test_alone_equals_without_the_other_observers(alone, observers):
     only = results(SEVEN, observers=observers)["cart/gaussian-fast0"]
     same(only, alone, 0, observers)
