@@ -64,18 +64,19 @@ class Exact:
         last = list(OVER_TIME)
         return whole[[c for c in whole if c not in last] + last]
 
-    def over_time(self, m: CellMoments, every: int = 1) -> Iterator[dict[str, NDArray[Any]]]:
-        """Yield for each observer and signal of a cell that has an exact answer its moments at so many ticks, by column."""
+    def over_time(self, m: CellMoments, points: int = 0) -> Iterator[dict[str, NDArray[Any]]]:
+        """Yield, by column, moments at the ticks asked for, of each observer and signal of a cell that has an exact answer."""
         names = [name for name, _ in signals_of(m.planned.cell.scenario)]
-        t = m.planned.cell.scenario.dt * np.arange(0, m.planned.cell.times.ticks + 1, every)
+        ticks = m.planned.cell.times.ticks
+        t = m.planned.cell.scenario.dt * np.arange(0, ticks + 1, Asked(0, 0, points=points).every(ticks))
         for label, place in m.signals.items():
             if affine.refusal(m, label):
                 continue
             for i, z in enumerate(range(place.start, place.stop)):
-                mean = m.rows.mean[::every, z]
-                variance, middle = m.rows.covariance[::every, z, 0].mean(-1), mean[:, 0]
+                means, variances = m.rows.mean[:, z], m.rows.covariance[:, z, 0]
+                middle, variance = means[:, 0], variances[:, 0]
                 if m.random:
-                    variance, middle = variance + mean.var(-1), mean.mean(-1)
+                    middle, variance = means.mean(-1), variances.mean(-1) + means.var(-1)
                 said = (np.broadcast_to(np.array(word, object), len(t)) for word in (label, names[i]))
                 yield dict(zip(OVER_TIME, (*said, t, middle, np.sqrt(np.maximum(variance, 0.0))), strict=True))
 
@@ -105,10 +106,10 @@ class Exact:
         total = m.rows.covariance[:, order][:, :, order].mean(-1) + between
         return Joint(chosen[0].scenario.dt * np.arange(len(mean)), errors, mean.mean(-1), total)
 
-    def solved(self, cells: list[Cell], recorded: str = "") -> Iterator[CellMoments]:
+    def solved(self, cells: list[Cell], recorded: str = "", points: int = 0) -> Iterator[CellMoments]:
         """Yield the moments of cells; of many an observer at a time."""
         with process.float64():
-            asked = Asked(self.grid.study.root_seed, self.schedules, recorded)
+            asked = Asked(self.grid.study.root_seed, self.schedules, recorded, points)
             yield from solve(planned(cells, recorded == COVARIANCE), asked)
 
     def rows(self, m: CellMoments) -> Iterator[dict[str, Any]]:

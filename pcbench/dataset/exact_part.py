@@ -8,6 +8,7 @@ import itertools
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -44,28 +45,33 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
     from pcbench.dataset.exact import Exact  # takes half a second, with pandas, which a study of runs does not wait for
 
     exact = Exact(Grid(owned.study, owned.cells), owned.study.schedules)
-    rows: list[Row] = []
+    rows: dict[str, list[Any]] = {}
     progress.begin("exact cells", len(owned.cells))
     _put(target, _cells(owned, exact, rows, progress))
-    refused = list(dict.fromkeys(row["reason"] for row in rows if row["metric"] == "mse" and row["reason"]))
+    each = zip(rows["metric"], rows["reason"], strict=True)
+    refused = list(dict.fromkeys(reason for metric, reason in each if metric == "mse" and reason))
     for sentence in refused[:SAID]:
         say(sentence)
     if refused[SAID:]:
         say(f"{target.name}: {len(refused) - SAID} more have no exact answer; the column reason of stats says why.")
-    table = columns.rows_table(rows, columns.stats_order(columns.axes_of(rows[0])))
+    table = columns.with_intervals(columns.table(rows))
     store.put_table(
         target, NAME, parquet.sealed(table.replace_schema_metadata((table.schema.metadata or {}) | {OF: mark}))
     )
     return True
 
 
-def _cells(owned: Owned, exact: "Exact", rows: list[Row], progress: Progress) -> Iterator[tuple[str, pa.Table]]:
-    """Yield the files of moments, name and table each; `rows` gets what is known of every cell."""
-    for key, parts in itertools.groupby(exact.solved(owned.cells, "std"), key=lambda m: m.planned.cell.key):
+def _cells(
+    owned: Owned, exact: "Exact", rows: dict[str, list[Any]], progress: Progress
+) -> Iterator[tuple[str, pa.Table]]:
+    """Yield the files of moments, name and table each; `rows` gets what is known of every cell, by column."""
+    for key, parts in itertools.groupby(exact.solved(owned.cells, "std", POINTS), key=lambda m: m.planned.cell.key):
         frames: list[dict[str, Any]] = []
         for m in parts:
-            rows += exact.rows(m)
-            frames += exact.over_time(m, max(1, m.planned.cell.times.ticks // POINTS))
+            mine = list(exact.rows(m))
+            for name in columns.stats_order(columns.axes_of(mine[0])):
+                rows.setdefault(name, []).extend([row[name] for row in mine])
+            frames += exact.over_time(m, POINTS)
         if frames:
             yield place(*key), columns.table({name: _column([f[name] for f in frames]) for name in frames[0]})
         progress.step(1)
@@ -75,7 +81,13 @@ def _column(parts: list[Any]) -> Any:
     """One column of several parts; of words each part is one word."""
     if parts[0].dtype != object:
         return np.concatenate(parts)
-    return columns.words([part[0] for part in parts], np.repeat(np.arange(len(parts)), [len(part) for part in parts]))
+    return _words(tuple(part[0] for part in parts), tuple(len(part) for part in parts))
+
+
+@lru_cache(16)
+def _words(known: tuple[str, ...], often: tuple[int, ...]) -> pa.Array:
+    """Words, each so often in turn: cells of a study have the same."""
+    return columns.words(known, np.repeat(np.arange(len(known)), often))
 
 
 def _put(target: store.Target, files: Iterator[tuple[str, pa.Table]]) -> None:
@@ -96,12 +108,34 @@ def whole(target: store.Target) -> pa.Table | None:
     return None if content is None else parquet.whole(content)
 
 
-def rows_by_cell(target: store.Target) -> dict[tuple[str, int], list[Row]]:
+class RowsByCell:
+    """The exact rows of a dataset by cell, made when they are asked for: all at once, those of a large study are gigabytes."""
+
+    def __init__(self, table: pa.Table | None) -> None:
+        """Find out where each cell's rows stand."""
+        self.table, self.places = table, dict[tuple[str, int], list[tuple[int, int]]]()
+        if table is None or not len(table):
+            return
+        names, cells = (table.column(name).combine_chunks() for name in ("scenario", "cell"))
+        codes, numbers = names.dictionary_encode().indices.to_numpy(), cells.to_numpy()
+        new = np.flatnonzero((np.diff(codes) != 0) | (np.diff(numbers) != 0)) + 1
+        for start, stop in itertools.pairwise([0, *new.tolist(), len(table)]):
+            self.places.setdefault((names[start].as_py(), int(numbers[start])), []).append((start, stop))
+
+    def __contains__(self, key: tuple[str, int]) -> bool:
+        """Return whether a cell has any."""
+        return key in self.places
+
+    def get(self, key: tuple[str, int]) -> list[Row]:
+        """Return the rows of a cell; none where it has none."""
+        if self.table is None:
+            return []
+        return [row for start, stop in self.places.get(key, ()) for row in self.table[start:stop].to_pylist()]
+
+
+def rows_by_cell(target: store.Target) -> RowsByCell:
     """Return the exact rows of a dataset by cell."""
-    there, out = whole(target), dict[tuple[str, int], list[Row]]()
-    for row in there.to_pylist() if there is not None else []:
-        out.setdefault((row["scenario"], row["cell"]), []).append(row)
-    return out
+    return RowsByCell(whole(target))
 
 
 def simulated(target: store.Target, owned: Owned) -> Owned:
@@ -111,12 +145,9 @@ def simulated(target: store.Target, owned: Owned) -> Owned:
         return owned
     if method == "exact":
         return owned._replace(cells=[])
-    exact = {
-        (*key, row["observer"])
-        for key, rows in rows_by_cell(target).items()
-        for row in rows
-        if row["method"] == "exact"
-    }
+    there = whole(target)
+    rows = there.select(["scenario", "cell", "observer", "method"]).to_pylist() if there is not None else []
+    exact = {(row["scenario"], row["cell"], row["observer"]) for row in rows if row["method"] == "exact"}
     cells = [
         c._replace(options={o: given for o, given in c.options.items() if (*c.key, o) not in exact})
         for c in owned.cells

@@ -140,11 +140,11 @@ class Closing:
     def _with_runs(self, one: tuple[Cell, cell_rows.Found]) -> tuple[Any, tuple[Cell, cell_rows.Found, Any]]:
         """A cell with its runs and their kind, by which it is put together with others; None where it is not."""
         cell, found = one
-        runs = cell_rows.few(self.target, cell, found) if found and not self.exact.get(cell.key) else None
+        runs = cell_rows.few(self.target, cell, found) if found and cell.key not in self.exact else None
         return runs and cell_rows.kind(runs), (cell, found, runs)
 
     def _add_one(self, cell: Cell, found: cell_rows.Found) -> None:
-        known = self.exact.get(cell.key, [])
+        known = self.exact.get(cell.key)
         if not known:
             if found:
                 self._put(cell, *cell_rows.rows_of(self.target, self.owned.study.name, cell, found))

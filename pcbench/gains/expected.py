@@ -46,8 +46,8 @@ def check(aim: Objective, p: Plan, where: str) -> Realised:
     one = slopes.single(p)
     if one is None:
         raise UserError(
-            f"{where}: exact: got runs with schedules or plants of their own, expected what all runs share: exact numbers are "
-            f"known schedule by schedule only; {INSTEAD}."
+            f"{where}: exact: got runs with schedules or plants of their own, expected what all runs share, as a gradient "
+            f"is of one schedule; {INSTEAD}."
         )
     if aim.metric in SIZES and (one.layout.scattered or one.chance < 1):
         raise UserError(

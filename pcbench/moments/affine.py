@@ -40,11 +40,12 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
             f"observer is off by less than {ROUNDING:.0e}; {instead}."
         )
     bound = np.asarray(p.problem.bound)[: len(reach)]
-    far = ~(reach <= bound)
-    if far.any():
-        i = int(np.argmax(far))
+    beyond = ~(reach <= bound)
+    if beyond.any():
+        i = int(np.argmax(beyond))
+        far = f"reaches {reach[i]:.3g}" if np.isfinite(reach[i]) else "grows beyond what a number can hold"
         return (
-            f"{where} may leave its bound: {names[i]} reaches {reach[i]:.3g} within six standard deviations, expected at most "
+            f"{where} may leave its bound: {names[i]} {far} within six standard deviations, expected at most "
             f"{bound[i]:.3g}, beyond which a run counts as diverged; {instead}."
         )
     return ""

@@ -12,7 +12,7 @@ from pcbench.moments.given import Given, own_of, together
 from pcbench.moments.merging import mix_of
 from pcbench.moments.program import Found, Shape
 from pcbench.moments.realised import Realised
-from pcbench.moments.vector import form_of
+from pcbench.moments.vector import WRITTEN_OUT, form_of
 from pcbench.simulation import batch, compiling, kept_programs
 from pcbench.simulation.problem import Layout
 from pcbench.simulation.schedule import shared
@@ -52,7 +52,9 @@ def _program(layout: Layout, one: Realised, own: tuple[bool, ...], width: int, r
         waiting = _MADE.setdefault(key, Making())
     with waiting.lock:  # the second thread to ask waits for the first one's program; another is made beside it
         if waiting.made is None:
-            waiting.made = _compiled(layout, Shape(width, form_of(layout, one.problem), own, recorded), given)
+            form = form_of(layout, one.problem)
+            written = width == MANY and not form.flight and form.many <= WRITTEN_OUT
+            waiting.made = _compiled(layout, Shape(width, form, own, recorded, written), given)
         return waiting.made
 
 

@@ -16,7 +16,12 @@ class Asked(NamedTuple):
 
     root_seed: int
     schedules: int  # realisations of a random cell: those of the first seeds
-    recorded: str = ""  # nothing, "std" or "covariance" at every tick
+    recorded: str = ""  # nothing, "std" or "covariance" over time
+    points: int = 0  # at so many ticks, about; 0: at every tick
+
+    def every(self, ticks: int) -> int:
+        """Return how many ticks apart those are that are recorded, of a cell of so many."""
+        return max(1, ticks // self.points) if self.points else 1
 
 
 class Item(NamedTuple):

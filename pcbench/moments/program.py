@@ -20,7 +20,7 @@ from pcbench.moments.events import Means, Moving, happen, sense, taken
 from pcbench.moments.given import SCALES, Given
 from pcbench.moments.start import begin
 from pcbench.moments.sums import Read, Seen
-from pcbench.moments.vector import Form, along, over_cells, slope, vector
+from pcbench.moments.vector import Form, along, over_cells, slope, steady, vector
 from pcbench.simulation import network, steps
 from pcbench.simulation.closed_loop import held, off_target
 from pcbench.simulation.problem import Layout, State
@@ -35,6 +35,7 @@ class Shape(NamedTuple):
     form: Form
     own: tuple[bool, ...]  # which arrays of the problem are each cell's own
     recorded: str = ""  # nothing, "std" or COVARIANCE at every tick
+    written: bool = False  # whether functions of a state are written out entry by entry
 
 
 class Recorded(NamedTuple):
@@ -57,7 +58,7 @@ class Tick(NamedTuple):
     """The matrix of a tick, and what shows whether it is still that."""
 
     matrix: Array  # [A + V, A + w, C]
-    shown: Array  # [A + V, C]
+    shown: Any  # [A + V, C]; (): it is the same at every tick
 
 
 class Carried(NamedTuple):
@@ -81,7 +82,7 @@ def run(layout: Layout, shape: Shape, given: Given) -> Found:
     by = Means(
         layout=layout,
         form=shape.form,
-        over=over_cells(p, shape.own),
+        over=over_cells(p, shape.own, shape.cells, shape.written),
         plan=given.plan,
         std=std,
         chance=given.chance,
@@ -103,37 +104,52 @@ def run(layout: Layout, shape: Shape, given: Given) -> Found:
 
 def _tick(by: Means, shape: Shape, given: Given, k: Array, c: Carried) -> Carried:
     """Estimate, control and flow: one tick of all cells, and what is kept of it."""
-    m, p, form, layout = c.moving, given.problem, by.form, by.layout
-    A, late, w = m.P.shape[0], (), given.ticks[k]
+    m, p, layout = c.moving, given.problem, by.layout
+    late, w = (), given.ticks[k]
     late = tuple(each[k // p.network.every] for each in given.network) if layout.pending else ()
     none = jnp.zeros((w.shape[1], shape.cells))
-    one = partial(_one, layout)
     mean = jax.tree.map(lambda a: a[0], m.runs)
-    A = c.tick.matrix.shape[1] - w.shape[1]
     entering = jnp.concatenate([none[None], jnp.broadcast_to(w[:, :, None], (len(w), *none.shape))])
-    mark = jnp.broadcast_to(_mark(A + w.shape[1])[:, None], (A + w.shape[1], shape.cells))
-
-    def each(state: State, entering: Array) -> Any:
-        return by.over(along(form, one))(k, state, entering, late, mark[:A], mark[A:])
-
-    (runs, seen), tangent = jax.vmap(each)(m.runs, entering)
-    shown = jax.vmap(partial(_flat, form), -1, -1)(jax.tree.map(lambda a: a[0], tangent))
-    M = lax.cond(
-        jnp.any(shown != c.tick.shown),
-        lambda: by.over(slope(form, one, partial(_flat, form)))(k, mean, none, late),
-        lambda: c.tick.matrix,
-    )
+    runs, seen, tick = _flown(by, k, m.runs, entering, late, c.tick)
     joint = shape.recorded == COVARIANCE or layout.consistency
-    m, read = _moved(joint, m._replace(runs=runs), M, seen, w)
+    m, read = _moved(joint, m._replace(runs=runs), tick.matrix, seen, w)
     tail, end = p.windows[0, 1], p.windows[-1, 1]
     weight = jnp.stack([k < end, (k < end) & (k >= tail)]) * 1.0
     return Carried(
         m,
-        Tick(M, shown),
+        tick,
         sums_of.added(c.sums, read, weight, p.weights),
         _record(c.rows, k, read) if shape.recorded else (),
         last_tick.kept(by, k, k == end - 1, mean, read, c.last) if layout.consistency else (),
     )
+
+
+def _flown(by: Means, k: Array, runs: State, entering: Array, late: Any, tick: Tick) -> tuple[State, Seen, Tick]:
+    """Return the runs after a tick, what is seen of them, and the matrix of the tick."""
+    form, one = by.form, partial(_one, by.layout)
+    if isinstance(tick.shown, tuple):
+        found, seen = jax.vmap(lambda state, entering: by.over(one)(k, state, entering, late))(runs, entering)
+        return found, seen, tick
+    many, cells = tick.matrix.shape[1:]
+    A = many - entering.shape[1]
+    mark = jnp.broadcast_to(_mark(many)[:, None], (many, cells))
+
+    def each(state: State, entering: Array) -> Any:
+        return by.over(along(form, one))(k, state, entering, late, mark[:A], mark[A:])
+
+    (found, seen), tangent = jax.vmap(each)(runs, entering)
+    shown = jax.vmap(partial(_flat, form), -1, -1)(jax.tree.map(lambda a: a[0], tangent))
+    M = lax.cond(
+        jnp.any(shown != tick.shown),
+        lambda: _matrix(by)(k, jax.tree.map(lambda a: a[0], runs), entering[0], late),
+        lambda: tick.matrix,
+    )
+    return found, seen, Tick(M, shown)
+
+
+def _matrix(by: Means) -> Any:
+    """The function that gives the matrix of a tick: (k, mean, no noise, late) -> [A + V, A + w, C]."""
+    return by.over(slope(by.form, partial(_one, by.layout), partial(_flat, by.form)))
 
 
 def _moved(joint: bool, m: Moving, M: Array, seen: Seen, w: Array) -> tuple[Moving, Read]:
@@ -210,7 +226,11 @@ def _begin(by: Means, shape: Shape, given: Given) -> Carried:
         m = taken(by, zero, m, here[:, :, None] & there[None, None])
     late = tuple(each[0] for each in given.network) if layout.pending else ()
     shown, seen = _shapes(by, given, runs, late)
-    tick = Tick(jnp.zeros((A + shown, A + given.ticks.shape[2], cells)), jnp.full((A + shown, cells), jnp.nan))
+    none = jnp.zeros((given.ticks.shape[2], cells))
+    if steady(p, shape.own, slope(form, partial(_one, layout), partial(_flat, form)), mean, none, late):
+        tick = Tick(_matrix(by)(zero, mean, none, late), ())
+    else:
+        tick = Tick(jnp.zeros((A + shown, A + len(none), cells)), jnp.full((A + shown, cells), jnp.nan))
     targets = seen.off.shape[0] if layout.controller else None
     sums, recorded = sums_of.nothing(len(seen.errors), targets, cells), _rows(shape, len(seen.errors), given)
     return Carried(m, tick, sums, recorded, last_tick.nothing(by, mean, len(seen.errors)) if layout.consistency else ())

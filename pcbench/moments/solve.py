@@ -20,7 +20,7 @@ from pcbench.moments.given import shared_of
 from pcbench.moments.items import Asked, Item
 from pcbench.moments.modes import delays_alone
 from pcbench.moments.program import Found
-from pcbench.moments.realised import losses_alone, realised
+from pcbench.moments.realised import Realised, losses_alone, realised
 from pcbench.moments.sums import Sums, nothing
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
@@ -79,7 +79,7 @@ def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
     parts: dict[int, list[Part]] = {}
     done, unlike = 0, set[Hashable]()
     with ThreadPoolExecutor(batch.cores()) as pool:
-        for items, found in _computed(pool, _batches(plans, asked, unlike), asked.recorded):
+        for items, found in _computed(pool, _batches(plans, asked, unlike), asked):
             for at, item in enumerate(items):
                 parts.setdefault(item.cell, []).append(Part(item, jax.tree.map(lambda a, at=at: a[..., at], found)))
             while done in parts and len(parts[done]) == parts[done][0].item.many:
@@ -104,7 +104,7 @@ def _averaged(item: Item, asked: Asked) -> list[Part]:
     out: list[Part] = []
     for first in range(0, len(drawn), MANY):
         ones = drawn[first : first + MANY]
-        found = computed(ones, asked.recorded)
+        found = _kept(ones, asked)
         for at, one in enumerate(ones):
             mine = item._replace(place=first + at, many=len(drawn), random=True, one=one, whole=None)
             out.append(Part(mine, jax.tree.map(lambda a, at=at: a[..., at], found)))
@@ -146,18 +146,32 @@ def _due(groups: dict[Hashable, list[Item]], number: int) -> Hashable | None:
 
 
 def _computed(
-    pool: ThreadPoolExecutor, batches: Iterable[list[Item]], recorded: str
+    pool: ThreadPoolExecutor, batches: Iterable[list[Item]], asked: Asked
 ) -> Iterator[tuple[list[Item], Found]]:
     """Yield batches in their order with what they left, some under way at a time."""
     waiting: list[tuple[list[Item], Future[Found]]] = []
     for items in batches:
-        work = (_refused, items[0]) if items[0].bend else (computed, [item.one for item in items], recorded)
+        work = (_refused, items[0]) if items[0].bend else (_kept, [item.one for item in items], asked)
         waiting.append((items, pool.submit(batch.in_float64, *work)))
         if len(waiting) > 2 * batch.cores():
             first, future = waiting.pop(0)
             yield first, future.result()
     for items, future in waiting:
         yield items, future.result()
+
+
+def _kept(ones: list[Realised], asked: Asked) -> Found:
+    """Compute a batch, and of what is recorded keep what is asked for: cells are read one by one, and first."""
+    found = computed(ones, asked.recorded)
+    if not found.rows:
+        return found
+    every = asked.every(found.rows.mean.shape[0] - 1)
+    return found._replace(rows=jax.tree.map(lambda a: _cells_first(a[::every]), found.rows))
+
+
+def _cells_first(a: Any) -> Any:
+    """The same array [..., C], with each cell's numbers together in memory."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(a, -1, 0)), 0, -1)
 
 
 def _refused(item: Item) -> Found:

@@ -14,9 +14,14 @@ import jax.numpy as jnp
 from jax import Array
 
 from pcbench.simulation import start
-from pcbench.simulation.lanes import is_lanes
+from pcbench.simulation.lanes import entrywise, is_lanes, join, split
+from pcbench.simulation.lifted.reach import reach
 from pcbench.simulation.problem import Layout, Problem, State
 
+WRITTEN_OUT = (
+    16  # numbers of a state up to which functions of many cells are written out entry by entry: half the time, but
+)
+# three times as long to compile
 OneCell = Callable[..., Any]  # (problem, tick, state, what else enters linearly, the rest) -> a vector
 
 
@@ -25,21 +30,29 @@ class Form(NamedTuple):
 
     moving: tuple[bool, ...]  # leaves of a state that noise reaches
     flight: bool  # whether it reaches what is on the network, besides the noise of the samples themselves
+    many: int  # numbers of a state
 
 
 def form_of(layout: Layout, problem: Problem) -> Form:
     """Return what noise reaches."""
     begun = _begun(layout, problem)
     notes = any(is_lanes(each) for each in begun.flight.notes.values())
-    return Form(tuple(kind == "moves" for kind in forms(layout, problem)), is_lanes(begun.x) or notes)
+    moving, flight = tuple(kind == "moves" for kind in forms(layout, problem)), is_lanes(begun.x) or notes
+    many = sum(a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in _bare(begun))
+    return Form(moving, flight, many)
 
 
 def forms(layout: Layout, problem: Problem) -> tuple[str, ...]:
     """Return of each leaf of a state whether it moves with the noise, is the same in all runs, or differs in another way."""
-    bare = _begun(layout, problem)._replace(drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=())
-    leaves = jax.tree.leaves(bare, is_leaf=is_lanes)
+    leaves = _bare(_begun(layout, problem))
     floats = [jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
     return tuple("same" if not is_lanes(a) else "moves" if f else "other" for a, f in zip(leaves, floats, strict=True))
+
+
+def _bare(begun: Any) -> list[Any]:
+    """The arrays of a state that moments have, those that differ between runs as entries."""
+    bare = begun._replace(drawn=(), flight=(), streams={}, watches={}, tracking=(), effort=())
+    return jax.tree.leaves(bare, is_leaf=is_lanes)
 
 
 def _begun(layout: Layout, problem: Problem) -> Any:
@@ -96,14 +109,48 @@ def slope(form: Form, f: OneCell, flat: Callable[[Any], Array]) -> OneCell:
     return matrix
 
 
-def over_cells(p: Any, own: tuple[bool, ...]) -> Callable[[OneCell], Callable[..., Any]]:
-    """Return what carries a function of one cell over cells, on the last axis; each has its own of the arrays `own` of p."""
+def steady(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> bool:
+    """Return whether a function over cells gives the same at every tick and in every state: whether it reads p alone.
+
+    `each` is what it is given besides p and the tick, for all cells.
+    """
+    leaves, tree = jax.tree.flatten(p)
+    alone = [_alone(a) if mine else a for a, mine in zip(leaves, own, strict=True)]
+    found, _ = reach(f, jax.tree.unflatten(tree, alone), jax.ShapeDtypeStruct((), int), *jax.tree.map(_alone, each))
+    return not found or max(found) < len(leaves)
+
+
+def _alone(a: Any) -> Any:
+    """The shape of one cell's array."""
+    return jax.ShapeDtypeStruct(a.shape[:-1], a.dtype)
+
+
+def over_cells(p: Any, own: tuple[bool, ...], cells: int, written: bool) -> Callable[[OneCell], Callable[..., Any]]:
+    """Return what carries a function of one cell over cells, on the last axis; each has its own of the arrays `own` of p.
+
+    Functions that are `written` out, entry by entry, leave the compiled loop nothing to transpose.
+    """
     axes = jax.tree.unflatten(jax.tree.structure(p), [-1 if mine else None for mine in own])
+    parted = jax.tree.map(lambda a, axis: a if axis is None else split(a), p, axes) if written else ()
 
     def over(f: OneCell) -> Callable[..., Any]:
+        def by_entries(k: Any, *each: Any) -> Any:
+            found = entrywise.over(f)(parted, k, *jax.tree.map(_entries, each))
+            return jax.tree.map(partial(_joined, cells), found, is_leaf=is_lanes)
+
         def mapped(k: Any, *each: Any) -> Any:
             return jax.vmap(f, (axes, None, *(-1 for _ in each)), -1)(p, k, *each)
 
-        return mapped
+        return by_entries if written else mapped
 
     return over
+
+
+def _entries(a: Any) -> Any:
+    """An array [..., C] as its entries; one cell's empty one."""
+    return split(a) if a.size else jnp.zeros(a.shape[:-1], a.dtype)
+
+
+def _joined(cells: int, a: Any) -> Array:
+    """An array [..., C] again, of what is the same in all cells too."""
+    return join(a) if is_lanes(a) else jnp.broadcast_to(jnp.asarray(a)[..., None], (*jnp.shape(a), cells))

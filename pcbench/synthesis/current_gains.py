@@ -52,7 +52,7 @@ def find(
         L, certificate = at_the_mean(method, given, Phi, Q, C, R, mean.seconds, where)
         if maps is not None or decay:
             certificate = _over(L, C, maps or mean, decay or 0.0, where)
-    X = ahead @ error_bounds.covariance(error_bounds.errors(L, C, Phi), L @ R @ L.T) @ ahead.T
+    X = ahead @ covariance(error_bounds.errors(L, C, Phi), L @ R @ L.T) @ ahead.T
     numbers: dict[str, Any] = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
 
@@ -83,6 +83,7 @@ def _at_the_mean(
 
 
 at_the_mean = Again(_at_the_mean)  # no delay is among what it is given, and cells differ in that first
+covariance = Again(error_bounds.covariance)
 
 
 def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certificate:

@@ -222,8 +222,9 @@ def _after(
 def _flow(steps: Steps, doubled: Matrix, noise: Matrix, many: int) -> tuple[Matrix, Matrix]:
     """The maps over 0, 1 ... ticks and what noise adds over them, [many, n, n] each."""
     if not steps.flow or len(steps.flow["maps"]) < many:
+        room = 1 << (many - 1).bit_length()  # so that it is not done again for each delay that is a little longer
         maps, added = [np.eye(len(doubled[0]))], [np.zeros_like(doubled[0])]
-        for _ in range(many - 1):
+        for _ in range(room - 1):
             maps.append(doubled[0] @ maps[-1])
             added.append(doubled[0] @ added[-1] @ doubled[0].T + noise[0])
         steps.flow.update(maps=np.stack(maps), noise=np.stack(added))

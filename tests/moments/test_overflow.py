@@ -31,6 +31,9 @@ def found(options, *observers):
 def test_an_observer_that_overflows_leaves_the_others_as_they_are():
     alone, both = found({}, "dkf", "open-loop"), found({"nudge": {"share": 1e11}}, "dkf", WILD, "open-loop")
     assert np.isnan(both["nudge", "mse"]), "there, with its reason"
+    stats = pcbench.exact(study({"nudge": {"share": 1e11}}, WILD)).stats
+    (reason,) = stats[stats["metric"] == "mse"]["reason"]
+    assert "a grows beyond what a number can hold within six" in reason, "no number is nan"
     for name in ("dkf", "open-loop"):  # before it and behind it
         assert np.isfinite(alone[name, "tail_mse"])
         np.testing.assert_allclose(both[name], alone[name], rtol=1e-12)

@@ -194,11 +194,13 @@ def in_flight(plan: Schedule) -> int:
 
 def _written_over(plan: Schedule, noted: Ints) -> Iterator[tuple[int, int]]:
     """Yield the newest packet that is still to arrive when an older one is noted, whose stamp is later; and that older one."""
+    newest = np.append(-1, np.maximum.accumulate(noted.max(1))[:-1])[:, None]
+    older = (noted >= 0) & (noted < newest)
+    if not older.any():
+        return
     first, last = (np.full(len(plan.sense) + len(plan.early), fill) for fill in (NEVER, -1))
     np.maximum.at(last, plan.arrive[plan.arrive >= 0], np.nonzero(plan.arrive >= 0)[0])
     np.minimum.at(first, noted[noted >= 0], np.nonzero(noted >= 0)[0])
-    newest = np.append(-1, np.maximum.accumulate(noted.max(1))[:-1])[:, None]
-    older = (noted >= 0) & (noted < newest)
     for k, number in zip(np.nonzero(older)[0], noted[older], strict=True):
         kept = np.flatnonzero((first < k) & (last >= k))
         if kept.size and kept[-1] > number:
@@ -207,17 +209,23 @@ def _written_over(plan: Schedule, noted: Ints) -> Iterator[tuple[int, int]]:
 
 def pad_early(plan: Schedule, packets: int) -> Schedule:
     """Add packets from before tick 0 that nothing reads, so that schedules of one study share a shape."""
+    if packets == len(plan.early):
+        return plan
     return plan._replace(early=np.pad(plan.early, [(0, packets - len(plan.early)), (0, 0)], constant_values=-1))
 
 
 def pad_notes(plan: Schedule, many: int) -> Schedule:
     """Add room for notes of one tick, so that schedules of one study share a shape."""
+    if many == plan.also.shape[1]:
+        return plan
     return plan._replace(also=np.pad(plan.also, [(0, 0), (0, many - plan.also.shape[1])], constant_values=-1))
 
 
 def pad_slots(plan: Schedule, slots: int) -> Schedule:
     """Add empty arrival slots so that schedules of one study share a shape."""
     more = slots - plan.arrive.shape[1]
+    if not more:
+        return plan
 
     def wider(x: NDArray, fill: int) -> NDArray:
         return np.pad(x, [(0, 0), (0, more)] + [(0, 0)] * (x.ndim - 2), constant_values=fill)

@@ -1,0 +1,43 @@
+"""Cells that go through a program side by side, their functions written out entry by entry: the numbers of one alone."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import pcbench
+from pcbench.moments import compiled
+from pcbench.moments.vector import steady
+
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
+STUDY = {
+    "name": "many",
+    "scenarios": {"mine": {"base": "cart/gaussian", "horizon": 2.0, "tail": 1.0}},
+    "axes": {"noise_std": [0.1 * i for i in range(1, compiled.FEW + 2)]},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("observer", "drift"), [("pccebo", 0.0), ("kfbo", 1.0), ("dkf", 1.0)])
+def test_of_many_cells_each_has_the_numbers_that_it_has_alone(observer, drift):
+    fast = {"sampling_period": [0.2], "delay": [0.1], "drift": [drift]}
+    study = STUDY | {"observers": [observer], "axes": STUDY["axes"] | fast}
+    many, over_time = pcbench.exact(study), pcbench.exact(study).moments()
+    assert many.stats["method"].ne("none").any()
+    noises = study["axes"]["noise_std"]
+    for cell in (0, len(noises) - 1):
+        one = pcbench.exact(study | {"axes": study["axes"] | {"noise_std": [noises[cell]]}})
+        mine = many.stats.query("cell == @cell").reset_index(drop=True)
+        np.testing.assert_allclose(mine["mean"], one.stats["mean"], rtol=1e-10, atol=1e-14)
+        seen = over_time.query("cell == @cell").reset_index(drop=True)
+        alone = one.moments()
+        for column in ("mean", "std"):
+            np.testing.assert_allclose(seen[column], alone[column], rtol=1e-10, atol=1e-14)
+
+
+def test_a_matrix_is_the_same_at_every_tick_where_it_reads_neither_the_tick_nor_the_state():
+    p = {"own": jnp.ones((2, 3)), "common": jnp.ones((4, 2))}
+    state, own = jnp.ones((2, 3)), (False, True)  # leaves in the order of their names
+    assert steady(p, own, lambda p, k, state: p["own"] * p["common"][0], state)
+    assert not steady(p, own, lambda p, k, state: p["own"] * p["common"][k], state), "it looks numbers up by the tick"
+    assert not steady(p, own, lambda p, k, state: p["own"] * state, state)
