@@ -244,9 +244,3 @@ def distributed(part: pd.DataFrame) -> bool:
     """Say whether the runs of a frame of stats differ from one another at all: whether there is something distributed."""
     spread = (part.p95 - part.p05).abs() > ALIKE * part.p95.abs()
     return bool((spread & (part.n > 1)).any())
-
-
-def with_ends(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table `fair` with the ends `low` and `high` of the 95 % intervals of what is held out."""
-    half = 1.96 * table.held_out_se
-    return table.assign(low=table.held_out - half, high=table.held_out + half)
