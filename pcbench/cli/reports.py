@@ -44,6 +44,10 @@ def report(
     statistics.compared(metric, "--metric")
     if below is not None and not below > 0:
         raise UserError(f"--below: got {below:g}, expected a positive limit of {metric}; write --below 0.05.")
+    if file is not None and figures is not None:
+        raise UserError(
+            f"--out: got {file} beside --figures {figures}, expected the page or its pictures; leave one out."
+        )
     where = f"{folder.rstrip('/')}/report.html" if file is None else file
     shown = Shown(metric=metric, signals=chosen(signal), cell=cell, seed=seed, below=below)
     with process.float64(), bar(quiet) as drawn:

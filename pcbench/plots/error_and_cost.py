@@ -5,11 +5,11 @@ from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import unknown
-from pcbench.plots import scales
+from pcbench.plots import frames, scales
 from pcbench.plots.palette import styles
 from pcbench.plots.paper import PAPER, Paper, drawn_on
 from pcbench.plots.sheet import Key, Panel, sheet
-from pcbench.plots.words import title_of
+from pcbench.plots.words import about, title_of
 
 WORDS = {
     "sample": "multiplications of a sample",
@@ -35,9 +35,8 @@ def cost(
     """
     if by not in WORDS:
         raise unknown("cost", "cost", by, WORDS)
-    stats = result.stats[(result.stats.metric == metric) & (result.stats.cell == cell)]
-    first = stats[stats.scenario == (scenario or stats.scenario.iloc[0])].iloc[0]
-    chosen = stats[(stats.signal == (signal or first.signal)) & (stats.scenario == first.scenario)]
+    whole = frames.rows(result, scenario, signal, metric)
+    chosen = whole[whole.cell == cell]
     both = chosen.merge(costs[["scenario", "cell", "observer", *WORDS]], on=["scenario", "cell", "observer"])
     both = both[both[by] > 0]  # what costs nothing has no place on a scale of factors
     look, row = styles(both.observer), chosen.iloc[0]
@@ -45,7 +44,7 @@ def cost(
     y = scales.of(both[["mean", "ci_low", "ci_high"]], scales.is_wide(both["mean"]), margin=0.12)
     panel = Panel(x, y, WORDS[by], title_of(metric, row.signal, row.unit))
     keys = [Key(o, look[o], "points", 0.0) for o in both.observer]
-    figure, (ax,) = sheet(paper, f"{row.scenario}, cell {cell}", [panel], keys)
+    figure, (ax,) = sheet(paper, about(result, chosen, frames.values_at(whole, cell)), [panel], keys)
     with drawn_on(paper):
         for one in both.to_dict("records"):
             style = look[one["observer"]]

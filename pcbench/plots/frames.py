@@ -216,10 +216,15 @@ def _standings(result: Result, scenario: str, signal: str, metric: str) -> pd.Da
 
 
 def telling(result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC) -> int:
-    """Return the number of the cell that tells most: where a sure winner is farthest ahead of the second; else the first."""
+    """Return the number of the cell that tells most: where a sure winner is farthest ahead of the second.
+
+    Where nobody surely wins anywhere, as among those that are one filter to rounding: where the most are surely worse than the
+    best. The first of several.
+    """
     found = standings(result, scenario, signal, metric)
     ahead = np.where(found.winner != "", np.nan_to_num(found.factor, nan=1.0, posinf=1.0), 1.0)
-    return int(found.cell.iloc[int(np.argmax(ahead))])
+    tells = ahead if (found.winner != "").any() else -found.alike.map(len)
+    return int(found.cell.iloc[int(np.argmax(tells))])
 
 
 def map_axes(part: pd.DataFrame) -> tuple[str, str]:
@@ -239,9 +244,3 @@ def distributed(part: pd.DataFrame) -> bool:
     """Say whether the runs of a frame of stats differ from one another at all: whether there is something distributed."""
     spread = (part.p95 - part.p05).abs() > ALIKE * part.p95.abs()
     return bool((spread & (part.n > 1)).any())
-
-
-def with_ends(table: pd.DataFrame) -> pd.DataFrame:
-    """Return the table `fair` with the ends `low` and `high` of the 95 % intervals of what is held out."""
-    half = 1.96 * table.held_out_se
-    return table.assign(low=table.held_out - half, high=table.held_out + half)

@@ -5,7 +5,7 @@ from matplotlib.figure import Figure
 
 from pcbench.dataset.result import Result
 from pcbench.errors import UserError, unknown
-from pcbench.plots import frames, scales
+from pcbench.plots import scales
 from pcbench.plots.palette import COLOURS, SOFT, Style, styles
 from pcbench.plots.paper import PAPER, Paper, drawn_on
 from pcbench.plots.sheet import Key, Panel, sheet
@@ -24,7 +24,7 @@ def fair(result: Result, *, cell: int = 0, paper: Paper = PAPER) -> Figure:
         raise UserError(
             f"study {result.study.name}: got no table fair, expected a study with several tunings; run fair."
         )
-    table = frames.with_ends(result.fair[result.fair.cell == cell])
+    table = with_ends(result.fair[result.fair.cell == cell])
     names = list(dict.fromkeys(table.observer))
     look, first = styles(names), table.iloc[0]
     shown = table[["held_out", "low", "high", "training"]].to_numpy()
@@ -70,3 +70,9 @@ def trade_off(
             ax.annotate(scales.word(row[option]), (row[x], row[cost]), textcoords="offset points",
                         xytext=(-5 if right else 5, 3), ha="right" if right else "left", fontsize=paper.size - 1)  # fmt: skip
     return figure
+
+
+def with_ends(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the table `fair` with the ends `low` and `high` of the 95 % intervals of what is held out."""
+    half = 1.96 * table.held_out_se
+    return table.assign(low=table.held_out - half, high=table.held_out + half)

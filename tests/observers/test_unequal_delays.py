@@ -131,12 +131,12 @@ def test_the_worked_stationary_errors_come_out_by_monte_carlo_and_in_the_worked_
     """Riccati chains forget their start slowly: the tail is read from sample 200 on. Four standard errors."""
     s = SCENARIOS["csth/10s-noise"]
     labels = dict(s.options) | {"chain-updated": {"gain": "riccati"}, "chain-companion": {"gain": "companion"}}
-    SCENARIOS["late"] = s.having(name="late", tail=2000.0, options=labels)
+    SCENARIOS["csth/tail"] = s.having(name="csth/tail", tail=2000.0, options=labels)
     names = [*SD, "chain-companion", "equal-delay", "dkf"]
     try:
-        stats = pcbench.run("late", observers=names, seeds=512).stats
+        stats = pcbench.run("csth/tail", observers=names, seeds=512).stats
     finally:
-        del SCENARIOS["late"]
+        del SCENARIOS["csth/tail"]
     rows = stats[stats.metric == "tail_pooled_rmse"].set_index(["observer", "signal"])
     for label, values in SD.items():
         for signal, want in zip(chain.STATES, values, strict=True):

@@ -70,8 +70,16 @@ def test_a_loop_over_what_is_remembered_goes_round_as_at_the_end_of_a_run():
     assert products(0.3, 0.3) - least == 100 * (9 + 3 + 54)
 
 
-def test_error_against_cost_has_a_point_for_every_observer_that_costs():
-    row = {"scenario": "cart/white", "cell": 0, "signal": "position", "unit": "m", "metric": "tail_rmse"}
+def result_of(stats):
+    """As much of a result as the picture asks for."""
+    of = SimpleNamespace(stats=stats.assign(n=8, diverged=0, p50=0.0), scenarios=list(dict.fromkeys(stats.scenario)))
+    of.signals, of.ranks = lambda scenario: list(dict.fromkeys(stats.signal)), lambda metric: metric
+    of.stats_of = lambda scenario, signal: of.stats[(of.stats.scenario == scenario) & (of.stats.signal == signal)]
+    return of
+
+
+def test_error_against_cost_has_a_point_for_every_observer_that_costs_and_says_where_it_is():
+    row = {"scenario": "cart/white", "cell": 0, "signal": "position", "unit": "m", "metric": "tail_rmse", "delay": 0.1}
     stats = pd.DataFrame(
         [
             row | {"observer": o, "mean": m, "ci_low": m - 0.1, "ci_high": m + 0.1}
@@ -79,8 +87,10 @@ def test_error_against_cost_has_a_point_for_every_observer_that_costs():
         ]
     )
     costs = stats[["scenario", "cell", "observer"]].assign(sample=[60, 55, 0], tick=[10, 10, 6], memory=[100, 100, 16])
-    result = SimpleNamespace(stats=stats)
-    (ax,) = plots.cost(result, costs).axes
+    result = result_of(pd.concat([stats, stats.assign(cell=1, delay=0.8)]))
+    figure = plots.cost(result, costs, signal="position")
+    assert "cart/white, delay 0.1 s, 8 runs" in {text.get_text().replace("\u00a0", " ") for text in figure.texts}
+    (ax,) = figure.axes
     points = [tuple(map(float, each.get_offsets()[0])) for each in ax.collections if len(each.get_offsets()) == 1]
     assert (60.0, 1.0) in points
     assert (55.0, 2.0) in points
@@ -98,7 +108,7 @@ def test_error_against_cost_is_of_the_scenario_that_is_asked_for():
     ]  # fmt: skip
     stats = pd.DataFrame(rows)
     costs = stats[["scenario", "cell", "observer"]].assign(sample=60, tick=10, memory=100)
-    (ax,) = plots.cost(SimpleNamespace(stats=stats), costs, scenario="two").axes
+    (ax,) = plots.cost(result_of(stats), costs, scenario="two", signal="a").axes
     points = [each.get_offsets() for each in ax.collections if isinstance(each, PathCollection)]
     assert {float(each[0][1]) for each in points} == {5.0}
 

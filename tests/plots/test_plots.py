@@ -104,6 +104,16 @@ def test_the_cell_that_tells_most_is_the_one_where_a_sure_winner_is_farthest_ahe
     assert found.factor[cell] == found.factor[found.winner != ""].max()
 
 
+def test_where_nobody_surely_wins_the_cell_that_tells_most_is_where_the_most_surely_lose(monkeypatch):
+    """Of a family that is one filter to rounding nobody is surely ahead, and where all are equal a picture shows nothing."""
+    alike = [("b", "c", "d"), ("b", "c"), ("b",), ("b",)]
+    table = pd.DataFrame({"cell": [0, 1, 2, 3], "winner": "", "factor": 1.0, "alike": alike})
+    monkeypatch.setattr(frames, "standings", lambda *_: table)
+    assert frames.telling(None) == 2
+    table["winner"], table["factor"] = ["a", "", "", "a"], [1.5, 9.0, 9.0, 1.2]
+    assert frames.telling(None) == 0, "where somebody does, there"
+
+
 def test_a_share_of_runs_is_of_all_of_them_and_ends_where_the_rest_diverged():
     rows = [
         {"observer": o, "signal": "x", "diverged": i < lost, "mae": 1.0 + i}

@@ -185,6 +185,7 @@ def test_the_command_says_where_the_page_is_and_refuses_what_is_none(folder, tmp
         (["--kinds", "svg,gif"], "'gif' is no kind of file"),
         (["--width", "0.5"], "--width: got 0.5"),
         (["--size", "99"], "--size: got 99"),
+        (["--out", "page.html"], "--out: got page.html beside --figures"),
     ):
         done = call("report", str(folder), "--figures", str(tmp_path / "f"), *words)
         assert done.returncode == 2
