@@ -1,10 +1,14 @@
 """A run written as a log and read again gives the same estimates, bit for bit, in every kind of table; and the same errors."""
 
+import shutil
+
 import numpy as np
+import pandas as pd
 import pytest
 from logged import MOTOR, written
 
 import pcbench
+from pcbench.errors import UserError
 from pcbench.logs import tables
 from pcbench.logs.log import Batch
 from pcbench.replaying import replay as replaying
@@ -113,6 +117,20 @@ def test_what_never_arrived_stands_in_the_log_without_an_arrival(traced):
     assert 0 < lost.sum() < len(lost)
     assert (np.isnan(batch.value) <= lost).all()
     assert batch.arrived[~lost].max() <= frame.t.iloc[-1]
+
+
+def test_a_replay_that_is_refused_half_way_leaves_no_folder_but_one_that_was_there(traced, tmp_path):
+    """Times of inputs that go back are seen while the log runs."""
+    study, _, folder = traced["plain"]
+    shutil.copytree(folder, tmp_path / "log")
+    inputs = pd.read_parquet(tmp_path / "log" / "inputs.parquet")
+    inputs.assign(t=inputs.t.where(inputs.index != 7, 0.0)).to_parquet(tmp_path / "log" / "inputs.parquet", index=False)
+    (tmp_path / "there").mkdir()
+    for out in ("new", "there"):
+        with pytest.raises(UserError, match="inputs: row 8: got the time 0 s after"):
+            pcbench.replay(tmp_path / "log", study, OBSERVERS, out=tmp_path / out)
+    assert not list((tmp_path / "there").iterdir())
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_folder_has_estimates_with_units_and_what_is_known(traced, tmp_path):
