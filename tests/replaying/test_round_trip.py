@@ -2,6 +2,7 @@
 
 import shutil
 
+import jax
 import numpy as np
 import pandas as pd
 import pytest
@@ -117,6 +118,15 @@ def test_what_never_arrived_stands_in_the_log_without_an_arrival(traced):
     assert 0 < lost.sum() < len(lost)
     assert (np.isnan(batch.value) <= lost).all()
     assert batch.arrived[~lost].max() <= frame.t.iloc[-1]
+
+
+def test_a_log_is_the_run_whatever_precision_the_host_program_chose(traced, tmp_path):
+    study, _, folder = traced["wild"]
+    with jax.enable_x64(False):
+        pcbench.trace(study, OBSERVERS, seed=3, log=tmp_path)
+    for name in ("measurements", "inputs", "truth"):
+        there, here = (pd.read_parquet(each / f"{name}.parquet") for each in (folder, tmp_path))
+        pd.testing.assert_frame_equal(there, here, check_exact=True)
 
 
 def test_a_replay_that_is_refused_half_way_leaves_no_folder_but_one_that_was_there(traced, tmp_path):
