@@ -75,6 +75,17 @@ def test_parts_change_no_bit(traced, monkeypatch):
         np.testing.assert_array_equal(found.estimates[column], frame[column], err_msg=column)
 
 
+def test_what_is_known_of_a_log_in_parts_is_what_is_known_of_the_whole(traced, monkeypatch):
+    """To rounding: another length is another program. Of each observer, though each is computed by itself."""
+    study, _, folder = traced["wild"]
+    whole = pcbench.replay(folder, study, OBSERVERS)
+    monkeypatch.setattr(replaying, "LENGTH", 64)
+    found = pcbench.replay(folder, study, OBSERVERS)
+    assert set(found.metrics.observer) == set(OBSERVERS)
+    for what in ("estimates", "innovations", "distances", "metrics"):
+        pd.testing.assert_frame_equal(getattr(found, what), getattr(whole, what), rtol=1e-9, atol=1e-12)
+
+
 def test_a_slip_of_one_tick_is_seen(traced, tmp_path):
     study, frame, folder = traced["plain"]
     log = tables.opened(folder)
