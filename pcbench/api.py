@@ -154,9 +154,9 @@ def trace(
 
         out = trace.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
+        samples = samples_of(p.cell, (study.root_seed, seed)) if log is not None else []
     signals = [name for name, _ in signals_of(p.cell.scenario)]
     if log is not None:
-        samples = samples_of(p.cell, (study.root_seed, seed))
         tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals)
         for name, table in tables.items():
             as_file.put(Path(log) / f"{name}.parquet", table)

@@ -35,7 +35,7 @@ def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
     lower = {name.lower(): name for name in names}
     near = difflib.get_close_matches(got[:LONGEST].lower(), lower, n=1, cutoff=0.4)
     hint = f"did you mean '{lower[near[0]]}'? " if near else ""
-    return UserError(f"{where}: '{short(got)}' is no {kind}; {hint}valid: {', '.join(names)}.")
+    return UserError(f"{where}: '{short(got)}' is no {kind}; {hint}valid: {', '.join(names) or 'none'}.")
 
 
 EXTRAS = (

@@ -3,12 +3,16 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from pyarrow import csv
 
 from pcbench.errors import UserError, unknown, unreadable
+from pcbench.logs.log import Floats
 
+NUMBERS = (pa.types.is_floating, pa.types.is_integer, pa.types.is_decimal, pa.types.is_boolean, pa.types.is_null)
 KINDS = (".parquet", ".csv")
 MANY = 1 << 16  # rows of a part
 BLOCK = 1 << 20  # bytes of a part of a CSV file
@@ -41,6 +45,14 @@ def parts(path: Path, names: Sequence[str], words: Sequence[str] = ()) -> Iterat
             yield from file
     except (OSError, pa.ArrowException) as error:
         raise _unreadable(path, error) from None
+
+
+def numbers(column: pa.Array | pa.ChunkedArray, where: str) -> Floats:
+    """Return a column as numbers, NaN where it is empty; raise UserError where it holds something else."""
+    kind = column.type
+    if not any(holds(kind) for holds in NUMBERS):
+        raise UserError(f"{where}: got {kind}, expected numbers; mend the column.")
+    return np.asarray(pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
 
 
 def require(path: Path, there: Sequence[str], wanted: Sequence[str], where: str = "") -> None:

@@ -78,7 +78,7 @@ FORMATS = {
     "": Format(_by_parts(bags.fields), "header.stamp", RECEIVED),
     ".mcap": Format(_by_parts(mcaps.fields), "header.stamp", RECEIVED),
     ".ulg": Format(flight.reader, "timestamp_sample", "timestamp"),
-    ".mat": Format(_by_parts(matlab.fields), "t", None),
+    ".mat": Format(matlab.reader, "t", None),
     ".csv": Format(_by_parts(wide.fields), "t", None),
     ".parquet": Format(_by_parts(wide.fields), "t", None),
 }

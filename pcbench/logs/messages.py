@@ -39,20 +39,25 @@ def _columns(fields: list[str], rows: list[list[float]]) -> dict[str, Floats]:
 
 def _number(received: int, message: Any, field: str, time: bool, unit: str | None, where: str) -> float:
     if field == RECEIVED:
-        return received * 1e-9
+        return _seconds(*divmod(received, 10**9))
     value = message
     for part in field.split("."):
         value = _inside(value, part, field, where)
     if time:
         for whole, rest in STAMP:
             if _has(value, whole) and _has(value, rest):
-                return float(_get(value, whole)) + 1e-9 * float(_get(value, rest))
+                return _seconds(_get(value, whole), _get(value, rest))
     try:
         return float(value) * (SECONDS[unit or "s"] if time else 1.0)
     except (TypeError, ValueError):
         raise UserError(
             f"{where}: {field}: got a {type(value).__name__}, expected a number; name a field within it, such as {field}.x."
         ) from None
+
+
+def _seconds(whole: float, ns: float) -> float:
+    """What a stamp says [s], rounded alike wherever it stood: what was received when it was stamped came no earlier."""
+    return float(whole) + 1e-9 * float(ns)
 
 
 def _inside(value: Any, part: str, field: str, where: str) -> Any:

@@ -68,7 +68,7 @@ def _channels(path: Path, head: str) -> tuple[str, ...]:
     """Every channel's name, in the order of the numbers in them."""
     found: set[str] = set()
     for part in columns.parts(path, [head], [head]):
-        found |= set(pc.unique(_words(part.column(0))).to_pylist())
+        found |= set(pc.unique(_words(part.column(0), f"{path.name}: {head}")).to_pylist())
     if not found or None in found:
         raise UserError(
             f"{path.name}: got {'a row without a channel' if found else 'no rows'}, expected samples with the name of their "
@@ -77,9 +77,12 @@ def _channels(path: Path, head: str) -> tuple[str, ...]:
     return tuple(sorted((str(name) for name in found), key=natural))
 
 
-def _words(column: pa.Array) -> pa.Array:
+def _words(column: pa.Array, where: str) -> pa.Array:
     column = column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
-    return pc.cast(column, pa.string())
+    try:
+        return pc.cast(column, pa.string())
+    except pa.ArrowException:
+        raise UserError(f"{where}: got {column.type}, expected names of channels; mend the column.") from None
 
 
 def natural(name: str) -> list[tuple[int, int, str]]:
@@ -94,7 +97,7 @@ def _measurements(path: Path, named: dict[str, str], channels: tuple[str, ...], 
         sampled = _seconds(part, named["sampled"], path)
         late = sampled + delay if delay is not None else _seconds(part, named["arrived"], path)
         yield Batch(
-            channel=pc.index_in(_words(part.column(named["channel"])), known)
+            channel=pc.index_in(_words(part.column(named["channel"]), path.name), known)
             .to_numpy(zero_copy_only=False)
             .astype(int),
             sampled=sampled,
@@ -132,7 +135,4 @@ def _seconds(part: pa.RecordBatch, head: str, path: Path) -> np.ndarray:
 
 
 def _number(part: pa.RecordBatch, head: str, path: Path) -> np.ndarray:
-    column = part.column(head)
-    if not (pa.types.is_floating(column.type) or pa.types.is_integer(column.type) or pa.types.is_null(column.type)):
-        raise UserError(f"{path.name}: {head}: got {column.type}, expected numbers; mend the column.")
-    return np.asarray(pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
+    return columns.numbers(part.column(head), f"{path.name}: {head}")

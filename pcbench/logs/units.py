@@ -8,6 +8,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pcbench.errors import UserError, unknown
+from pcbench.logs import columns
 
 SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 LATEST = 1e11  # [s] what is said to be seconds is below it: the year 5138
@@ -26,7 +27,7 @@ def seconds(column: pa.ChunkedArray | pa.Array, unit: str | None, where: str) ->
         raise unknown(where, "unit of time", unit, SECONDS)
     if pa.types.is_timestamp(column.type):
         column, unit = pc.cast(pc.cast(column, pa.timestamp("ns")), pa.int64()), "ns"
-    plain = np.asarray(pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False), float)
+    plain = columns.numbers(column, where)
     if unit is None and plain.size and np.nanmax(np.abs(plain), initial=0.0) > LATEST:
         raise UserError(
             f"{where}: got {np.nanmax(np.abs(plain)):.4g} without a unit, expected seconds; write the unit into the column's "

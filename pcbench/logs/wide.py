@@ -3,10 +3,6 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-
 from pcbench.logs import columns, units
 from pcbench.logs.log import Floats
 
@@ -14,7 +10,7 @@ from pcbench.logs.log import Floats
 def fields(
     path: Path, topic: str, wanted: list[str], times: set[str], unit: str | None, where: str
 ) -> Iterator[dict[str, Floats]]:
-    """Yield parts of columns, [K] each; times in seconds, of rows in which no column asked for is empty."""
+    """Yield parts of columns, [K] each; times in seconds. What is empty is NaN."""
     columns.require(path, columns.heads(path), wanted, f"{where}: {path.name}")
     for part in columns.parts(path, wanted):
         found = {}
@@ -23,7 +19,5 @@ def fields(
             if name in times:
                 found[name] = units.seconds(column, unit or units.parts(name)[1], f"{where}: {name}")
             else:
-                found[name] = np.asarray(
-                    pc.cast(column, pa.float64(), safe=False).to_numpy(zero_copy_only=False), float
-                )
+                found[name] = columns.numbers(column, f"{where}: {name}")
         yield found

@@ -41,7 +41,7 @@ class Draft(NamedTuple):
 def draft(folder: Path) -> Iterator[Draft]:
     """Make a replay's files beside their names: `finish` gives them these, and what was stopped before leaves nothing."""
     writers: list[pq.ParquetWriter] = []
-    part = folder / f".{ESTIMATES}.part"
+    part, new = folder / f".{ESTIMATES}.part", not folder.exists()
 
     def write(found: pa.Table) -> None:
         if not writers:
@@ -64,6 +64,9 @@ def draft(folder: Path) -> Iterator[Draft]:
         for each in (part, _summary(part)):
             with suppress(OSError):
                 each.unlink(missing_ok=True)
+        if new:
+            with suppress(OSError):  # it holds the files that were made
+                folder.rmdir()
 
 
 def finish(d: Draft, summary: dict[str, Any]) -> None:

@@ -7,7 +7,8 @@ not depend on the past, so no correction for dependence is made; where innovatio
 short. On a logarithm the interval stays positive and is nearly symmetric. An intensity that the log does not tell, because its
 likelihood hardly changes with it or is largest at 0, has no interval: NaN.
 Source: Efron, Hinkley, Assessing the accuracy of the maximum likelihood estimator: observed versus expected Fisher information,
-Biometrika 65 (1978), 457; that it holds for a filter's prediction errors is shown here by counting, below.
+Biometrika 65 (1978), 457-482, of one parameter; that it holds for several and a filter's prediction errors is shown here by
+counting, below.
 Coverage: such intervals by the book's filter alone, of 3,000 simulated logs of 279 samples, hold R in 94.4 % and Q in 95.2 %;
 those found here hold both in 90 to 99 of 100 logs (tests/replaying). Not claimed: that of fewer samples.
 """

@@ -1,6 +1,5 @@
 """Replay a log: observers run on what was measured, when it arrived, and what can be known of them without or with truth."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -18,7 +17,7 @@ from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning.padding import rounded
 from pcbench.plants import signals_of
-from pcbench.replaying import feed, folder, judging, scoring, smoother, stretch
+from pcbench.replaying import abreast, feed, folder, judging, scoring, smoother, stretch
 from pcbench.replaying.prepared import Prepared, prepared
 from pcbench.study import read
 from pcbench.study.cells import Cell
@@ -162,31 +161,16 @@ def _run(
             f"{a.log.name}: inputs: got the columns {', '.join(a.log.inputs.names)}, expected one for each of the plant's "
             f"{p.m} inputs, in their order; mend the table."
         )
-    begin, go = stretch.compiled()
-    state, score = begin(p.layout, p.problem, slots, scored, np.asarray(seed))
+    every = abreast.begun(p.layout, p.problem, slots, scored, seed)
     tail, out_from = a.cell.times.tail, int((1 - judging.HELD_OUT) * a.last)
     sums = {label: judging.Sums() for label, o in p.layout.observers if o.innovation}
     model = smoother.model_of(p.setting, p.problem.xhat0)
     enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
     schema = folder.fields({o: list(signals[:many]) for o, many in p.sizes.items()}, a.clock.start, a.clock.dt)
-
-    def computed() -> Iterator[tuple[feed.Part, stretch.Read]]:
-        """Each part with what was seen in it, handed on while the next is computed."""
-        nonlocal state, score
-        ends, before = np.array([tail, a.last]), None
-        for part in feed.parts(a.log, a.found, a.clock, length, a.last, slots, p.back, p.m, many):
-            inputs = p.problem.inputs._replace(rows=part.inputs, first=np.asarray(part.first - p.back))
-            here, problem = part.first + np.arange(length), p.problem._replace(inputs=inputs)
-            state, score, seen = go(p.layout, problem, state, score, here, part.window, part.truth, ends)
-            if before is not None:
-                yield before
-            before = part, seen
-        if before is not None:
-            yield before
-
+    parts = feed.parts(a.log, a.found, a.clock, length, a.last, slots, p.back, p.m, many)
     progress.begin("ticks", a.last + 1)
-    for part, seen in computed():
+    for part, seen in abreast.through(every, parts, p.back, np.array([tail, a.last])):
         here = part.first + np.arange(length)
         kept = min(length, a.last + 1 - part.first)
         found = [np.asarray(seen.estimates[label])[:kept] for label, _ in p.layout.observers]
@@ -200,7 +184,7 @@ def _run(
             k, slot, channel = np.nonzero(part.window.fresh)
             y[part.window.taken[k, slot], channel] = part.window.value[k, slot, channel]
     draft.close()
-    return sums, score, np.asarray(smoother.compiled()(model, u, y)) if enough else None
+    return sums, abreast.score(every), np.asarray(smoother.compiled()(model, u, y)) if enough else None
 
 
 def _results(

@@ -1,6 +1,11 @@
-"""The guide's way from a bag to a filter in C, as it stands: every block, in its order, and the numbers that it tells."""
+"""The guide's way from a bag to a filter in C, as it stands: every block, in its order, and the numbers that it tells.
+
+In processes of their own, which have what the page says is installed and none of pcbench's other extras.
+"""
 
 import json
+import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -8,16 +13,26 @@ import sys
 
 import pandas as pd
 import pytest
-from commands import call
-from documents import blocks, commands
+from documents import PAGES, blocks, commands
+
+from pcbench.errors import EXTRAS
 
 PAGE = "from_a_bag_to_c.md"
+
+
+def as_installed(folder):
+    """What a process's surroundings are where the extras that the page does not name are not installed."""
+    named = re.search(r"pip install 'pcbench\[(.*)\]'", PAGES[PAGE])[1].split(",")
+    for package in {package.replace("-", "_") for package, extra in EXTRAS.items() if extra not in named}:
+        (folder / f"{package}.py").write_text(f"raise ModuleNotFoundError('it is not installed', name='{package}')")
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])}
 
 
 @pytest.fixture(scope="module")
 def sitting(tmp_path_factory):
     """The folder behind the last step but the compiler's, and what every command has printed, by its name and number."""
     folder, said = tmp_path_factory.mktemp("sitting"), {}
+    there = {"cwd": folder, "env": as_installed(tmp_path_factory.mktemp("missing")), "text": True}
     for name, text in zip(("joint", "simulated"), blocks("toml", PAGE), strict=True):
         (folder / f"{name}.toml").write_text(text)
     (log,) = (b for b in blocks("text", PAGE) if b.startswith("log ="))
@@ -25,12 +40,13 @@ def sitting(tmp_path_factory):
     bag, picture = blocks("python", PAGE)
     for line in commands(PAGE):
         words = shlex.split(line)[1:]
-        done = call(*words, *(["--json"] if words[0] in ("log", "replay", "tune") else []), cwd=folder)
+        words += ["--json"] if words[0] in ("log", "replay", "tune") else []
+        done = subprocess.run([sys.executable, "-m", "pcbench", *words], capture_output=True, check=False, **there)
         assert done.returncode == 0, done.stderr
         said[words[0] if words[0] not in said else f"{words[0]} again"] = done.stdout
         if words[0] == "trace":
-            subprocess.run([sys.executable, "-c", bag], cwd=folder, check=True)
-    subprocess.run([sys.executable, "-c", picture], cwd=folder, check=True)
+            subprocess.run([sys.executable, "-c", bag], check=True, **there)
+    subprocess.run([sys.executable, "-c", picture], check=True, **there)
     return folder, said
 
 

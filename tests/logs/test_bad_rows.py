@@ -1,6 +1,7 @@
 """What is wrong with a log is one sentence that names the file and the row."""
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pytest
 from logged import MOTOR, plain, rows
@@ -57,6 +58,23 @@ def test_the_first_stamp_that_goes_back_is_told_with_its_row(tmp_path):
     assert turned_back(found)[0].startswith(
         "row 9 of channel y1 has a stamp that goes back, the first of 1: each counts"
     )
+
+
+@pytest.mark.parametrize("column", ["channel", "sampled", "arrived", "value"])
+def test_a_column_of_another_kind_is_named(tmp_path, column):
+    folder = rows(tmp_path / "log", plain() | {column: [[1.0, 2.0]] * 40}, kind="parquet")
+    with pytest.raises(UserError, match=f"measurements.parquet: {column}: got list<element: double>, expected n"):
+        survey(reading.opened(folder))
+
+
+@pytest.mark.parametrize("column", ["t", "x"])
+@pytest.mark.parametrize("value", ["much", [1.0], pd.Timedelta(1)])
+def test_a_column_of_another_kind_in_a_table_of_any_shape_is_named(tmp_path, column, value):
+    table = {"t": np.arange(3.0), "x": np.ones(3)} | {column: [value] * 3}
+    pd.DataFrame(table).to_parquet(tmp_path / "run.parquet", index=False)
+    (tmp_path / "log.toml").write_text('log = "run.parquet"\n[channels.y1]\nfield = "x"\nunit = "m"\ndelay = 0.0')
+    with pytest.raises(UserError, match=f"^log.toml: {column}: got .*, expected numbers; mend the column"):
+        survey(reading.opened(tmp_path / "log.toml"))
 
 
 def test_a_word_among_numbers_is_quoted(tmp_path):

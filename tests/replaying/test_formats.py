@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 import pyulog
 import recorded
+import scipy.io
+import scipy.sparse
 from logged import MOTOR, rows
 
 import pcbench
@@ -106,6 +108,51 @@ def test_a_flight_log_is_loaded_once_and_of_its_topics_those_that_are_asked_for(
     for _ in range(2):
         assert survey(log).rows == 2 * len(run[2].sampled)
     assert asked == [["angle"]]
+
+
+def test_a_matlab_file_is_loaded_once_and_of_its_variables_those_that_are_asked_for(run, tmp_path, monkeypatch):
+    path, asked, loads = recorded.matlab(tmp_path, run[2]), [], scipy.io.loadmat
+    path.write_text(
+        path.read_text().replace("[inputs.u1]", "[channels.y2]").replace("motor", "camera") + '\narrived = "came"'
+    )
+    monkeypatch.setattr(
+        scipy.io, "loadmat", lambda file, **how: asked.append(how.get("variable_names")) or loads(file, **how)
+    )
+    log = reading.opened(path)
+    for _ in range(2):
+        assert survey(log).rows == 2 * len(run[2].sampled)
+    assert asked == [["camera"]]
+
+
+@pytest.mark.parametrize(
+    ("value", "got"),
+    [
+        ("much", "got text"),
+        (np.array(["much"] * 3), "got text"),
+        (np.arange(3) + 1j, "got complex numbers"),
+        ({"a": 1.0}, "got a struct"),
+        (np.array([1.0, "much", [1, 2]], object), "got a struct, cells"),
+        (scipy.sparse.csc_matrix(np.ones((3, 1))), "what is sparse"),
+        (np.ones((3, 2)), "got x (3, 2), t (3,)"),
+    ],
+)
+def test_what_is_no_vector_of_numbers_in_a_matlab_file_is_one_sentence(tmp_path, value, got):
+    scipy.io.savemat(tmp_path / "run.mat", {"t": np.arange(3.0), "x": value})
+    (tmp_path / "log.toml").write_text('log = "run.mat"\n[channels.y1]\nfield = "x"\nunit = "m"\ndelay = 0.0')
+    with pytest.raises(UserError) as caught:
+        survey(reading.opened(tmp_path / "log.toml"))
+    assert got in str(caught.value)
+    assert str(caught.value).startswith("log.toml: run.mat: ")
+
+
+@pytest.mark.parametrize(
+    "write", [write for name, write in recorded.FORMATS.items() if name.startswith(("bag", "MCAP"))]
+)
+def test_what_is_received_when_it_is_stamped_did_not_come_before(write, tmp_path):
+    """As in a bag of simulated time. Today's seconds are doubles a quarter of a microsecond apart: both are rounded alike."""
+    t = 1_700_000_000 + np.random.default_rng(5).integers(1, 10**9, 2000).cumsum() * 1e-9
+    found = survey(reading.opened(write(tmp_path, recorded.Run(t, t, np.sin(t), t[:1], t[:1]))))
+    assert found.channels["y1"].delays.most == 0.0
 
 
 @pytest.mark.parametrize("write", [recorded.mcap_of_ros2, recorded.mcap_of_json])

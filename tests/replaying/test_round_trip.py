@@ -1,10 +1,15 @@
 """A run written as a log and read again gives the same estimates, bit for bit, in every kind of table; and the same errors."""
 
+import shutil
+
+import jax
 import numpy as np
+import pandas as pd
 import pytest
 from logged import MOTOR, written
 
 import pcbench
+from pcbench.errors import UserError
 from pcbench.logs import tables
 from pcbench.logs.log import Batch
 from pcbench.replaying import replay as replaying
@@ -70,6 +75,17 @@ def test_parts_change_no_bit(traced, monkeypatch):
         np.testing.assert_array_equal(found.estimates[column], frame[column], err_msg=column)
 
 
+def test_what_is_known_of_a_log_in_parts_is_what_is_known_of_the_whole(traced, monkeypatch):
+    """To rounding: another length is another program. Of each observer, though each is computed by itself."""
+    study, _, folder = traced["wild"]
+    whole = pcbench.replay(folder, study, OBSERVERS)
+    monkeypatch.setattr(replaying, "LENGTH", 64)
+    found = pcbench.replay(folder, study, OBSERVERS)
+    assert set(found.metrics.observer) == set(OBSERVERS)
+    for what in ("estimates", "innovations", "distances", "metrics"):
+        pd.testing.assert_frame_equal(getattr(found, what), getattr(whole, what), rtol=1e-9, atol=1e-12)
+
+
 def test_a_slip_of_one_tick_is_seen(traced, tmp_path):
     study, frame, folder = traced["plain"]
     log = tables.opened(folder)
@@ -113,6 +129,29 @@ def test_what_never_arrived_stands_in_the_log_without_an_arrival(traced):
     assert 0 < lost.sum() < len(lost)
     assert (np.isnan(batch.value) <= lost).all()
     assert batch.arrived[~lost].max() <= frame.t.iloc[-1]
+
+
+def test_a_log_is_the_run_whatever_precision_the_host_program_chose(traced, tmp_path):
+    study, _, folder = traced["wild"]
+    with jax.enable_x64(False):
+        pcbench.trace(study, OBSERVERS, seed=3, log=tmp_path)
+    for name in ("measurements", "inputs", "truth"):
+        there, here = (pd.read_parquet(each / f"{name}.parquet") for each in (folder, tmp_path))
+        pd.testing.assert_frame_equal(there, here, check_exact=True)
+
+
+def test_a_replay_that_is_refused_half_way_leaves_no_folder_but_one_that_was_there(traced, tmp_path):
+    """Times of inputs that go back are seen while the log runs."""
+    study, _, folder = traced["plain"]
+    shutil.copytree(folder, tmp_path / "log")
+    inputs = pd.read_parquet(tmp_path / "log" / "inputs.parquet")
+    inputs.assign(t=inputs.t.where(inputs.index != 7, 0.0)).to_parquet(tmp_path / "log" / "inputs.parquet", index=False)
+    (tmp_path / "there").mkdir()
+    for out in ("new", "there"):
+        with pytest.raises(UserError, match="inputs: row 8: got the time 0 s after"):
+            pcbench.replay(tmp_path / "log", study, OBSERVERS, out=tmp_path / out)
+    assert not list((tmp_path / "there").iterdir())
+    assert not (tmp_path / "new").exists()
 
 
 def test_a_folder_has_estimates_with_units_and_what_is_known(traced, tmp_path):

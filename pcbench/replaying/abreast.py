@@ -1,0 +1,78 @@
+"""Observers of a log side by side: each has a program and a state of its own, and goes through a part of the log in a thread.
+
+So what one estimates does not depend on who else runs, and where there are cores several take as long as the dearest of them.
+"""
+
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from pcbench.logs.log import Ints
+from pcbench.machine import pools
+from pcbench.replaying import stretch
+from pcbench.replaying.feed import Part
+from pcbench.simulation import batch
+from pcbench.simulation.problem import Layout, Problem, Recent, State
+
+
+class Alone(NamedTuple):
+    """One observer on its way through a log."""
+
+    layout: Layout
+    problem: Problem
+    state: State
+    score: Any  # stretch.Score; (): truth is not asked for
+
+
+Done = tuple[Alone, stretch.Read]
+
+
+def begun(layout: Layout, p: Problem, slots: int, scored: bool, seed: int) -> list[Alone]:
+    """Return every observer before tick 0."""
+    begin, out = stretch.compiled()[0], []
+    for label, observer in layout.observers:
+        mine, problem = layout._replace(observers=((label, observer),)), p._replace(gains={label: p.gains[label]})
+        out.append(Alone(mine, problem, *begin(mine, problem, slots, scored, np.asarray(seed))))
+    return out
+
+
+def through(every: list[Alone], parts: Iterable[Part], back: int, ends: Ints) -> Iterator[tuple[Part, stretch.Read]]:
+    """Take observers through a log, and yield each part with what was seen in it while they go through the next.
+
+    At the end `every` is at the end of the log; `back` and `ends` are as in `feed.parts` and `stretch.run`.
+    """
+    before, work = None, []
+    with pools.pool(min(len(every), batch.cores())) as threads:
+        for part in chain(parts, [None]):
+            done = [each.result() for each in work]
+            every[:] = [o for o, _ in done] or every
+            work = [threads.submit(batch.in_float64, _part, o, part, back, ends) for o in every if part]
+            if before:
+                yield before, _together([read for _, read in done])
+            before = part
+
+
+def _part(o: Alone, part: Part, back: int, ends: Ints) -> Done:
+    inputs, ticks = Recent(part.inputs, np.asarray(part.first - back)), part.first + np.arange(len(part.window.event))
+    problem = o.problem._replace(inputs=inputs)
+    state, score, read = stretch.compiled()[1](
+        o.layout, problem, o.state, o.score, ticks, part.window, part.truth, ends
+    )
+    return o._replace(state=state, score=score), jax.block_until_ready(read)
+
+
+def _together(reads: list[stretch.Read]) -> stretch.Read:
+    return stretch.Read(
+        *({k: v for read in reads for k, v in getattr(read, what).items()} for what in stretch.Read._fields)
+    )
+
+
+def score(every: list[Alone]) -> Any:
+    """Return the score of all; (): truth is not asked for."""
+    found, labels = [o.score for o in every], ("streams", "watches", "final")
+    if not found[0]:
+        return ()
+    return found[0]._replace(**{what: {k: v for s in found for k, v in getattr(s, what).items()} for what in labels})
