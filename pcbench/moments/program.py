@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array, lax
 
 from pcbench.moments import last_tick
@@ -20,9 +19,8 @@ from pcbench.moments.events import Means, Moving, happen, sense, taken
 from pcbench.moments.given import SCALES, Given
 from pcbench.moments.start import begin
 from pcbench.moments.sums import Read, Seen
-from pcbench.moments.vector import Form, along, over_cells, slope, steady, vector
-from pcbench.simulation import network, steps
-from pcbench.simulation.closed_loop import held, off_target
+from pcbench.moments.ticks import Tick, flat, flown, matrix_of, one_cell
+from pcbench.moments.vector import Form, over_cells, slope, steady, vector
 from pcbench.simulation.problem import Layout, State
 
 COVARIANCE = "covariance"
@@ -52,13 +50,6 @@ class Found(NamedTuple):
     rows: Any  # Recorded; (): nothing is recorded
     last: Any = ()  # Last, of a layout with consistency
     unlike: Any = ()  # [C] of modes, as in `events.Moving`
-
-
-class Tick(NamedTuple):
-    """The matrix of a tick, and what shows whether it is still that."""
-
-    matrix: Array  # [A + V, A + w, C]
-    shown: Any  # [A + V, C]; (): it is the same at every tick
 
 
 class Carried(NamedTuple):
@@ -110,7 +101,7 @@ def _tick(by: Means, shape: Shape, given: Given, k: Array, c: Carried) -> Carrie
     none = jnp.zeros((w.shape[1], shape.cells))
     mean = jax.tree.map(lambda a: a[0], m.runs)
     entering = jnp.concatenate([none[None], jnp.broadcast_to(w[:, :, None], (len(w), *none.shape))])
-    runs, seen, tick = _flown(by, k, m.runs, entering, late, c.tick)
+    runs, seen, tick = flown(by, k, m.runs, entering, late, c.tick)
     joint = shape.recorded == COVARIANCE or layout.consistency
     m, read = _moved(joint, m._replace(runs=runs), tick.matrix, seen, w)
     tail, end = p.windows[0, 1], p.windows[-1, 1]
@@ -122,34 +113,6 @@ def _tick(by: Means, shape: Shape, given: Given, k: Array, c: Carried) -> Carrie
         _record(c.rows, k, read) if shape.recorded else (),
         last_tick.kept(by, k, k == end - 1, mean, read, c.last) if layout.consistency else (),
     )
-
-
-def _flown(by: Means, k: Array, runs: State, entering: Array, late: Any, tick: Tick) -> tuple[State, Seen, Tick]:
-    """Return the runs after a tick, what is seen of them, and the matrix of the tick."""
-    form, one = by.form, partial(_one, by.layout)
-    if isinstance(tick.shown, tuple):
-        found, seen = jax.vmap(lambda state, entering: by.over(one)(k, state, entering, late))(runs, entering)
-        return found, seen, tick
-    many, cells = tick.matrix.shape[1:]
-    A = many - entering.shape[1]
-    mark = jnp.broadcast_to(_mark(many)[:, None], (many, cells))
-
-    def each(state: State, entering: Array) -> Any:
-        return by.over(along(form, one))(k, state, entering, late, mark[:A], mark[A:])
-
-    (found, seen), tangent = jax.vmap(each)(runs, entering)
-    shown = jax.vmap(partial(_flat, form), -1, -1)(jax.tree.map(lambda a: a[0], tangent))
-    M = lax.cond(
-        jnp.any(shown != tick.shown),
-        lambda: _matrix(by)(k, jax.tree.map(lambda a: a[0], runs), entering[0], late),
-        lambda: tick.matrix,
-    )
-    return found, seen, Tick(M, shown)
-
-
-def _matrix(by: Means) -> Any:
-    """The function that gives the matrix of a tick: (k, mean, no noise, late) -> [A + V, A + w, C]."""
-    return by.over(slope(by.form, partial(_one, by.layout), partial(_flat, by.form)))
 
 
 def _moved(joint: bool, m: Moving, M: Array, seen: Seen, w: Array) -> tuple[Moving, Read]:
@@ -169,33 +132,6 @@ def _moved(joint: bool, m: Moving, M: Array, seen: Seen, w: Array) -> tuple[Movi
     moved = moved + jnp.sum(N[None] * w[:, None, :, None], 2)
     apart = m.apart.at[:, :A].set(moved[:, :A])
     return m._replace(P=P, apart=apart), Read(seen, covariance, moved[:, A:])
-
-
-def _one(layout: Layout, p: Any, k: Array, state: State, noise: Array, late: Any) -> tuple[State, Seen]:
-    """One tick of one cell: `steps.tick`, and what is read of it."""
-    process, p, loop, none = p.process_std.shape[0], p._replace(weights=()), layout.controller, jnp.zeros(0)
-    now = steps.Drawn(noise[:process], network.Drawn(late[0], late[1], noise[process:]) if layout.pending else ())
-
-    def read(k: Array, state: State) -> Seen:
-        return Seen(
-            errors=jnp.concatenate([e for _, e in sorted(steps.errors(layout, p, k, state).items())]),
-            off=off_target(loop, p, k, state.x) if loop else none,
-            x=state.x if loop else none,
-            u=held(p, k, state) if loop else none,
-        )
-
-    new, seen = steps.tick(layout, p, k, state, now, read=read)
-    return jax.tree.map(lambda a, b: jnp.asarray(a).astype(jnp.result_type(b)), new, state), seen
-
-
-def _flat(form: Form, found: tuple[State, Seen]) -> Array:
-    """What noise reaches of the state, and all that is seen."""
-    return jnp.concatenate([vector(form, found[0]), *found[1]])
-
-
-def _mark(many: int) -> Array:
-    """Numbers whose product with a matrix shows whether it is the same."""
-    return jnp.asarray(np.random.default_rng(many).normal(size=many))
 
 
 def _begin(by: Means, shape: Shape, given: Given) -> Carried:
@@ -227,8 +163,8 @@ def _begin(by: Means, shape: Shape, given: Given) -> Carried:
     late = tuple(each[0] for each in given.network) if layout.pending else ()
     shown, seen = _shapes(by, given, runs, late)
     none = jnp.zeros((given.ticks.shape[2], cells))
-    if steady(p, shape.own, slope(form, partial(_one, layout), partial(_flat, form)), mean, none, late):
-        tick = Tick(_matrix(by)(zero, mean, none, late), ())
+    if steady(p, shape.own, slope(form, partial(one_cell, layout), partial(flat, form)), mean, none, late):
+        tick = Tick(matrix_of(by)(zero, mean, none, late), ())
     else:
         tick = Tick(jnp.zeros((A + shown, A + len(none), cells)), jnp.full((A + shown, cells), jnp.nan))
     targets = seen.off.shape[0] if layout.controller else None
@@ -240,7 +176,7 @@ def _shapes(by: Means, given: Given, runs: State, late: Any) -> tuple[int, Seen]
     """How many numbers are read at a tick, and their shapes."""
     none = jnp.zeros((given.ticks.shape[2], by.std.shape[1]))
     mean = jax.tree.map(lambda a: a[0], runs)
-    _, seen = jax.eval_shape(lambda s: by.over(partial(_one, by.layout))(jnp.asarray(0), s, none, late), mean)
+    _, seen = jax.eval_shape(lambda s: by.over(partial(one_cell, by.layout))(jnp.asarray(0), s, none, late), mean)
     return sum(len(each) for each in seen), seen
 
 

@@ -1,0 +1,78 @@
+"""One tick between events: plant, observers and controller flow, and the matrix of that, taken anew only where it changes."""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from pcbench.moments.events import Means
+from pcbench.moments.sums import Seen
+from pcbench.moments.vector import Form, along, slope, vector
+from pcbench.simulation import network, steps
+from pcbench.simulation.closed_loop import held, off_target
+from pcbench.simulation.problem import Layout, State
+
+
+class Tick(NamedTuple):
+    """The matrix of a tick, and what shows whether it is still that."""
+
+    matrix: Array  # [A + V, A + w, C]
+    shown: Any  # [A + V, C]; (): it is the same at every tick
+
+
+def flown(by: Means, k: Array, runs: State, entering: Array, late: Any, tick: Tick) -> tuple[State, Seen, Tick]:
+    """Return the runs after a tick, what is seen of them, and the matrix of the tick."""
+    form, one = by.form, partial(one_cell, by.layout)
+    if isinstance(tick.shown, tuple):
+        found, seen = jax.vmap(lambda state, entering: by.over(one)(k, state, entering, late))(runs, entering)
+        return found, seen, tick
+    many, cells = tick.matrix.shape[1:]
+    A = many - entering.shape[1]
+    mark = jnp.broadcast_to(_mark(many)[:, None], (many, cells))
+
+    def each(state: State, entering: Array) -> Any:
+        return by.over(along(form, one))(k, state, entering, late, mark[:A], mark[A:])
+
+    (found, seen), tangent = jax.vmap(each)(runs, entering)
+    shown = jax.vmap(partial(flat, form), -1, -1)(jax.tree.map(lambda a: a[0], tangent))
+    M = lax.cond(
+        jnp.any(shown != tick.shown),
+        lambda: matrix_of(by)(k, jax.tree.map(lambda a: a[0], runs), entering[0], late),
+        lambda: tick.matrix,
+    )
+    return found, seen, Tick(M, shown)
+
+
+def matrix_of(by: Means) -> Any:
+    """Return the function that gives the matrix of a tick: (k, mean, no noise, late) -> [A + V, A + w, C]."""
+    return by.over(slope(by.form, partial(one_cell, by.layout), partial(flat, by.form)))
+
+
+def one_cell(layout: Layout, p: Any, k: Array, state: State, noise: Array, late: Any) -> tuple[State, Seen]:
+    """Go one tick with one cell, by `steps.tick`, and read what is read of it."""
+    process, p, loop, none = p.process_std.shape[0], p._replace(weights=()), layout.controller, jnp.zeros(0)
+    now = steps.Drawn(noise[:process], network.Drawn(late[0], late[1], noise[process:]) if layout.pending else ())
+
+    def read(k: Array, state: State) -> Seen:
+        return Seen(
+            errors=jnp.concatenate([e for _, e in sorted(steps.errors(layout, p, k, state).items())]),
+            off=off_target(loop, p, k, state.x) if loop else none,
+            x=state.x if loop else none,
+            u=held(p, k, state) if loop else none,
+        )
+
+    new, seen = steps.tick(layout, p, k, state, now, read=read)
+    return jax.tree.map(lambda a, b: jnp.asarray(a).astype(jnp.result_type(b)), new, state), seen
+
+
+def flat(form: Form, found: tuple[State, Seen]) -> Array:
+    """Return what noise reaches of the state, and all that is seen."""
+    return jnp.concatenate([vector(form, found[0]), *found[1]])
+
+
+def _mark(many: int) -> Array:
+    """Numbers whose product with a matrix shows whether it is the same."""
+    return jnp.asarray(np.random.default_rng(many).normal(size=many))
