@@ -4,6 +4,7 @@ So what one estimates does not depend on who else runs, and where there are core
 """
 
 from collections.abc import Iterable, Iterator
+from concurrent.futures import Future
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -44,7 +45,8 @@ def through(every: list[Alone], parts: Iterable[Part], back: int, ends: Ints) ->
 
     At the end `every` is at the end of the log; `back` and `ends` are as in `feed.parts` and `stretch.run`.
     """
-    before, work = None, []
+    before: Part | None = None
+    work: list[Future[Done]] = []
     with pools.pool(min(len(every), batch.cores())) as threads:
         for part in chain(parts, [None]):
             done = [each.result() for each in work]

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -45,6 +46,18 @@ def test_log_says_what_is_in_a_log_and_draws_it(here):
     assert (here / "late.svg").read_text().count("<svg") == 1
     (row,) = json.loads(call("log", "flight", "--json", cwd=here).stdout)["channels"]
     assert (row["samples"], row["gaps"], row["drift_ppm"]) == (40, 1, pytest.approx(0, abs=1e-3))
+
+
+def test_a_drift_stands_with_its_interval(tmp_path):
+    """Delays of 100 or 120 ms for two seconds tell a clock's drift to hundredths, not to millionths."""
+    columns = plain()
+    late = 0.1 + 0.02 * np.random.default_rng(4).random(40).round(0)
+    rows(tmp_path / "flight", columns | {"arrived": columns["sampled"] + late})
+    done = call("log", "flight", cwd=tmp_path)
+    (row,) = json.loads(call("log", "flight", "--json", cwd=tmp_path).stdout)["channels"]
+    value, half = re.search(r"y1: drift (-?\d+) ± (\d+) ppm", done.stdout).groups()
+    assert float(value) == pytest.approx(row["drift_ppm"], abs=0.1 * float(half))
+    assert float(half) == pytest.approx(1.96 * row["drift_ppm_se"], rel=0.05)
 
 
 def test_replay_leaves_a_folder_and_a_mistake_is_one_sentence(here):

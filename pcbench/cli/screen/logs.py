@@ -6,6 +6,8 @@ import pandas as pd
 from rich.console import Console
 
 from pcbench.cli.screen.tables import Column, printed
+from pcbench.statistics import Z95
+from pcbench.statistics.wording import estimate
 
 MILLI = 1e3
 NOTHING = 1e-9  # what is less is rounding
@@ -26,7 +28,7 @@ def channels(table: pd.DataFrame, console: Console) -> None:
     ]
     printed(str(table.attrs["name"]), columns, console)
     for row in rows:
-        for sentence in odd(row):
+        for sentence in [*_drift(row["drift_ppm"], row["drift_ppm_se"]), *odd(row)]:
             _print(f"{row['channel']}: {sentence}.", console)
 
 
@@ -51,6 +53,14 @@ def odd(row: dict[Any, Any]) -> list[str]:
         size, where = row["largest_jump"], int(row["largest_jump_row"])
         out.append(f"the delay jumps {_many(row['jumps'], 'time')}, by up to {size:.4g} s in row {where}")
     return out
+
+
+def _drift(slope: float | None, se: float | None) -> list[str]:
+    """Return how well the drift is known, where there is one."""
+    if slope is None or se is None or not abs(slope) > NOTHING:
+        return []
+    known = estimate(slope, slope - Z95 * se, slope + Z95 * se)
+    return [f"drift {known} ppm (half a 95 % interval, if delays do not depend on one another)"]
 
 
 def _many(number: int, word: str) -> str:
