@@ -18,10 +18,8 @@ from pcbench.simulation.lanes import entrywise, is_lanes, join, split
 from pcbench.simulation.lifted.reach import reach
 from pcbench.simulation.problem import Layout, Problem, State
 
-WRITTEN_OUT = (
-    16  # numbers of a state up to which functions of many cells are written out entry by entry: half the time, but
-)
-# three times as long to compile
+WRITTEN_OUT = 16  # numbers of a state up to which functions of many cells go entry by entry: half the time, but
+# twice as long to compile
 OneCell = Callable[..., Any]  # (problem, tick, state, what else enters linearly, the rest) -> a vector
 
 
