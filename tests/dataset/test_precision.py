@@ -12,7 +12,7 @@ from pcbench import statistics
 from pcbench.dataset import precision
 from pcbench.errors import UserError
 
-pytestmark = pytest.mark.usefixtures("as_users_have_it")
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
 STUDY = {
     "name": "until",
     "scenario": {"base": "cart/slow", "horizon": 4.0, "tail": 2.0},
@@ -23,7 +23,7 @@ STUDY = {
 
 
 @pytest.fixture(scope="module")
-def done(tmp_path_factory, as_users_have_it):
+def done(tmp_path_factory, in_a_hurry):
     out = tmp_path_factory.mktemp("until") / "out"
     return pcbench.run(STUDY, out=out, until_se="tail_rmse=0.002", max_seeds=3000)
 

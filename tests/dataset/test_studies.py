@@ -129,10 +129,11 @@ def test_files_that_other_systems_leave_are_passed_over(copy):
     assert verify.status(copy).closed
 
 
-def test_a_cell_has_the_same_bits_alone_and_among_others(tmp_path):
-    """Room for a longer delay, for more samples at a time, and for drift changes no number, compiled as a user has it."""
+@pytest.mark.parametrize("made", [hurried.programs, pytest.param(hurried.not_here, marks=pytest.mark.slow)])
+def test_a_cell_has_the_same_bits_alone_and_among_others(tmp_path, made):
+    """Room for a longer delay, for more samples at a time, and for drift changes no number; slowly, as users have it."""
     alone = STUDY | {"seeds": 16}
-    with hurried.not_here():
+    with made():
         pcbench.run(alone, out=tmp_path / "one")
         pcbench.run(
             alone | {"axes": {"noise_std": [0.1, 0.5], "delay": [1.0, 3.0], "drift": [0.0, 1.0]}}, out=tmp_path / "many"

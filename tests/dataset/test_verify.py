@@ -27,8 +27,8 @@ def test_status_says_how_far_a_study_is(copy):
 
 
 @pytest.fixture
-def mine(tmp_path, as_users_have_it):
-    """The small study with the bits that users have: each block comes out again by itself."""
+def mine(tmp_path):
+    """The small study in blocks of 16 seeds."""
     pcbench.run(STUDY, out=tmp_path / "mine", block=16)
     return tmp_path / "mine"
 
