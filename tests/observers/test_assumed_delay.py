@@ -53,7 +53,8 @@ def test_the_axis_works_for_every_observer_of_a_study():
     rows = result.stats.query("signal == 'position' and metric == 'tail_rmse'").pivot(
         index="observer", columns="assumed_delay_error", values="mean"
     )
-    assert rows.loc["open-loop", 0.0] == rows.loc["open-loop", 0.1], "it uses no sample"
+    same = pytest.approx(rows.loc["open-loop", 0.1], rel=1e-12)  # sums over other chunks: notes fall at other ticks
+    assert rows.loc["open-loop", 0.0] == same, "it uses no sample"
     assert (rows[0.0] != rows[0.1]).sum() == 5, "all others use the delay"
     assert rows.loc["dkf", 0.0] < 0.5 * rows.loc["dkf", 0.1]
 
