@@ -11,7 +11,7 @@ from commands import call
 from rich.console import Console
 
 import pcbench
-from pcbench.cli.screen import folder
+from pcbench.cli.screen import folder, took
 from pcbench.dataset import columns, compare, exact_part, parquet, store, verify
 from pcbench.dataset.result import opened
 from pcbench.errors import UserError
@@ -131,6 +131,16 @@ def test_both_simulates_what_is_not_affine_alone(tmp_path):
     assert "signed is not affine in the noise: x1 is off by" in said[0]
     assert "pcbench.run" in said[0]
     assert not verify.verify(tmp_path / "out", None, 0).differing
+
+
+def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(tmp_path):
+    pcbench.run("cart/slow", observers=["pccebo"], seeds=2, out=tmp_path / "out")
+    result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, method="exact", out=tmp_path / "out")
+    assert set(result.stats.method) == {"runs"}
+    assert exact_part.whole(store.target(tmp_path / "out")) is not None
+    said = took.sentence(result, "out")
+    assert said.startswith("The tables in out are of its runs")
+    assert "pcbench verify out --exact" in said
 
 
 def test_a_sealed_table_with_lists_is_known_again():
