@@ -13,8 +13,8 @@ from pcbench.dataset.cell_rows import seen_bound
 from pcbench.errors import UserError, unknown
 from pcbench.machine import process
 from pcbench.moments import affine, described
+from pcbench.moments.carried import COVARIANCE
 from pcbench.moments.items import Asked
-from pcbench.moments.program import COVARIANCE
 from pcbench.moments.solve import CellMoments, planned, solve
 from pcbench.plants import signals_of
 from pcbench.study.cells import Cell, Grid

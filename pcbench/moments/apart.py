@@ -10,16 +10,16 @@ from typing import Any
 import jax
 import numpy as np
 
+from pcbench.moments.carried import Found
 from pcbench.moments.compiled import compute
-from pcbench.moments.program import Found
 from pcbench.moments.realised import Realised
 
 ALONE = "observer"  # what an observer is called that goes by itself
 
 
-def computed(ones: list[Realised], recorded: str) -> Found:
+def computed(ones: list[Realised], recorded: str, every: int = 1) -> Found:
     """Return what cells of one layout leave, [..., at least as many as there are], no observer spoilt by another."""
-    found = compute(ones, recorded)
+    found = compute(ones, recorded, every)
     layout = ones[0].layout
     spoilt = [
         at for at in range(len(ones)) if not all(np.isfinite(a[..., at]).all() for a in jax.tree.leaves(found.sums))
@@ -28,7 +28,7 @@ def computed(ones: list[Realised], recorded: str) -> Found:
         return found
     found, first = jax.tree.map(np.array, found), 0
     for name in sorted(name for name, _ in layout.observers):
-        own = compute([_of(ones[at], name) for at in spoilt], recorded)
+        own = compute([_of(ones[at], name) for at in spoilt], recorded, every)
         many = own.sums.mean.shape[0]
         for place, at in enumerate(spoilt):
             _put(found, at, slice(first, first + many), jax.tree.map(lambda a, i=place: a[..., i], own), name)

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.moments.program import Found, Recorded
+from pcbench.moments.carried import Found, Recorded
 from pcbench.moments.sums import Sums
 
 LARGEST = ("reach", "apart", "size")  # of the mode where it is largest

@@ -8,9 +8,9 @@ import jax
 import numpy as np
 
 from pcbench.moments import program
+from pcbench.moments.carried import Found, Shape
 from pcbench.moments.given import Given, own_of, together
 from pcbench.moments.merging import mix_of
-from pcbench.moments.program import Found, Shape
 from pcbench.moments.realised import Realised
 from pcbench.moments.vector import WRITTEN_OUT, form_of
 from pcbench.simulation import batch, compiling, kept_programs
@@ -20,15 +20,17 @@ from pcbench.simulation.schedule import shared
 FEW, MANY = 8, 64  # cells a call; measured on the cart: with 64 a cell costs three quarters of what it does with 128
 
 
-def compute(ones: list[Realised], recorded: str) -> Found:
-    """Return what a batch leaves, [..., FEW or MANY]."""
+def compute(ones: list[Realised], recorded: str, every: int = 1) -> Found:
+    """Return what a batch leaves, [..., FEW or MANY], with what is recorded at every so many ticks."""
     width = FEW if len(ones) <= FEW else MANY
     each = _alike([ones[min(i, len(ones) - 1)] for i in range(width)])
     layout, own = each[0].layout, own_of(each[0].problem)
     given = together([one.problem for one in each], [one.network for one in each], [one.chance for one in each])
     if ones[0].mode:
         given = given._replace(mix=mix_of([one.mode for one in each]))
-    made = _program(layout, each[0], own, width, recorded, given)
+    form = form_of(layout, each[0].problem)
+    written = width == MANY and not form.flight and form.many <= WRITTEN_OUT
+    made = _program(layout, Shape(width, form, own, recorded, every, written), given)
     return jax.tree.map(np.asarray, made(given))
 
 
@@ -45,16 +47,14 @@ def _alike(each: list[Realised]) -> list[Realised]:
 _COMPILING = Lock()
 
 
-def _program(layout: Layout, one: Realised, own: tuple[bool, ...], width: int, recorded: str, given: Given) -> Any:
+def _program(layout: Layout, shape: Shape, given: Given) -> Any:
     leaves, tree = jax.tree.flatten(given)
-    key = layout, own, width, recorded, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
+    key = layout, shape, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
     with _ASKING:
         waiting = _MADE.setdefault(key, Making())
     with waiting.lock:  # the second thread to ask waits for the first one's program; another is made beside it
         if waiting.made is None:
-            form = form_of(layout, one.problem)
-            written = width == MANY and not form.flight and form.many <= WRITTEN_OUT
-            waiting.made = _compiled(layout, Shape(width, form, own, recorded, written), given)
+            waiting.made = _compiled(layout, shape, given)
         return waiting.made
 
 

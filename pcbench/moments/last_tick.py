@@ -21,12 +21,12 @@ class Last(NamedTuple):
 
 
 def kept(by: Means, k: Array, here: Array, mean: State, read: Read, before: Last) -> Last:
-    """Return what there is of errors and of what observers believe of them, where it is the tick for it."""
-    Z = read.runs.errors.shape[1]
+    """Return what there is of errors and of what observers believe of them, where the one tick read is that for it."""
+    Z = read.runs.errors.shape[2]
     nothing = jnp.zeros((0, by.std.shape[1]))
 
     def found() -> Last:
-        return Last(read.covariance[:Z, :Z], by.over(partial(_believed, by.layout))(k, mean, nothing, ()))
+        return Last(read.covariance[0, :Z, :Z], by.over(partial(_believed, by.layout))(k, mean, nothing, ()))
 
     return lax.cond(here, found, lambda: before)
 

@@ -16,6 +16,7 @@ from jax import Array
 
 from pcbench.moments import program
 from pcbench.moments.bending import ROUNDING, bent
+from pcbench.moments.carried import Shape
 from pcbench.moments.given import Given, own_of, together
 from pcbench.moments.realised import Realised, losses_alone, over_losses, random, realised
 from pcbench.moments.solve import CellMoments, refused
@@ -51,7 +52,7 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direc
     given = together([bare] * width, [one.network] * width, [one.chance] * width)
     every = jax.tree.map(lambda a: np.size(a) > 0, p.problem.gains[label])
     flags = jax.tree.unflatten(jax.tree.structure(given.problem), own_of(bare))._replace(gains={label: every})
-    shape = program.Shape(width, form_of(one.layout, one.problem), tuple(jax.tree.leaves(flags)))
+    shape = Shape(width, form_of(one.layout, one.problem), tuple(jax.tree.leaves(flags)))
     bend = bent(p)
     made: list[Any] = []
 

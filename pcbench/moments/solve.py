@@ -14,12 +14,12 @@ from pcbench.moments import items as items_of
 from pcbench.moments.apart import ALONE, computed
 from pcbench.moments.believed import Believed
 from pcbench.moments.bending import ROUNDING, bent
+from pcbench.moments.carried import Found
 from pcbench.moments.combined import combined
 from pcbench.moments.compiled import MANY
 from pcbench.moments.given import shared_of
 from pcbench.moments.items import Asked, Item
 from pcbench.moments.modes import delays_alone
-from pcbench.moments.program import Found
 from pcbench.moments.realised import Realised, losses_alone, realised
 from pcbench.moments.sums import Sums, nothing
 from pcbench.planning import drafts, padding
@@ -162,11 +162,8 @@ def _computed(
 
 def _kept(ones: list[Realised], asked: Asked) -> Found:
     """Compute a batch, and of what is recorded keep what is asked for: cells are read one by one, and first."""
-    found = computed(ones, asked.recorded)
-    if not found.rows:
-        return found
-    every = asked.every(found.rows.mean.shape[0] - 1)
-    return found._replace(rows=jax.tree.map(lambda a: _cells_first(a[::every]), found.rows))
+    found = computed(ones, asked.recorded, asked.every(int(ones[0].problem.windows[-1, 1])))
+    return found._replace(rows=jax.tree.map(_cells_first, found.rows))
 
 
 def _cells_first(a: Any) -> Any:

@@ -1,5 +1,7 @@
 """What is kept of the moments from tick to tick: expected squares and sizes over horizon and tail, and how affine a cell is."""
 
+import operator
+from functools import reduce
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -37,11 +39,11 @@ class Sums(NamedTuple):
 
 
 class Read(NamedTuple):
-    """What a tick gives to the sums; V numbers that are read, in the order of `Seen`."""
+    """What J ticks give to the sums; V numbers that are read, in the order of `Seen`."""
 
-    runs: Seen  # [1 + P, ..., C]
-    covariance: Array  # [V, V, C]; of an open loop [V, 1, C], the variances
-    moved: Array  # [P, V, C] where linear maps put the runs with noise, less the run without
+    runs: Seen  # [J, 1 + P, ..., C]
+    covariance: Array  # [J, V, V, C]; of an open loop [J, V, 1, C], the variances
+    moved: Array  # [J, P, V, C] where linear maps put the runs with noise, less the run without
 
 
 def nothing(signals: int, targets: int | None, cells: int) -> Sums:
@@ -55,53 +57,74 @@ def nothing(signals: int, targets: int | None, cells: int) -> Sums:
 
 
 def variances(read: Read) -> Array:
-    """Return the variances [V, C] of what was read."""
+    """Return the variances [J, V, C] of what was read."""
     c = read.covariance
-    return c[:, 0] if c.shape[1] == 1 else jnp.stack([c[i, i] for i in range(len(c))])
+    return c[:, :, 0] if c.shape[2] == 1 else jnp.einsum("jvvc->jvc", c)
 
 
 def added(s: Sums, read: Read, weight: Array, weights: Any) -> Sums:
-    """Take a tick into the sums; weight [2] says into which."""
+    """Take ticks into the sums; weight [2, J] says which count, and of those which in the tail; the others are the last."""
     s = _errors(s, read, weight)
     if isinstance(s.input, tuple):
         return s
-    z, r = read.runs.errors.shape[1], read.runs.off.shape[1]
-    first, n = z + r, read.runs.x.shape[1]
+    z, r = read.runs.errors.shape[2], read.runs.off.shape[2]
+    first, n = z + r, read.runs.x.shape[2]
     square = variances(read)
-    mean_off, x, u = read.runs.off[0], read.runs.x[0], read.runs.u[0]
+    mean_off, x, u = read.runs.off[:, 0], read.runs.x[:, 0], read.runs.u[:, 0]
     if isinstance(weights, Weights) and weights.Q1.size:
         state, pushed = slice(first, first + n), slice(first + n, None)
-        cost = _form(weights.Q1, x, read.covariance[state, state]) + _form(
-            weights.Q2, u, read.covariance[pushed, pushed]
+        cost = _form(weights.Q1, x, read.covariance[:, state, state]) + _form(
+            weights.Q2, u, read.covariance[:, pushed, pushed]
         )
-        s = s._replace(cost=s.cost + weight[:, None] * cost[None])
-    squares = jnp.sum(u * u + square[first + n :], 0)
-    late = s.off + weight[:, None, None] * (mean_off * mean_off + square[z:first])[None]
-    return s._replace(off=late, input=s.input + weight[:, None] * squares[None])
+        s = s._replace(cost=s.cost + _over(weight, cost))
+    squares = total(u * u + square[:, first + n :], 1)
+    late = s.off + _over(weight, mean_off * mean_off + square[:, z:first])
+    return s._replace(off=late, input=s.input + _over(weight, squares))
+
+
+def _over(weight: Array, each: Array) -> Array:
+    """The sums [2, ...] over the ticks that count of numbers [J, ...], whatever stands at the others."""
+    return total(jnp.where(weight.reshape(*weight.shape, *(1 for _ in each.shape[1:])), each[None], 0.0), 1)
+
+
+def total(a: Array, axis: int) -> Array:
+    """The sum along a short axis, written out: compiled as a sum it takes twenty times as long."""
+    return reduce(operator.add, _each(a, axis))
+
+
+def largest(a: Array, axis: int) -> Array:
+    """The largest along a short axis, likewise."""
+    return reduce(jnp.maximum, _each(a, axis))
+
+
+def _each(a: Array, axis: int) -> list[Array]:
+    return [lax.index_in_dim(a, i, axis, keepdims=False) for i in range(a.shape[axis])]
 
 
 def _form(Q: Array, mean: Array, covariance: Array) -> Array:
-    """E z'Q z [C], of Q [n, n, C], or [n, n] of all cells."""
-    second = covariance + mean[:, None] * mean[None]
-    return jnp.sum((Q if Q.ndim == 3 else Q[:, :, None]) * second, (0, 1))
+    """E z'Q z [J, C], of Q [n, n, C], or [n, n] of all cells."""
+    second = covariance + mean[:, :, None] * mean[:, None]
+    return jnp.sum((Q if Q.ndim == 3 else Q[:, :, None])[None] * second, (1, 2))
 
 
 def _errors(s: Sums, read: Read, weight: Array) -> Sums:
-    runs = read.runs.errors
-    mean, z = runs[0], runs.shape[1]
-    variance, moved = variances(read)[:z], read.moved[:, :z]
-    std = _root(variance, s.size)
-    apart = jnp.abs(runs[1:] - (mean[None] + moved))
-    large = jnp.max(jnp.abs(runs), 0) + jnp.max(jnp.abs(moved), 0)
-    scored, weight = weight[0] > 0, weight[:, None, None]
+    runs, counts = read.runs.errors, weight[0]
+    mean, z = runs[:, 0], runs.shape[2]
+    variance, moved = variances(read)[:, :z], read.moved[:, :, :z]
+    counted = counts[:, None, None]
+    apart = largest(jnp.abs(runs[:, 1:] - (mean[:, None] + moved)), 1)
+    large = largest(jnp.abs(runs), 1) + largest(jnp.abs(moved), 1)
+    size = jnp.maximum(s.size, largest(jnp.where(counted, large, 0.0), 0))
+    std = _root(variance, size[None])
+    last, any_counts = jnp.maximum(jnp.sum(counts) - 1, 0), jnp.any(counts)
     return s._replace(
-        square=s.square + weight * (mean * mean + variance)[None],
-        absolute=s.absolute + weight * expected_size(mean, std)[None],
-        mean=jnp.where(scored, mean, s.mean),
-        std=jnp.where(scored, std, s.std),
-        reach=jnp.maximum(s.reach, jnp.abs(mean) + FAR * std),
-        apart=jnp.maximum(s.apart, jnp.max(apart, 0)),
-        size=jnp.maximum(s.size, large),
+        square=s.square + _over(weight, mean * mean + variance),
+        absolute=s.absolute + _over(weight, expected_size(mean, std)),
+        mean=jnp.where(any_counts, mean[last], s.mean),
+        std=jnp.where(any_counts, std[last], s.std),
+        reach=jnp.maximum(s.reach, largest(jnp.where(counted, jnp.abs(mean) + FAR * std, 0.0), 0)),
+        apart=jnp.maximum(s.apart, largest(jnp.where(counted, apart, 0.0), 0)),
+        size=size,
     )
 
 

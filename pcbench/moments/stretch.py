@@ -1,0 +1,162 @@
+"""The ticks from one event to the next, some at a time, and what is kept of them.
+
+Runs go tick by tick. Covariances go by powers of a tick's matrix, over all ticks at once; where that matrix is not the same at
+every tick, one at a time.
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array, lax
+
+from pcbench.moments import last_tick, side_by_side
+from pcbench.moments import sums as sums_of
+from pcbench.moments.carried import COVARIANCE, Carried, Recorded, Shape
+from pcbench.moments.covariance import product
+from pcbench.moments.events import Means
+from pcbench.moments.given import Given
+from pcbench.moments.powers import Powers, after, covariances, later, powers, seen_of
+from pcbench.moments.sums import Read, Seen
+from pcbench.moments.ticks import Tick, flown, one_cell
+
+TICKS = 4  # at a time: a cell of the cart takes two thirds of what it takes tick by tick; of 8 and 16 no less
+
+
+class Shown(NamedTuple):
+    """What J ticks show."""
+
+    seen: Any  # Seen [J, 1 + P, ..., C], or as entries
+    moved: Any  # [J, P, V, C] where linear maps put the runs with noise, less the run without; (): powers say it
+
+
+class Ways(NamedTuple):
+    """How a batch goes from event to event."""
+
+    by: Means
+    shape: Shape
+    given: Given
+    many: int  # ticks that go together
+    room: Shown  # of so many ticks, none of them there yet
+    joint: bool  # whether covariances between what is seen are asked for
+    known: Powers | None  # None: a tick's matrix is not the same at every tick
+    parted: Any = ()  # the problem for entries of states side by side; (): states go as arrays
+
+
+def ways(by: Means, shape: Shape, given: Given, tick: Tick, seen: Seen) -> Ways:
+    """Return how a batch goes; `seen` has the shapes of what one run shows at a tick."""
+    joint = shape.recorded == COVARIANCE or by.layout.consistency or any(len(each) for each in seen[1:])
+    steady = isinstance(tick.shown, tuple)
+    many = TICKS if steady and not by.layout.consistency else 1
+    cells, size = shape.cells, sum(len(each) for each in seen)
+    both, entry_by_entry = 1 + given.ticks.shape[1], shape.written and many > 1
+    alone = jax.tree.map(lambda a: jnp.zeros((many, both, *a.shape)), seen)
+    room = side_by_side.room(seen, many, both) if entry_by_entry else alone
+    parted = side_by_side.of_problem(given.problem, shape.own, both) if entry_by_entry else ()
+    known = powers(tick.matrix, _reached(given, tick), many, joint) if steady else None
+    moved = () if steady and not given.ticks.shape[2] else jnp.zeros((many, both - 1, size, cells))
+    return Ways(by, shape, given, many, Shown(room, moved), joint, known, parted)
+
+
+def _reached(given: Given, tick: Tick) -> int:
+    """How many numbers of a state noise reaches."""
+    return tick.matrix.shape[1] - given.ticks.shape[2]
+
+
+def along(go: Ways, start: Array, stop: Array, c: Carried) -> Carried:
+    """Go from an event to the next."""
+    many, both = go.many, 1 + go.given.ticks.shape[1]
+
+    def some(at: tuple[Array, Carried]) -> tuple[Array, Carried]:
+        until = jnp.minimum(at[0] + many, stop)
+        return until, _some(go, at[0], until, at[1])
+
+    def carried(c: Carried, change: Callable[[Any], Any]) -> Carried:
+        return c._replace(moving=c.moving._replace(runs=change(c.moving.runs))) if go.parted else c
+
+    begun = carried(c, lambda runs: jax.tree.map(side_by_side.entries, runs))
+    _, ended = lax.while_loop(lambda at: at[0] < stop, some, (start, begun))
+    return carried(ended, lambda runs: side_by_side.arrays(runs, both, go.shape.cells))
+
+
+def _some(go: Ways, k: Array, until: Array, c: Carried) -> Carried:
+    """Estimate, control and flow: up to J ticks of all cells, and what is kept of them."""
+    m, by, p = c.moving, go.by, go.given.problem
+    start = m.runs, m.apart, c.tick, go.room
+    runs, apart, tick, shown = lax.fori_loop(k, until, lambda i, at: _tick(go, i, i - k, at), start)
+    known = powers(tick.matrix, _reached(go.given, tick), 1, go.joint) if go.known is None else go.known
+    runs_of_cells = 1 + go.given.ticks.shape[1], go.shape.cells
+    seen = side_by_side.of_ticks(shown.seen, *runs_of_cells) if go.parted else shown.seen
+    moved = shown.moved
+    if isinstance(moved, tuple):
+        moved, apart = seen_of(known, apart), later(known, until - k, apart)
+    read = Read(seen, covariances(known, m.P, go.joint), moved)
+    at, (tail, end) = k + jnp.arange(go.many), (p.windows[0, 1], p.windows[-1, 1])
+    counts = (at < until) & (at < end)
+    return Carried(
+        m._replace(runs=runs, apart=apart, P=after(known, until - k, m.P)),
+        tick,
+        sums_of.added(c.sums, read, jnp.stack([counts, counts & (at >= tail)]), p.weights),
+        _record(go, c.rows, k, until, read) if go.shape.recorded else (),
+        last_tick.kept(by, k, k == end - 1, jax.tree.map(lambda a: a[0], m.runs), read, c.last)
+        if by.layout.consistency
+        else (),
+    )
+
+
+def _tick(go: Ways, k: Array, place: Array, at: Any) -> Any:
+    """One tick of all runs, and where linear maps put those with noise."""
+    runs, apart, tick, shown = at
+    w, network = go.given.ticks[k], go.given.network
+    late = tuple(each[k // go.given.problem.network.every] for each in network) if go.by.layout.pending else ()
+    none = jnp.zeros((1, w.shape[1], go.shape.cells))
+    entering = jnp.concatenate([none, jnp.broadcast_to(w[:, :, None], (len(w), *none.shape[1:]))])
+    if go.parted:
+        one = side_by_side.over(partial(one_cell, go.by.layout), go.parted, len(entering) * go.shape.cells)
+        runs, seen = one(k, runs, side_by_side.entries(entering), late)
+    else:
+        runs, seen, tick = flown(go.by, k, runs, entering, late, tick)
+    shown = shown._replace(seen=jax.tree.map(partial(_put, place), shown.seen, seen))
+    if isinstance(shown.moved, tuple):
+        return runs, apart, tick, shown
+    A = _reached(go.given, tick)
+    moved = jax.vmap(lambda d: product(tick.matrix[:, :A], d[:A, None])[:, 0])(apart)
+    moved = moved + jnp.sum(tick.matrix[None, :, A:] * w[:, None, :, None], 2)
+    return runs, apart.at[:, :A].set(moved[:, :A]), tick, shown._replace(moved=_put(place, shown.moved, moved[:, A:]))
+
+
+def _put(place: Array, room: Array, a: Array) -> Array:
+    return lax.dynamic_update_index_in_dim(room, a, place, 0)
+
+
+def rows(go: Ways, signals: int) -> Any:
+    """Room for what is recorded, and one place more, or as many as ticks go together, for what is written in vain."""
+    shape, many = go.shape, go.many
+    if not shape.recorded:
+        return ()
+    ticks, cells = go.given.plan.sense.shape
+    places = -(-ticks // shape.every) + 1 if shape.every >= many else ticks + many
+    others = signals if shape.recorded == COVARIANCE else 1
+    return Recorded(jnp.zeros((places, signals, cells)), jnp.zeros((places, signals, others, cells)))
+
+
+def recorded(go: Ways, rows: Any) -> Any:
+    """Return what was recorded without the room for what was written in vain."""
+    ticks, every = go.given.plan.sense.shape[0], go.shape.every
+    return jax.tree.map(lambda a: a[:-1] if every >= go.many else a[:ticks:every], rows)
+
+
+def _record(go: Ways, rows: Recorded, k: Array, until: Array, read: Read) -> Recorded:
+    """Write down the moments of ticks k and after."""
+    mean, every, many = read.runs.errors[:, 0], go.shape.every, go.many
+    Z, wide = mean.shape[1], rows.covariance.shape[2] > 1
+    new = Recorded(mean, read.covariance[:, :Z, :Z] if wide else sums_of.variances(read)[:, :Z, None])
+    write = lax.dynamic_update_slice_in_dim
+    if every < many:  # all of them; what is not yet so is written over in time
+        return jax.tree.map(lambda room, a: write(room, a, k, 0), rows, new)
+    place = -k % every
+    row = jnp.where(k + place < until, (k + place) // every, len(rows.mean) - 1)
+    one = jax.tree.map(lambda a: lax.dynamic_slice_in_dim(a, jnp.minimum(place, many - 1), 1), new)
+    return jax.tree.map(lambda room, a: write(room, a, row, 0), rows, one)
