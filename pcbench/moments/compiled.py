@@ -24,13 +24,11 @@ def compute(ones: list[Realised], recorded: str, every: int = 1) -> Found:
     """Return what a batch leaves, [..., FEW or MANY], with what is recorded at every so many ticks."""
     width = FEW if len(ones) <= FEW else MANY
     each = _alike([ones[min(i, len(ones) - 1)] for i in range(width)])
-    layout, own = each[0].layout, own_of(each[0].problem)
+    own = own_of(each[0].problem)
     given = together([one.problem for one in each], [one.network for one in each], [one.chance for one in each])
     if ones[0].mode:
         given = given._replace(mix=mix_of([one.mode for one in each]))
-    form = form_of(layout, each[0].problem)
-    written = width == MANY and not form.flight and form.many <= WRITTEN_OUT
-    made = _program(layout, Shape(width, form, own, recorded, every, written), given)
+    made = _program(each[0], own, width, recorded, every, given)
     return jax.tree.map(np.asarray, made(given))
 
 
@@ -47,14 +45,16 @@ def _alike(each: list[Realised]) -> list[Realised]:
 _COMPILING = Lock()
 
 
-def _program(layout: Layout, shape: Shape, given: Given) -> Any:
+def _program(one: Realised, own: tuple[bool, ...], width: int, recorded: str, every: int, given: Given) -> Any:
     leaves, tree = jax.tree.flatten(given)
-    key = layout, shape, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
+    key = one.layout, own, width, recorded, every, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
     with _ASKING:
         waiting = _MADE.setdefault(key, Making())
     with waiting.lock:  # the second thread to ask waits for the first one's program; another is made beside it
         if waiting.made is None:
-            waiting.made = _compiled(layout, shape, given)
+            form = form_of(one.layout, one.problem)
+            written = width == MANY and not form.flight and form.many <= WRITTEN_OUT
+            waiting.made = _compiled(one.layout, Shape(width, form, own, recorded, every, written), given)
         return waiting.made
 
 
