@@ -1,5 +1,6 @@
 """The columns of the tables that other programs read, with units and meaning: a change is a new SCHEMA number. No jax."""
 
+from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
@@ -129,9 +130,13 @@ def words(known: tuple[str, ...] | list[str], which: Any) -> pa.Array:
     )
 
 
-def rows_table(rows: list[dict[str, Any]], order: list[str]) -> pa.Table:
-    """Return rows of stats or pairs as a table with its columns in the given order; its metadata say what intervals are."""
-    return with_intervals(table({name: [row[name] for row in rows] for name in order}))
+def together(parts: Iterable[dict[str, list[Any]]]) -> dict[str, list[Any]]:
+    """Return parts of a table, by column, as one."""
+    whole: dict[str, list[Any]] = {}
+    for part in parts:
+        for name, values in part.items():
+            whole.setdefault(name, []).extend(values)
+    return whole
 
 
 def with_intervals(found: pa.Table) -> pa.Table:

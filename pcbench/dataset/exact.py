@@ -1,7 +1,8 @@
 """Answers without seeds: expected values of a study's metrics, and the moments of errors over time, as pandas frames."""
 
+import itertools
 from collections.abc import Iterator
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,8 +46,7 @@ class Exact:
         A mean is the expected value and its se 0. Where runs have schedules of their own, a mean is over the first `schedules`
         of them, n says how many, and se is of schedules alone.
         """
-        rows = [row for m in self.solved(self.grid.cells) for row in self.rows(m)]
-        return pd.DataFrame(rows)[columns.stats_order(columns.axes_of(rows[0]))]
+        return pd.DataFrame(columns.together(self.rows(m) for m in self.solved(self.grid.cells)))
 
     def moments(self, scenario: str | None = None, cell: int | None = None) -> pd.DataFrame:
         """Return mean and standard deviation of e at ticks 0 .. N: of all cells, or of one.
@@ -66,19 +66,20 @@ class Exact:
 
     def over_time(self, m: CellMoments, points: int = 0) -> Iterator[dict[str, NDArray[Any]]]:
         """Yield, by column, moments at the ticks asked for, of each observer and signal of a cell that has an exact answer."""
-        names = [name for name, _ in signals_of(m.planned.cell.scenario)]
-        ticks = m.planned.cell.times.ticks
-        t = m.planned.cell.scenario.dt * np.arange(0, ticks + 1, Asked(0, 0, points=points).every(ticks))
+        cell = m.planned.cell
+        names = [name for name, _ in signals_of(cell.scenario)]
+        t = _times(cell.scenario.dt, cell.times.ticks, Asked(0, 0, points=points).every(cell.times.ticks))
         for label, place in m.signals.items():
-            if affine.refusal(m, label):
+            if m.why[label]:
                 continue
-            for i, z in enumerate(range(place.start, place.stop)):
-                means, variances = m.rows.mean[:, z], m.rows.covariance[:, z, 0]
-                middle, variance = means[:, 0], variances[:, 0]
-                if m.random:
-                    middle, variance = means.mean(-1), variances.mean(-1) + means.var(-1)
-                said = (np.broadcast_to(np.array(word, object), len(t)) for word in (label, names[i]))
-                yield dict(zip(OVER_TIME, (*said, t, middle, np.sqrt(np.maximum(variance, 0.0))), strict=True))
+            means, variances = m.rows.mean[:, place], m.rows.covariance[:, place, 0]
+            middle, variance = (means[..., 0], variances[..., 0])
+            if m.random:
+                middle, variance = means.mean(-1), variances.mean(-1) + means.var(-1)
+            std = np.sqrt(np.maximum(variance, 0.0))
+            for i in range(place.stop - place.start):
+                said = (_repeated(word, len(t)) for word in (label, names[i]))
+                yield dict(zip(OVER_TIME, (*said, t, middle[:, i], std[:, i]), strict=True))
 
     def covariance(self, scenario: str | None = None, cell: int | None = None) -> Joint:
         """Return the joint covariance of all errors of one cell, whose observers see the same noise.
@@ -95,7 +96,7 @@ class Exact:
                 "its own; ask with observers=[...] of one."
             )
         m = each[0]
-        if sentence := next(filter(None, (affine.refusal(m, label) for label in m.signals)), ""):
+        if sentence := next(filter(None, m.why.values()), ""):
             raise UserError(f"covariance: {sentence}")
         names = [name for name, _ in signals_of(chosen[0].scenario)]
         errors = tuple((o, names[i]) for o, z in m.signals.items() for i in range(z.stop - z.start))
@@ -110,20 +111,25 @@ class Exact:
         """Yield the moments of cells; of many an observer at a time."""
         with process.float64():
             asked = Asked(self.grid.study.root_seed, self.schedules, recorded, points)
-            yield from solve(planned(cells, recorded == COVARIANCE), asked)
+            for m in solve(planned(cells, recorded == COVARIANCE), asked):
+                yield m._replace(why={label: affine.refusal(m, label) for label in m.signals})
 
-    def rows(self, m: CellMoments) -> Iterator[dict[str, Any]]:
-        """Yield the rows of `stats`."""
+    def rows(self, m: CellMoments) -> dict[str, list[Any]]:
+        """Return the rows of `stats` as columns, in their order."""
         cell, p = m.planned.cell, m.planned
-        signals = signals_of(cell.scenario)
-        head = columns.keys(self.grid.study.name, cell) | {"plant": cell.scenario.plant}
+        signals, head = signals_of(cell.scenario), columns.keys(self.grid.study.name, cell)
         bound = seen_bound(None if p.bound is None else p.bound.tolist(), cell.scenario.belief.prior_std)
-        for label, rows in described.described(m, dict.fromkeys(m.signals, bound)).items():
-            for row in rows:
-                signal, unit = signals[row["signal"]]
-                proven = is_certified(p.certificates[label]._asdict())
-                about = {"observer": label, "carries_input": p.carries_input[label], "certified": proven}
-                yield head | row | about | {"unit": columns.unit_of(row["metric"], unit), "signal": signal}
+        found = []
+        for label in m.signals:
+            mine = described.described(m, label, m.why[label], bound)
+            units, at = [signals[i][1] for i in mine["signal"]], mine["metric"]
+            about = {"plant": cell.scenario.plant, "observer": label, "carries_input": p.carries_input[label]}
+            about |= {"certified": is_certified(p.certificates[label]._asdict())}
+            mine |= {name: [value] * len(at) for name, value in (head | about).items()}
+            mine |= {"signal": [signals[i][0] for i in mine["signal"]]}
+            found.append(mine | {"unit": list(map(columns.unit_of, at, units))})
+        order = columns.stats_order(columns.axes_of(head))
+        return {name: list(itertools.chain.from_iterable(each[name] for each in found)) for name in order}
 
     def _chosen(self, scenario: str | None, cell: int | None) -> list[Cell]:
         known = list(dict.fromkeys(c.scenario.name for c in self.grid.cells))
@@ -133,3 +139,14 @@ class Exact:
         if not found:
             raise UserError(f"exact: got cell {cell}, expected one of 0 to {len(self.grid.cells) - 1}.")
         return found
+
+
+@lru_cache(16)
+def _times(dt: float, ticks: int, every: int) -> NDArray[Any]:
+    """The times of ticks 0 .. N, every so many."""
+    return dt * np.arange(0, ticks + 1, every)
+
+
+@lru_cache(256)
+def _repeated(word: str, often: int) -> NDArray[Any]:
+    return np.broadcast_to(np.array(word, object), often)

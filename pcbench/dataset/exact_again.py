@@ -24,8 +24,7 @@ def differing(target: store.Target, owned: Owned, sample: int | None, seed: int)
     from pcbench.dataset.exact import Exact
 
     exact = Exact(Grid(owned.study, cells), owned.study.schedules)
-    rows = [row for m in exact.solved(cells) for row in exact.rows(m)]
-    here = columns.rows_table(rows, columns.stats_order(columns.axes_of(rows[0])))
+    here = columns.with_intervals(columns.table(columns.together(exact.rows(m) for m in exact.solved(cells))))
     said = [f"{exact_part.NAME}: {_called(c)}: other numbers come out now." for c in cells if not _same(there, here, c)]
     return [_called(c) for c in cells], said
 

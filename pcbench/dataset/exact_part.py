@@ -68,9 +68,8 @@ def _cells(
     for key, parts in itertools.groupby(exact.solved(owned.cells, "std", POINTS), key=lambda m: m.planned.cell.key):
         frames: list[dict[str, Any]] = []
         for m in parts:
-            mine = list(exact.rows(m))
-            for name in columns.stats_order(columns.axes_of(mine[0])):
-                rows.setdefault(name, []).extend([row[name] for row in mine])
+            for name, values in exact.rows(m).items():
+                rows.setdefault(name, []).extend(values)
             frames += exact.over_time(m, POINTS)
         if frames:
             yield place(*key), columns.table({name: _column([f[name] for f in frames]) for name in frames[0]})
@@ -126,11 +125,11 @@ class RowsByCell:
         """Return whether a cell has any."""
         return key in self.places
 
-    def get(self, key: tuple[str, int]) -> list[Row]:
-        """Return the rows of a cell; none where it has none."""
-        if self.table is None:
-            return []
-        return [row for start, stop in self.places.get(key, ()) for row in self.table[start:stop].to_pylist()]
+    def get(self, key: tuple[str, int]) -> dict[str, list[Any]]:
+        """Return the rows of a cell as columns; none where it has none."""
+        if self.table is None or key not in self.places:
+            return {}
+        return pa.concat_tables([self.table[start:stop] for start, stop in self.places[key]]).to_pydict()
 
 
 def rows_by_cell(target: store.Target) -> RowsByCell:
@@ -155,22 +154,24 @@ def simulated(target: store.Target, owned: Owned) -> Owned:
     return owned._replace(cells=[c for c in cells if c.options])
 
 
-def pairs(rows: list[Row]) -> list[Row]:
-    """Return the rows of `pairs` of one cell: differences of exact numbers, where no schedule is random."""
-    each: dict[tuple[str, str], list[Row]] = {}
-    for row in rows:
-        if row["method"] == "exact" and not row["n"]:
-            each.setdefault((row["signal"], row["metric"]), []).append(row)
-    out = []
-    for (_, _), mine in each.items():
-        for a, b in itertools.combinations(mine, 2):
-            apart = a["mean"] - b["mean"]
-            same = abs(apart) <= 1e-9 * max(abs(a["mean"]), abs(b["mean"]))
-            of_both = {f"{what}_{side}": row[what] for side, row in (("a", a), ("b", b)) for what in ABOUT}
-            known = {"mean_diff": apart, "se": 0.0, "ci_low": apart, "ci_high": apart}
-            unknown = {"prob_a_better": 0.5 if same else np.nan, "p_value": np.nan, "p_holm": np.nan}
-            out.append(a | of_both | known | unknown)
-    return out
+def pairs(known: dict[str, list[Any]], order: list[str]) -> dict[str, list[Any]]:
+    """Return columns of `pairs` of one cell, in their order: differences of exact numbers, where no schedule is random."""
+    each: dict[tuple[str, str], list[int]] = {}
+    for at, (method, n, *about) in enumerate(
+        zip(*(known[c] for c in ("method", "n", "signal", "metric")), strict=True)
+    ):
+        if method == "exact" and not n:
+            each.setdefault((about[0], about[1]), []).append(at)
+    both = [two for mine in each.values() for two in itertools.combinations(mine, 2)]
+    mean = np.array(known["mean"], float)
+    a, b = (mean[[two[side] for two in both]] for side in (0, 1))
+    same = np.abs(a - b) <= 1e-9 * np.maximum(np.abs(a), np.abs(b))
+    apart, none = (a - b).tolist(), [np.nan] * len(both)
+    found = {"mean_diff": apart, "se": [0.0] * len(both), "ci_low": apart, "ci_high": apart}
+    found |= {"prob_a_better": np.where(same, 0.5, np.nan).tolist(), "p_value": none, "p_holm": none}
+    for what in ABOUT:
+        found |= {f"{what}_{side}": [known[what][two[i]] for two in both] for i, side in enumerate("ab")}
+    return {name: found[name] if name in found else [known[name][first] for first, _ in both] for name in order}
 
 
 ABOUT = ("observer", "carries_input", "certified")

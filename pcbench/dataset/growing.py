@@ -17,8 +17,7 @@ class GrowingTable:
     def __init__(self, about: dict[bytes, bytes]) -> None:
         self.about, self.sink = about, pa.BufferOutputStream()
         self.waiting: list[pa.Table] = []
-        self.rows: list[dict[str, Any]] = []  # that are to be a table of so ordered columns
-        self.order: list[str] = []
+        self.columns: dict[str, list[Any]] = {}  # of rows that are to be a table
         self.writer: Any = None  # a pq.ParquetWriter, once there is a schema
 
     def add(self, table: pa.Table) -> None:
@@ -31,13 +30,14 @@ class GrowingTable:
         if sum(map(len, self.waiting)) >= ROWS:
             self._write()
 
-    def add_rows(self, rows: list[dict[str, Any]], order: list[str]) -> None:
-        """Add some rows that are no table yet: of many together one is made in the time of one of few."""
-        if order != self.order:
+    def add_columns(self, more: dict[str, list[Any]]) -> None:
+        """Add some rows, by column, that are no table yet: of many together one is made in the time of one of few."""
+        if list(more) != list(self.columns):
             self._gather()
-        self.order = order
-        self.rows.extend(rows)
-        if len(self.rows) >= GATHERED:
+            self.columns = {name: [] for name in more}
+        for name, values in more.items():
+            self.columns[name].extend(values)
+        if len(self.columns["study"]) >= GATHERED:
             self._gather()
 
     def content(self) -> pa.Buffer:
@@ -48,9 +48,9 @@ class GrowingTable:
         return self.sink.getvalue()
 
     def _gather(self) -> None:
-        if self.rows or (self.order and not (self.writer or self.waiting)):
-            self._wait(columns.rows_table(self.rows, self.order))
-        self.rows = []
+        if self.columns and (self.columns["study"] or not (self.writer or self.waiting)):
+            self._wait(columns.with_intervals(columns.table(self.columns)))
+        self.columns = {name: [] for name in self.columns}
 
     def _write(self) -> None:
         if self.waiting:

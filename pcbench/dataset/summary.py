@@ -28,6 +28,7 @@ from pcbench.synthesis.certificate import is_certified
 
 PROVENANCE = "provenance.json"
 Key = tuple[str, int]  # a cell's
+Rows = dict[str, list[Any]]  # by column
 TOGETHER = 32  # cells whose rows are made at a time
 FROM = b"pcbench.from"  # the key in a closing table's metadata: which blocks it was made of
 
@@ -153,15 +154,13 @@ class Closing:
             columns.stats_order(columns.axes_of(cell.values)),
             columns.pairs_order(columns.axes_of(cell.values)),
         )
-        rows, compared = [], exact_part.pairs(known)
+        rows, compared = known, exact_part.pairs(known, pairs)
         if found:
             mine = cell_rows.rows_of(self.target, self.owned.study.name, cell, found)
-            rows, compared = mine[0].table(stats).to_pylist(), [*mine[1].table(pairs).to_pylist(), *compared]
-        why = {row["observer"]: row["reason"] for row in known if row["metric"] == "mse"}
-        rows = [row | {"reason": why.get(row["observer"])} for row in rows]
-        rows = _in_order(cell, [*(row for row in known if row["observer"] not in found), *rows])
-        self.stats.add_rows(rows, stats)
-        self.pairs.add_rows(compared, pairs)
+            rows = _both(known, mine[0].table(stats).to_pydict(), found)
+            compared = columns.together([mine[1].table(pairs).to_pydict(), compared])
+        self.stats.add_columns(_in_order(cell, {name: rows[name] for name in stats}))
+        self.pairs.add_columns(compared)
 
     def _put(self, cell: Cell, stats: Frame, pairs: Frame) -> None:
         """Add rows of this cell, and of others of its kind."""
@@ -178,10 +177,23 @@ class Closing:
             went[name] = way if went.get(name, way) == way else "both"
 
 
-def _in_order(cell: Cell, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _both(known: Rows, simulated: Rows, found: cell_rows.Found) -> Rows:
+    """Rows of stats of a cell of which some observers are exact: those of runs say why they are not."""
+    each = zip(known["observer"], known["metric"], known["reason"], strict=True)
+    why = {observer: reason for observer, metric, reason in each if metric == "mse"}
+    here = [at for at, name in enumerate(known["observer"]) if name not in found]
+    exact = {name: [values[at] for at in here] for name, values in known.items()}
+    return columns.together([exact, simulated | {"reason": [why.get(name) for name in simulated["observer"]]}])
+
+
+def _in_order(cell: Cell, rows: Rows) -> Rows:
     """Rows of stats with observers in the order of the study."""
     order = {name: i for i, name in enumerate(cell.options)}
-    return sorted(rows, key=lambda row: order[row["observer"]])
+    places = [order[name] for name in rows["observer"]]
+    if places == sorted(places):
+        return rows
+    turn = sorted(range(len(places)), key=places.__getitem__)
+    return {name: [values[at] for at in turn] for name, values in rows.items()}
 
 
 def _strength(certificate: dict[str, Any]) -> float:

@@ -1,18 +1,21 @@
-"""The rows of `stats` that need no seeds: expected values without a standard error, and for the others why they are missing."""
+"""The rows of `stats` that need no seeds: expected values without a standard error, and for the others why they are missing.
 
-from typing import Any
+Rows of one observer in one cell are columns; which rows there are is found once for all cells that know the same.
+"""
+
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pcbench.moments import believed
-from pcbench.moments.affine import refusal
 from pcbench.moments.solve import CellMoments
 from pcbench.statistics.consistency import INSIDE
-from pcbench.statistics.description import BLANK, Row, columns
 from pcbench.statistics.distributions import normal_quantile
 from pcbench.statistics.estimates import Estimate, positive, reached, root, student
 from pcbench.statistics.moments import Values, moments
-from pcbench.statistics.order_statistics import QUANTILES
+from pcbench.statistics.order_statistics import COLUMNS, QUANTILES
 
 POOLED = {"pooled_rmse": "mse", "tail_pooled_rmse": "tail_mse"}
 OF_LOOP = ("pooled_tracking_rmse", "tail_pooled_tracking_rmse")
@@ -28,7 +31,7 @@ RUNS_ONLY = {
     "divergence": "the first of many ticks depends on all of them together",
 }
 ANOTHER = "it is not normal (a start in a box, or a mixture over losses or delays): known are means of squares only"
-NOTHING: Row = {"n": 0} | dict.fromkeys(Estimate._fields[1:], np.nan)
+NUMBERS = Estimate._fields[1:]
 ORDER = (
     *("mae", "rmse", "mse", "peak", "final", "settling_time", "recovery_time"),
     *("tail_mae", "tail_rmse", "tail_mse", "tail_peak", *OF_LOOP, *OF_RUN),
@@ -39,38 +42,70 @@ ALWAYS = ("mae", "mse", "final", "tail_mae", "tail_mse", *POOLED)  # of every si
 NORMAL = ("mae", "tail_mae", *INSIDE)  # of a normal error alone
 
 
-def described(cell: CellMoments, bounds: dict[str, Values | None]) -> dict[str, list[Row]]:
-    """Return by observer a row for every signal (its number) and metric, each with its `method` and the `reason` for a blank.
+Columns = dict[str, list[Any]]
 
-    `bounds` [signals] are what the efficiency is against, NaN where there is none.
+
+class Which(NamedTuple):
+    """The rows of an observer in a cell: of each its signal (by number), its metric, and why it has no number, or None."""
+
+    signal: list[int]
+    metric: list[str]
+    reason: list[str | None]
+    places: NDArray[np.intp]  # among the numbers of all metrics and signals, and behind them blank ones
+    final: tuple[int, ...]  # rows of last errors that are normal
+
+
+def described(cell: CellMoments, label: str, why: str, bound: Values | None) -> Columns:
+    """Return the rows of an observer as columns, each with its `method` and the `reason` for a blank.
+
+    `why` it has no exact answer in this cell, empty: it has one; `bound` [signals] is what the efficiency is against, NaN where
+    there is none.
     """
-    return {label: _rows(cell, label, bounds[label]) for label in cell.signals}
-
-
-def _rows(cell: CellMoments, label: str, bound: Values | None) -> list[Row]:
-    why, found = refusal(cell, label), _found(cell, label, bound)
+    found = _found(cell, label, bound)
     normal = not cell.planned.layout.scattered and not cell.mixture
-    out = []
     many = cell.signals[label].stop - cell.signals[label].start
+    jumps = bool((cell.planned.problem.jumps < cell.planned.cell.times.ticks).any())
+    numbers = np.full((len(found) + 1, many, len(NUMBERS)), np.nan)
+    for at, e in enumerate(found.values()):
+        numbers[at, : len(e.mean)] = np.stack(e[1:], 1)[:many]
+    known = tuple(tuple(row) for row in (~np.isnan(numbers[:-1, :, 0])).tolist())
+    which = _which(tuple(found), known, many, why, normal, jumps)
+    values = numbers.reshape(-1, len(NUMBERS))[which.places]
+    out: Columns = {"signal": which.signal, "metric": which.metric, "diverged": [0] * len(which.metric)}
+    n = np.array([*(e.n for e in found.values()), 0])[which.places // many]
+    out |= {"n": n.tolist()} | dict(zip(NUMBERS, values.T.tolist(), strict=True))
+    spread = np.full((len(COLUMNS), len(which.metric)), np.nan)
+    if which.final and not cell.random:
+        spread[:, list(which.final)] = _quantiles(cell, label)[:, [which.signal[row] for row in which.final]]
+    out |= dict(zip(COLUMNS, spread.tolist(), strict=True))
+    return out | {"method": ["none" if reason else "exact" for reason in which.reason], "reason": which.reason}
+
+
+@lru_cache(256)
+def _which(
+    found: tuple[str, ...], known: tuple[tuple[bool, ...], ...], many: int, why: str, normal: bool, jumps: bool
+) -> Which:
+    """Return the rows there are where so many signals have so much `found`, and of that `known`."""
+    rows: list[tuple[int, str, str | None, int]] = []
+    final: list[int] = []
     for i in range(many):
         for metric in ORDER:
             said = why or RUNS_ONLY.get(metric, "") or ("" if normal or metric not in NORMAL else ANOTHER)
-            if metric == "recovery_time" and not (cell.planned.problem.jumps < cell.planned.cell.times.ticks).any():
+            there = metric in found and known[found.index(metric)][i]
+            if metric == "recovery_time" and not jumps:
                 continue
-            values = found.get(metric)
-            known = values is not None and i < len(values) and not np.isnan(values[i]["mean"])
-            if not (known or metric in RUNS_ONLY or (why and metric in ALWAYS)):
+            if not (there or metric in RUNS_ONLY or (why and metric in ALWAYS)):
                 continue
-            row = (NOTHING if said or values is None else values[i]) | BLANK
-            if metric == "final" and not said and normal and not cell.random:
-                row |= _quantiles(cell, label, i)
-            about = {"method": "none" if said else "exact", "reason": said or None}
-            out.append({"signal": i, "metric": metric, "diverged": 0} | row | about)
-    return out
+            blank = bool(said) or metric not in found
+            if metric == "final" and not said and normal:
+                final.append(len(rows))
+            rows.append((i, metric, said or None, (len(found) if blank else found.index(metric)) * many + i))
+    signal, metrics, reason, places = map(list, zip(*rows, strict=True))
+    return Which(signal, metrics, reason, np.array(places), tuple(final))
 
 
-def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, list[Row]]:
-    """The rows of every metric that is exact, by signal."""
+def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, Estimate]:
+    """Every metric that is exact, of signals."""
     mine, s = cell.signals[label], cell.sums
     n, tail = cell.planned.cell.times.ticks, cell.planned.cell.times.tail
     out: dict[str, Estimate] = {"final": _over(cell, s.mean[mine], True)}
@@ -91,7 +126,7 @@ def _found(cell: CellMoments, label: str, bound: Values | None) -> dict[str, lis
         for metric, values in zip(("nees", "signal_nees", "nees_states"), believed.squares(b), strict=True):
             out[metric] = _over(cell, values if cell.shares is None else values @ cell.shares[:, None])
         out |= {metric: _over(cell, values) for metric, values in zip(INSIDE, believed.inside(b), strict=True)}
-    return {metric: columns(e) for metric, e in out.items()}
+    return out
 
 
 def _over(cell: CellMoments, values: Any, signed: bool = False) -> Estimate:
@@ -102,9 +137,8 @@ def _over(cell: CellMoments, values: Any, signed: bool = False) -> Estimate:
     return Estimate(0, value, nothing, value, value)
 
 
-def _quantiles(cell: CellMoments, label: str, i: int) -> dict[str, Any]:
-    """Quantiles of the last error, which is normal."""
-    at = cell.signals[label].start + i
-    mean, std = cell.sums.mean[at, 0], cell.sums.std[at, 0]
-    each = {q: float(mean + std * normal_quantile(int(q[1:]) / 100)) for q in QUANTILES}
-    return each | {q + end: value for q, value in each.items() for end in ("_low", "_high")}
+def _quantiles(cell: CellMoments, label: str) -> Values:
+    """Quantiles [of COLUMNS, signals] of the last errors, which are normal: each is its own interval."""
+    mine = cell.signals[label]
+    each = {q: cell.sums.mean[mine, 0] + cell.sums.std[mine, 0] * normal_quantile(int(q[1:]) / 100) for q in QUANTILES}
+    return np.stack([each[name.split("_")[0]] for name in COLUMNS])

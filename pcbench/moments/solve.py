@@ -42,6 +42,7 @@ class CellMoments(NamedTuple):
     rows: Any = ()  # Recorded [..., S]
     last: dict[str, Believed] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
     mixture: bool = False  # over losses or delays: means and squares are exact, and no distribution is normal
+    why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`affine`)  # noqa: RUF012
     shares: Any = None  # [S] of `last`, whose realisations are modes of the cell; None: each counts alike
 
 

@@ -187,7 +187,7 @@ def test_holm_families_are_one_scenario_signal_and_metric_over_all_cells(at_once
     ]
     table = growing.GrowingTable({})
     for row in rows:
-        table.add(columns.rows_table([row | {"p_holm": np.nan}], [*row, "p_holm"]))
+        table.add(columns.table({name: [value] for name, value in (row | {"p_holm": np.nan}).items()}))
     done = pq.read_table(pa.BufferReader(adjusted.adjusted(table.content(), {})))
     for i, row in enumerate(done.to_pylist()):
         small, large = 0.001 * (1 + i % 8), 0.001 * (9 + i % 8)
