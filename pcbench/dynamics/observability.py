@@ -4,6 +4,8 @@ A mode (eigenvalue lam of A) is unobservable where [lam I - A; C] has not full r
 mode decays: Re lam < 0, or |lam| < 1 for a discrete plant.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from pcbench.dynamics.linear import Matrix, Model
@@ -13,13 +15,19 @@ RANK = 1e-9  # a singular value below this part of the largest is zero
 
 
 def unobservable(A: Matrix, C: Matrix) -> list[complex]:
-    """Return the modes of A [n, n] that C [q, n] does not see."""
-    out = []
+    """Return the modes of A [n, n] that C [q, n] does not see; remembered, as cells of a study have few plants."""
+    A, C = (np.ascontiguousarray(M, float) for M in (A, C))
+    return list(_unobservable(A.tobytes(), C.tobytes(), len(A)))
+
+
+@lru_cache(256)
+def _unobservable(of_A: bytes, of_C: bytes, n: int) -> tuple[complex, ...]:
+    A, C, out = np.frombuffer(of_A).reshape(n, n), np.frombuffer(of_C).reshape(-1, n), []
     for mode in np.linalg.eigvals(A):
         sizes = np.linalg.svd(np.vstack([mode * np.eye(len(A)) - A, C]), compute_uv=False)
         if sizes[-1] < RANK * max(sizes[0], 1e-300):
             out.append(complex(mode))
-    return out
+    return tuple(out)
 
 
 def decays(mode: complex, discrete: bool) -> bool:

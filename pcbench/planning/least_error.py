@@ -1,5 +1,7 @@
 """The least error that any causal estimator can have in a cell."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,18 +30,23 @@ def bound(cell: Cell, known: Setting, ask: once.Once = once.anew) -> NDArray[np.
     sees = known.model, known.dt, known.ticks, known.noise_std, known.P0, s.truth.process_std
     key = once.key_of((*sees, cell.times.tail)), tuple(clocks)
     alike = once.key_of((known.model, known.dt, known.noise_variance, s.truth.process_std))
-    found: NDArray[np.float64] = ask("bound", key, lambda: _bound(cell, known, ask("steps", alike, riccati.no_steps)))
+    steps = ask("steps", alike, riccati.no_steps)
+    moved = ask("moved", (alike, known.ticks), lambda: _over_ticks(known, s.truth.process_std))
+    found: NDArray[np.float64] = ask("bound", key, lambda: _bound(cell, known, moved, steps))
     return found
 
 
-def _bound(cell: Cell, known: Setting, steps: riccati.Steps) -> NDArray[np.float64]:
-    s, clocks = cell.scenario, cell.times.clocks
+def _over_ticks(known: Setting, process_std: Any) -> tuple[linear.Matrix, linear.Matrix]:
+    """Return what the model and its noise, which is what is and not what designers assume, do over 2^b ticks."""
     doubled = linear.doublings(known.model, known.dt, linear.bits_for(known.ticks))
-    samples = [(s.arrives, s.taken, s.channel) for s in shared.samples(clocks, known.ticks)]
-    added = known._replace(process_std=s.truth.process_std).process_noise  # what is, not what designers assume
-    noise = linear.noise_doublings(known.model, added, known.dt, len(doubled))
+    added = known._replace(process_std=process_std).process_noise
+    return doubled, linear.noise_doublings(known.model, added, known.dt, len(doubled))
+
+
+def _bound(
+    cell: Cell, known: Setting, moved: tuple[linear.Matrix, linear.Matrix], steps: riccati.Steps
+) -> NDArray[np.float64]:
+    samples = [(s.arrives, s.taken, s.channel) for s in shared.samples(cell.times.clocks, known.ticks)]
     tail = range(cell.times.tail, known.ticks)
-    variance = riccati.posterior_variance(
-        doubled, noise, known.model.C, known.noise_variance, known.P0, samples, tail, steps
-    )
+    variance = riccati.posterior_variance(*moved, known.model.C, known.noise_variance, known.P0, samples, tail, steps)
     return np.sqrt(variance)

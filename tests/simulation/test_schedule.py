@@ -123,6 +123,20 @@ def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
     assert shared.in_flight(slow) == 1
 
 
+@given(st.integers(1, 40), st.none() | st.integers(0, 90), st.integers(1, 120), st.sampled_from(((0,), (0, 1), (2, 0))))
+def test_a_plain_clock_alone_is_laid_out_without_loops_as_its_samples_are(period, delay, ticks, channels):
+    clock = sampling.Clock(channels, period, delay)
+    in_turn = clock._replace(turns=(0,))  # late by nothing in turn: the same samples, one by one
+    assert shared.plain(clock)
+    assert not shared.plain(in_turn)
+    each = shared.samples([in_turn], ticks)
+    assert shared.samples([clock], ticks) == each
+    for name, a, b in zip(
+        shared.Schedule._fields, shared.regular(clock, ticks, 3), schedule(each, ticks, 3), strict=True
+    ):
+        np.testing.assert_array_equal(a, b, err_msg=name, strict=True)
+
+
 def test_intervals_in_turn_come_in_their_turn_and_a_sine_as_it_swings():
     turn, sine = sampling.Clock((0,), 9, 3, (5, 8, 6)), sampling.Clock((0,), 20, 3, "sine")
     assert sampling.instants(turn, 40) == [0, 5, 13, 19, 24, 32, 38, 43]

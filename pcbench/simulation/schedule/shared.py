@@ -46,10 +46,20 @@ class Sample(NamedTuple):
     ahead: int = 0  # ticks by which its stamp is later than `taken`
 
 
+def plain(clock: Clock) -> bool:
+    """Return whether a clock's samples are a period apart, each as late as the others, and stamped when they are taken."""
+    return clock == Clock(clock.channels, clock.period, clock.delay)
+
+
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
     """Return every sample of clocks without randomness, taken up to tick `ticks`, from 0 on or before (`Clock.early`)."""
     out = []
     for clock in clocks:
+        if plain(clock):
+            late = clock.period if clock.delay is None else clock.delay
+            each = enumerate(range(0, ticks + 1, clock.period))
+            out += [Sample(j, i, taken, taken + late) for i, taken in each for j in clock.channels]
+            continue
         due, last = instants(clock, ticks), None
         for i, taken in enumerate(due[:-1]):
             arrives = due[i + 1] if clock.delay is None else taken + clock.delay
@@ -95,21 +105,8 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     slots = max((len(group) for group in by_arrival.values()), default=1)
     stamps = {s.taken: max(s.taken - error + s.ahead, 0) for s in samples}
     noted = _noted(samples, packet, ticks, error)
-    n, q = ticks + 1, channels
-    out = Schedule(
-        sense=np.full(n, -1, np.int32),
-        sample=np.full((n, q), -1, np.int32),
-        note=np.full(n, -1, np.int32),
-        arrive=np.full((n, slots), -1, np.int32),
-        believed=np.zeros((n, slots), np.int32),
-        fresh=np.zeros((n, slots, q), bool),
-        number=np.full((n, slots, q), -1, np.int32),
-        since=np.zeros((n, slots), np.int32),
-        event=np.zeros(n, bool),
-        next_event=np.full(n, n, np.int32),
-        early=np.full((sum(tick < 0 for tick in instants), q), -1, np.int32),
-        also=np.full((n, max((len(each) for each in noted.values()), default=1) - 1), -1, np.int32),
-    )
+    early, notes = sum(tick < 0 for tick in instants), max((len(each) for each in noted.values()), default=1) - 1
+    out = at_no_tick(ticks, channels, slots, early, notes)
     for s in samples:
         if s.taken < 0:
             out.early[packet[s.taken], s.channel] = s.number
@@ -128,6 +125,47 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
                 out.fresh[tick, slot, s.channel] = True
                 out.number[tick, slot, s.channel] = s.number
         last = tick
+    return with_events(out)
+
+
+def regular(clock: Clock, ticks: int, channels: int) -> Schedule:
+    """Return the `schedule` of a plain clock alone, of whose age observers believe what is so, without its loops."""
+    n, q = ticks + 1, list(clock.channels)
+    taken = np.arange(0, n, clock.period, dtype=np.int32)
+    arrives = taken + np.int32(clock.period if clock.delay is None else clock.delay)
+    here = arrives <= ticks
+    number, at = np.arange(len(taken), dtype=np.int32), arrives[here]
+    out = at_no_tick(ticks, channels)
+    out.sense[taken] = out.note[taken] = number
+    out.sample[taken[:, None], q] = number[:, None]
+    out.arrive[at, 0], out.believed[at, 0], out.since[at, 0] = number[here], taken[here], np.diff(at, prepend=0)
+    out.fresh[at[:, None], 0, q] = True
+    out.number[at[:, None], 0, q] = number[here, None]
+    return with_events(out)
+
+
+def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes: int = 0) -> Schedule:
+    """Return a schedule of nothing, with room."""
+    n, q = ticks + 1, channels
+    return Schedule(
+        sense=np.full(n, -1, np.int32),
+        sample=np.full((n, q), -1, np.int32),
+        note=np.full(n, -1, np.int32),
+        arrive=np.full((n, slots), -1, np.int32),
+        believed=np.zeros((n, slots), np.int32),
+        fresh=np.zeros((n, slots, q), bool),
+        number=np.full((n, slots, q), -1, np.int32),
+        since=np.zeros((n, slots), np.int32),
+        event=np.zeros(n, bool),
+        next_event=np.full(n, n, np.int32),
+        early=np.full((early, q), -1, np.int32),
+        also=np.full((n, notes), -1, np.int32),
+    )
+
+
+def with_events(out: Schedule) -> Schedule:
+    """Fill in at which ticks something happens."""
+    n = len(out.event)
     out.event[:] = (out.sense >= 0) | (out.note >= 0) | (out.arrive >= 0).any(1)
     due = np.where(out.event, np.arange(n), n)
     out.next_event[:-1] = np.minimum.accumulate(due[::-1])[::-1][1:]
