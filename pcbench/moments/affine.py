@@ -10,6 +10,7 @@ import numpy as np
 
 from pcbench.moments.bending import ROUNDING
 from pcbench.moments.solve import CellMoments
+from pcbench.moments.sums import strayed
 from pcbench.plants import signals_of
 
 INSTEAD = 'take runs for it: pcbench.run, or method = "runs"'
@@ -28,10 +29,7 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
         )
     if any(p.cell.scenario.sampling.resolution):
         return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
-    apart, size = s.apart[mine].max(-1), s.size[mine].max(-1)
-    with np.errstate(invalid="ignore"):
-        part = np.where(apart > 0, apart / np.where(size > 0, size, 1.0), 0.0)
-        part = np.where(np.isfinite(apart) & np.isfinite(size), part, np.inf)
+    part = strayed(s.apart[mine], s.size[mine])
     worst = int(np.argmax(part))
     reach = s.reach[mine].max(-1)
     if part[worst] > ROUNDING and (np.isfinite(part[worst]) or np.isfinite(reach).all()):

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import jax
 
+from pcbench.moments.curved import curved
 from pcbench.moments.modes import over_modes
 from pcbench.moments.realised import Realised, losses_alone, over_losses, random, realised
 from pcbench.planning.padding import Plan
@@ -35,19 +36,21 @@ class Item(NamedTuple):
     sizes: dict[str, int]  # by observer, what it estimates
     one: Realised
     bend: float = 0.0  # how far its plant is from affine, where it is and has noise
-    whole: Plan | None = None  # with its tables, of a cell by its modes
+    whole: Plan | None = None  # with its tables, of a cell that may have to go on drawn schedules yet
 
 
 def cell(p: Plan, number: int, asked: Asked, unlike: set[Hashable]) -> Iterator[Item]:
-    """Yield a cell as its moments move: once, in each of its modes, or on each drawn schedule."""
+    """Yield a cell as its moments move: once, in each of its modes, or on each drawn schedule; on the first alone, to try."""
     alone = len(p.layout.observers) == 1
     modes = over_modes(p) if alone and kind(p) not in unlike else None
     mixed = over_losses(p) if alone and losses_alone(p) else None
     drawn = random(p) and not modes and mixed is None
-    many = len(modes) if modes else asked.schedules if drawn else 1
+    first = modes[0] if modes else mixed or realised(p, asked.root_seed, 0)
+    tried = alone and drawn and asked.schedules > 1 and curved(first.layout, first.problem)
+    many = len(modes) if modes else asked.schedules if drawn and not tried else 1
     sizes = _signals(p)
     for place in range(many):
-        one = modes[place] if modes else mixed or realised(p, asked.root_seed, place)
+        one = first if not place else modes[place] if modes else realised(p, asked.root_seed, place)
         yield Item(
             planned=_light(p),
             cell=number,
@@ -56,7 +59,7 @@ def cell(p: Plan, number: int, asked: Asked, unlike: set[Hashable]) -> Iterator[
             random=drawn,
             sizes=sizes,
             one=one,
-            whole=p if modes else None,
+            whole=p if modes or tried else None,
         )
 
 

@@ -21,7 +21,7 @@ from pcbench.moments.given import shared_of
 from pcbench.moments.items import Asked, Item
 from pcbench.moments.modes import delays_alone
 from pcbench.moments.realised import Realised, losses_alone, realised
-from pcbench.moments.sums import Sums, nothing
+from pcbench.moments.sums import Sums, nothing, strayed
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.simulation import batch
@@ -85,8 +85,9 @@ def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
                 parts.setdefault(item.cell, []).append(Part(item, jax.tree.map(lambda a, at=at: a[..., at], found)))
             while done in parts and len(parts[done]) == parts[done][0].item.many:
                 mine = parts.pop(done)
-                if mine[0].item.whole and not np.max([part.found.unlike for part in mine]) <= ROUNDING:
-                    unlike.add(items_of.kind(mine[0].item.whole))
+                if (whole := mine[0].item.whole) and not _answered(mine):
+                    if mine[0].item.one.mode:
+                        unlike.add(items_of.kind(whole))
                     mine = batch.in_float64(_averaged, mine[0].item, asked)
                 yield _gathered(mine)
                 done += 1
@@ -99,8 +100,16 @@ class Part(NamedTuple):
     found: Found
 
 
+def _answered(parts: list[Part]) -> bool:
+    """Whether what was computed of a cell says all: modes met alike, or what was tried has no exact answer."""
+    if parts[0].item.one.mode:
+        return bool(np.max([part.found.unlike for part in parts]) <= ROUNDING)
+    (s,) = (part.found.sums for part in parts)
+    return bool((strayed(s.apart[:, None], s.size[:, None]) > ROUNDING).any())
+
+
 def _averaged(item: Item, asked: Asked) -> list[Part]:
-    """Compute a cell on drawn schedules, as what its observer remembers tells of more than its modes."""
+    """Compute a cell on drawn schedules: its observer remembers more than its modes tell, or is affine where it was doubted."""
     drawn = [realised(item.whole, asked.root_seed, seed) for seed in range(asked.schedules)] if item.whole else []
     out: list[Part] = []
     for first in range(0, len(drawn), MANY):

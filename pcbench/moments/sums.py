@@ -5,8 +5,10 @@ from functools import reduce
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 from jax.scipy.special import erf
+from numpy.typing import NDArray
 
 from pcbench.simulation.metrics import Weights
 
@@ -54,6 +56,14 @@ def nothing(signals: int, targets: int | None, cells: int) -> Sums:
         return sums
     both = jnp.zeros((2, cells))
     return sums._replace(off=jnp.zeros((2, targets, cells)), cost=both, input=both)
+
+
+def strayed(apart: Any, size: Any) -> NDArray[np.float64]:
+    """Return [Z] how far runs with noise were off, as a part of their size, in the worst of S realisations [Z, S]."""
+    apart, size = apart.max(-1), size.max(-1)
+    with np.errstate(invalid="ignore"):
+        part = np.where(apart > 0, apart / np.where(size > 0, size, 1.0), 0.0)
+        return np.where(np.isfinite(apart) & np.isfinite(size), part, np.inf)
 
 
 def variances(read: Read) -> Array:
