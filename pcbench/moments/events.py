@@ -22,7 +22,7 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from pcbench.moments.covariance import both, product, squared
-from pcbench.moments.given import Plan
+from pcbench.moments.given import Event
 from pcbench.moments.merging import merged
 from pcbench.moments.vector import Form, slope, vector, vectors
 from pcbench.simulation import steps
@@ -46,7 +46,6 @@ class Means(NamedTuple):
     layout: Layout
     form: Form
     over: Any  # over_cells
-    plan: Plan
     std: Array  # [q, C] of a sample
     chance: Array  # [C] that a sample arrives at all; 1: it does
     mix: Any = ()  # merging.Mix, where the cells are modes
@@ -79,27 +78,28 @@ def jump(layout: Layout, p: Any, k: Array, state: State, packet: Array, rest: An
     return state._replace(memories=new)
 
 
-def happen(by: Means, k: Array, m: Moving, noise: Array) -> Moving:
+def happen(by: Means, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
     """Let everything that the schedules have for tick k happen: modes change, sense, note and tell, deliver, the oldest first.
 
     `noise` [P, S, q] is that of the runs with noise, by arrival.
     """
     q = by.std.shape[0]
     m = merged(by.form, by.mix, k, m) if by.mix else m
-    number = jnp.stack([by.plan.sense[k]] * q + [by.plan.note[k]] * (m.flight.shape[2] - q))
+    number = jnp.stack([now.sense] * q + [now.note] * (m.flight.shape[2] - q))
     rows = jnp.arange(m.flight.shape[1] - 1)[:, None, None]
     here = rows == _place(number, m)[None]
-    for more in range(by.plan.also.shape[1]):
-        noted = rows == _place(by.plan.also[k, more], m)[None, None]
+    for more in now.also:
+        noted = rows == _place(more, m)[None, None]
         here = here | (noted & (jnp.arange(m.flight.shape[2]) >= q)[None, :, None])
     m = taken(by, k, m, here)
+    m = told(by, k, now.sampled, m) if steps.tells(by.layout) else m
 
-    m = told(by, k, m) if steps.tells(by.layout) else m
+    arriving = now.arrive, now.believed, now.fresh, now.index, now.since
 
     def deliver(slot: Array, m: Moving) -> Moving:
-        return _delivered(by, k, slot, m, noise[:, slot])
+        return _delivered(by, k, jax.tree.map(lambda a: a[slot], arriving), m, noise[:, slot])
 
-    return lax.fori_loop(0, by.plan.arrive.shape[1], deliver, m)
+    return lax.fori_loop(0, len(now.arrive), deliver, m)
 
 
 def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
@@ -121,9 +121,9 @@ def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
     return m._replace(flight=flight, P=both(rows, m.P), apart=_each(rows, m.apart))
 
 
-def told(by: Means, k: Array, m: Moving) -> Moving:
-    """Tell the observers of each cell what is sampled now."""
-    fresh, nothing = by.plan.sampled[k], jnp.zeros((0, by.std.shape[1]))
+def told(by: Means, k: Array, fresh: Array, m: Moving) -> Moving:
+    """Tell the observers of each cell what is sampled now, [q, C]."""
+    nothing = jnp.zeros((0, by.std.shape[1]))
     M = by.over(slope(by.form, partial(tell, by.layout), partial(vector, by.form)))(k, _mean(m), nothing, fresh)
     runs = jax.vmap(lambda state: by.over(partial(tell, by.layout))(k, state, nothing, fresh))(m.runs)
 
@@ -133,11 +133,11 @@ def told(by: Means, k: Array, m: Moving) -> Moving:
     return m._replace(runs=runs, P=both(rows, m.P), apart=_each(rows, m.apart))
 
 
-def _delivered(by: Means, k: Array, slot: Array, m: Moving, noise: Array) -> Moving:
+def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> Moving:
     """Hand one packet of each cell over."""
-    plan, q, form = by.plan, by.std.shape[0], by.form
-    number = plan.arrive[k, slot]
-    row = Row(plan.fresh[k, slot], k - plan.believed[k, slot], plan.index[k, slot], plan.since[k, slot])
+    q, form = by.std.shape[0], by.form
+    number, believed, fresh, index, since = arriving
+    row = Row(fresh, k - believed, index, since)
     row = row._replace(age=jnp.broadcast_to(row.age[None], row.fresh.shape))
     rest = number >= 0, row
     here = (jnp.arange(m.flight.shape[1])[:, None] == _place(number, m)[None])[:, None]

@@ -4,6 +4,7 @@ What is the same in all cells of a batch stays one array; small arrays of number
 Cells whose long tables differ are not put in one batch.
 """
 
+import itertools
 from typing import Any, NamedTuple
 
 import jax
@@ -11,27 +12,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.simulation.problem import Problem
-from pcbench.simulation.schedule.shared import Schedule
+from pcbench.simulation.schedule.shared import NEVER, Schedule
 
 KEY = 20170607  # of the noise in runs that test whether a cell is affine: no result depends on it
 SCALES = (-8.0,)  # of the noise in the runs that test whether a cell is affine
-SMALL = 256  # numbers of an array that each cell may have its own of
+SMALL = 256  # numbers of an array that each cell may have its own of,
+TIMES = ("windows", "jumps", "network")  # but for these
+
+
+class Event(NamedTuple):
+    """What happens in C cells at one tick; of E of them, [E, ...]."""
+
+    sense: Any  # [C] the packet taken; -1: none
+    note: Any  # [C]
+    sampled: Any  # [q, C] which channels are
+    arrive: Any  # [S, C]
+    believed: Any  # [S, C]
+    fresh: Any  # [S, q, C]
+    index: Any  # [S, q, C]
+    since: Any  # [S, C]
+    also: Any  # [M, C] more packets that are noted
 
 
 class Plan(NamedTuple):
-    """Schedules of C cells, by tick; q channels, S arrivals a tick, N + 1 ticks."""
+    """Schedules of C cells, by event: a tick at which something happens in any of them, and tick 0."""
 
-    sense: Any  # [N+1, C] the packet taken; -1: none
-    note: Any  # [N+1, C]
-    sampled: Any  # [N+1, q, C] which channels are
-    arrive: Any  # [N+1, S, C]
-    believed: Any  # [N+1, S, C]
-    fresh: Any  # [N+1, S, q, C]
-    index: Any  # [N+1, S, q, C]
-    since: Any  # [N+1, S, C]
-    next_event: Any  # [N+1, C]
-    early: Any  # [E, q, C] samples of packets taken before tick 0
-    also: Any  # [N+1, M, C] more packets that are noted
+    at: Any  # [E] ticks, beyond N + 1 behind the last
+    events: Event
+    early: Any  # [e, q, C] samples of packets taken before tick 0
 
 
 class Given(NamedTuple):
@@ -49,38 +57,52 @@ class Given(NamedTuple):
 
 def plan_of(schedules: list[Schedule]) -> Plan:
     """Lay out schedules of one shape side by side."""
-    each = [_plan(s) for s in schedules]
-    return Plan(*(np.stack(field, -1) for field in zip(*each, strict=True)))
+    ticks, some = len(schedules[0].event), schedules[0].event.copy()
+    for s in schedules[1:]:
+        some |= s.event
+    some[0] = True
+    at = np.flatnonzero(some)
+    room = min(_room(len(at) + 1), ticks + 1)  # one behind the last, and few sizes, for few programs
+    rows = np.pad(at, (0, room - len(at)))
+    each = {id(s): _events(s, rows) for s in schedules}  # cells of a study share them
+    fields = zip(*(each[id(s)] for s in schedules), strict=True)
+    events = Event(*(np.stack(field, -1) for field in fields))
+    at = np.pad(at, (0, room - len(at)), constant_values=NEVER)
+    return Plan(at, events, np.stack([s.early for s in schedules], -1))
 
 
-def _plan(s: Schedule) -> Plan:
-    return Plan(
-        sense=s.sense,
-        note=s.note,
-        sampled=s.sample >= 0,
-        arrive=s.arrive,
-        believed=s.believed,
-        fresh=s.fresh,
-        index=s.number,
-        since=s.since,
-        next_event=s.next_event,
-        early=s.early,
-        also=s.also,
+def _room(many: int) -> int:
+    """The least of 64, 256, 1024 ... that holds so many."""
+    return next(room for room in (64 << 2 * i for i in itertools.count()) if room >= many)
+
+
+def _events(s: Schedule, at: NDArray[np.intp]) -> Event:
+    return Event(
+        sense=s.sense[at],
+        note=s.note[at],
+        sampled=s.sample[at] >= 0,
+        arrive=s.arrive[at],
+        believed=s.believed[at],
+        fresh=s.fresh[at],
+        index=s.number[at],
+        since=s.since[at],
+        also=s.also[at],
     )
 
 
 def own_of(problem: Problem) -> tuple[bool, ...]:
     """Return for each array of a problem without its schedule whether each cell may have its own: if small, but for times."""
-    times = problem._replace(schedule=(), windows=np.zeros(0), jumps=np.zeros(0), network=())
-    own = jax.tree.map(lambda a: 0 < np.size(a) <= SMALL, times)
-    return tuple(jax.tree.leaves(own._replace(network=jax.tree.map(lambda a: False, problem.network))))
+    fields = problem._replace(schedule=())._asdict()
+    return tuple(
+        name not in TIMES and 0 < np.size(a) <= SMALL for name, field in fields.items() for a in jax.tree.leaves(field)
+    )
 
 
 def shared_of(problem: Problem) -> tuple[Any, ...]:
     """Return what must be equal in two cells that share a batch: every array that is not each cell's own."""
     leaves, tree = jax.tree.flatten(problem._replace(schedule=()))
     common = [np.asarray(a) for a, own in zip(leaves, own_of(problem), strict=True) if not own]
-    return str(tree), tuple((a.shape, a.dtype.str, a.tobytes()) for a in common)
+    return tree, tuple((a.shape, a.dtype.str, a.tobytes()) for a in common)
 
 
 def together(problems: list[Problem], network: list[tuple[NDArray[np.float64], ...]], chance: list[float]) -> Given:

@@ -38,20 +38,19 @@ def run(layout: Layout, shape: Shape, given: Given) -> Found:
         layout=layout,
         form=shape.form,
         over=over_cells(p, shape.own, shape.cells, shape.written),
-        plan=given.plan,
         std=std,
         chance=given.chance,
         mix=given.mix,
     )
-    begun, go = _begin(by, shape, given)
+    before, go = _begin(by, shape, given)
 
     def segment(at: tuple[Array, Carried]) -> tuple[Array, Carried]:
-        k, c = at
-        c = c._replace(moving=happen(by, k, c.moving, given.arrivals[k]))
-        following = jnp.minimum(jnp.min(given.plan.next_event[k]), stop)
-        return following, along(go, k, following, c)
+        number, c = at
+        k, now = given.plan.at[number], jax.tree.map(lambda a: a[number], given.plan.events)
+        c = c._replace(moving=happen(by, k, now, c.moving, given.arrivals[k]))
+        return number + 1, along(go, k, jnp.minimum(given.plan.at[number + 1], stop), c)
 
-    _, carried = lax.while_loop(lambda at: at[0] < stop, segment, (jnp.asarray(0), begun))
+    _, carried = lax.while_loop(lambda at: given.plan.at[at[0]] < stop, segment, (jnp.asarray(0), before))
     return Found(carried.sums, recorded(go, carried.rows), carried.last, carried.moving.unlike)
 
 

@@ -136,7 +136,7 @@ def rows(go: Ways, signals: int) -> Any:
     shape, many = go.shape, go.many
     if not shape.recorded:
         return ()
-    ticks, cells = go.given.plan.sense.shape
+    ticks, cells = len(go.given.arrivals), shape.cells
     places = -(-ticks // shape.every) + 1 if shape.every >= many else ticks + many
     others = signals if shape.recorded == COVARIANCE else 1
     return Recorded(jnp.zeros((places, signals, cells)), jnp.zeros((places, signals, others, cells)))
@@ -144,7 +144,7 @@ def rows(go: Ways, signals: int) -> Any:
 
 def recorded(go: Ways, rows: Any) -> Any:
     """Return what was recorded without the room for what was written in vain."""
-    ticks, every = go.given.plan.sense.shape[0], go.shape.every
+    ticks, every = len(go.given.arrivals), go.shape.every
     return jax.tree.map(lambda a: a[:-1] if every >= go.many else a[:ticks:every], rows)
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.linalg import expm
 
 from pcbench.machine import process
-from pcbench.moments.compiled import compute
 from pcbench.moments.carried import COVARIANCE
+from pcbench.moments.compiled import compute
 from pcbench.moments.realised import Realised
 from pcbench.protocols import Controller, Observer, Plant
 from pcbench.simulation import actuator
