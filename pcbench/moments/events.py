@@ -86,7 +86,7 @@ def happen(by: Means, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
     q = by.std.shape[0]
     m = merged(by.form, by.mix, k, m) if by.mix else m
     number = jnp.stack([now.sense] * q + [now.note] * (m.flight.shape[2] - q))
-    rows = jnp.arange(m.flight.shape[1] - 1)[:, None, None]
+    rows = jnp.arange(m.flight.shape[1])[:, None, None]
     here = rows == _place(number, m)[None]
     for more in now.also:
         noted = rows == _place(more, m)[None, None]
@@ -99,12 +99,12 @@ def happen(by: Means, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
     def deliver(slot: Array, m: Moving) -> Moving:
         return _delivered(by, k, jax.tree.map(lambda a: a[slot], arriving), m, noise[:, slot])
 
-    return lax.fori_loop(0, len(now.arrive), deliver, m)
+    slots = len(now.arrive)
+    return deliver(jnp.asarray(0), m) if slots == 1 else lax.fori_loop(0, slots, deliver, m)
 
 
 def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
     """Put what is measured and noted now in the places [rows, f, C] that are `here`."""
-    here = jnp.concatenate([here, jnp.zeros_like(here[:1])])
     nothing = jnp.zeros((0, by.std.shape[1]))
     new = jax.vmap(lambda state: by.over(partial(sense, by.layout))(k, state, nothing, ()))(m.runs)
     flight = jnp.where(here[None], new[:, None], m.flight)
@@ -140,8 +140,9 @@ def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> M
     row = Row(fresh, k - believed, index, since)
     row = row._replace(age=jnp.broadcast_to(row.age[None], row.fresh.shape))
     rest = number >= 0, row
-    here = (jnp.arange(m.flight.shape[1])[:, None] == _place(number, m)[None])[:, None]
-    packets = jnp.sum(jnp.where(here[None], m.flight, 0.0), 1)
+    place = _place(number, m)
+    here = (jnp.arange(m.flight.shape[1])[:, None] == place[None])[:, None]
+    packets = jnp.take_along_axis(m.flight, place[None, None, None], 1)[:, 0]
     M = by.over(slope(form, partial(jump, by.layout), partial(vector, form)))(k, _mean(m), packets[0], rest)
     A, scaled = M.shape[0], noise[:, :, None] * by.std[None]
     packets = packets.at[1:, :q].add(scaled)

@@ -75,10 +75,10 @@ def _begin(by: Means, shape: Shape, given: Given) -> tuple[Carried, Ways]:
     apart = jnp.zeros((many, D, cells)).at[:, :A].set(jnp.sum(B[None] * drawn[:, None], 2))
     unlike = jnp.zeros(cells) if by.mix else ()
     m = Moving(runs, flight, jnp.zeros((D, D, cells)).at[:A, :A].set(squared(B)), apart, unlike)
-    m = taken(by, zero, m, jnp.broadcast_to((jnp.arange(f) >= q)[None, :, None], (places - 1, f, cells)))
+    m = taken(by, zero, m, jnp.broadcast_to((jnp.arange(f) >= q)[None, :, None], (places, f, cells)))
     for place in range(given.plan.early.shape[0]):
         there = jnp.any(given.plan.early[place] >= 0, 0)
-        here = (jnp.arange(places - 1)[:, None] == place) & (jnp.arange(f) < q)[None]
+        here = (jnp.arange(places)[:, None] == place) & (jnp.arange(f) < q)[None]
         m = taken(by, zero, m, here[:, :, None] & there[None, None])
     late = tuple(each[0] for each in given.network) if layout.pending else ()
     shown, seen = _shapes(by, given, runs, late)
