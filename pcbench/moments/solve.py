@@ -22,6 +22,7 @@ from pcbench.moments.items import Asked, Item
 from pcbench.moments.modes import delays_alone
 from pcbench.moments.realised import Realised, losses_alone, realised
 from pcbench.moments.sums import Sums, nothing, strayed
+from pcbench.moments.vector import form_of
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.simulation import batch
@@ -47,19 +48,33 @@ class CellMoments(NamedTuple):
 
 
 def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
-    """Yield the cells ready to run, with one room for packets: few shapes, few programs.
+    """Yield the cells ready to run, with one room for packets, few shapes, few programs; or as much as a cell needs by itself.
+
+    That is where noise reaches what is on the network, and the covariance has all of the room.
 
     Of many cells each observer goes by itself, and of one whose observers remember much, as the work grows with the square of
     what noise reaches, and more; unless they are to be `together`.
     """
     split = len(cells) > MANY
-    ring = max(per_lane.room(c.times.clocks, c.times.ticks, c.times.error) for c in cells)
+    ring = max(map(_ring, cells))
     for p in padding.checked(drafts(cells)):
         room = padding.room_of(p)
-        whole = padding.fitted(p, room._replace(ring=max(room.ring, padding.rounded(ring))))
+        places = padding.rounded(_ring(p.cell) if _carried(p) else ring)
+        whole = padding.fitted(p, room._replace(ring=max(room.ring, places)))
         mixed = losses_alone(whole) or delays_alone(whole)
         apart = not together and (split or mixed or _remembered(whole) > LARGE)
         yield from _split(whole) if apart else [whole]
+
+
+def _ring(cell: Cell) -> int:
+    """How many packets of a cell may be on the network, whatever is drawn."""
+    return per_lane.room(cell.times.clocks, cell.times.ticks, cell.times.error)
+
+
+def _carried(p: Plan) -> bool:
+    """Whether noise reaches what is on the network, besides that of the samples themselves."""
+    drifting = p.layout.drifting and p.layout.plant.of_run is None  # else a realisation has the numbers of its plant
+    return form_of(p.layout._replace(drifting=drifting), p.problem).flight
 
 
 def _remembered(p: Plan) -> int:

@@ -6,11 +6,12 @@ all runs, a filter's covariance or a counter, stays out of the vector; a slope i
 
 import itertools
 from collections.abc import Callable
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from pcbench.simulation import start
@@ -54,10 +55,14 @@ def _bare(begun: Any) -> list[Any]:
 
 
 def _begun(layout: Layout, problem: Problem) -> Any:
-    return jax.eval_shape(
-        lambda p, zero, seeds: start.begin(layout, p, zero, seeds),
-        problem._replace(weights=()), jnp.asarray(0), jnp.zeros(1, int),
-    )  # fmt: skip
+    leaves, tree = jax.tree.flatten(problem._replace(weights=()))
+    return _begun_with(layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves))
+
+
+@lru_cache(256)
+def _begun_with(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> Any:
+    p = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*each) for each in shapes])
+    return jax.eval_shape(partial(start.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
 
 
 def vector(form: Form, state: State) -> Array:

@@ -31,3 +31,21 @@ def test_apart_or_together_the_numbers_are_the_same_and_two_of_a_kind_share_a_pr
     before = len(compiled._MADE)
     np.testing.assert_allclose(stats(), together, rtol=1e-12, atol=1e-15)
     assert len(compiled._MADE) == before + 2, "dkf and dkf-wary are one"
+
+
+def test_packets_that_noise_reaches_take_the_room_of_their_cell_alone(monkeypatch):
+    """Delays of one and of seven samples, so that the small ring is gone round many times beside the large one."""
+    study = STUDY | {"axes": {"delay": [0.4, 2.8]}, "observers": ["dkf"], "options": {"dkf": {"R": 0.1}}}
+    study |= {"lti": STUDY["lti"] | {"process_std": 0.2, "horizon": 6.0}}
+    rings, computed = [], solve.computed
+
+    def noted(ones, recorded):
+        rings.append(ones[0].layout.ring)
+        return computed(ones, recorded)
+
+    monkeypatch.setattr(solve, "computed", noted)
+    own = pcbench.exact(study).stats
+    assert sorted(rings) == [2, 8]
+    monkeypatch.setattr(solve, "_carried", lambda p: False)
+    np.testing.assert_allclose(pcbench.exact(study).stats["mean"], own["mean"], rtol=1e-12, atol=1e-15)
+    assert sorted(rings) == [2, 8, 8]
