@@ -29,6 +29,7 @@ from pcbench.simulation import batch
 from pcbench.simulation.schedule import per_lane
 from pcbench.study.cells import Cell
 
+SPLIT = 64  # cells, of more than which each observer goes by itself
 LARGE = 100  # numbers that the observers of a cell remember
 WAITING = 8 * MANY  # realisations that wait for others to share a call with, and cells behind one that waits, at most
 
@@ -55,7 +56,7 @@ def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     Of many cells each observer goes by itself, and of one whose observers remember much, as the work grows with the square of
     what noise reaches, and more; unless they are to be `together`.
     """
-    split = len(cells) > MANY
+    split = len(cells) > SPLIT
     ring = max(map(_ring, cells))
     for p in padding.checked(drafts(cells)):
         room = padding.room_of(p)
