@@ -56,6 +56,7 @@ def _bare(begun: Any) -> list[Any]:
 
 def _begun(layout: Layout, problem: Problem) -> Any:
     leaves, tree = jax.tree.flatten(problem._replace(weights=()))
+    layout = layout._replace(width=1, ring=1, lifted=0, strides=False)  # what no beginning looks at
     return _begun_with(layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves))
 
 
