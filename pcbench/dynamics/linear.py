@@ -91,7 +91,14 @@ def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     A tick in which a fast mode dies is halved until |A| h is at most 1, for e^{-Ah} would overflow, and doubled again.
     Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978).
     """
-    n, size = A.shape[0], float(np.linalg.norm(A, 2)) * h
+    A, Qc = (np.ascontiguousarray(M, float) for M in (A, Qc))
+    return _noise_over_tick(A.tobytes(), Qc.tobytes(), len(A), h)
+
+
+@lru_cache(maxsize=256)
+def _noise_over_tick(of_A: bytes, of_Qc: bytes, n: int, h: float) -> Matrix:
+    A, Qc = (np.frombuffer(M).reshape(n, n) for M in (of_A, of_Qc))
+    size = float(np.linalg.norm(A, 2)) * h
     halvings = int(np.ceil(np.log2(size))) if size > 1 else 0
     short = h / 2**halvings
     whole = _exponential(np.block([[-A, Qc], [np.zeros((n, n)), A.T]]).tobytes(), 2 * n, short)
@@ -99,7 +106,9 @@ def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     Q = E @ whole[:n, n:]
     for _ in range(halvings):
         Q, E = E @ Q @ E.T + Q, E @ E
-    return (Q + Q.T) / 2
+    out: Matrix = (Q + Q.T) / 2
+    out.flags.writeable = False
+    return out
 
 
 def input_noise(model: Model, intensity: float, h: float, last: Matrix | None = None) -> Matrix:
@@ -123,15 +132,26 @@ def noise_doublings(model: Model, Q: Matrix, h: float, bits: int) -> Matrix:
 
 
 def powers(model: Model, h: float, ticks: int) -> Matrix:
-    """Return the model's maps over i R^level ticks without input, as [2, R, n, n], R^2 > `ticks`: see `integrate.after`."""
-    half, doubled = _half(model, h, ticks)
+    """Return the model's maps over i R^level ticks without input, as [2, R, n, n], R^2 > `ticks`; remembered.
+
+    See `integrate.after`.
+    """
+    return _powers(np.ascontiguousarray(model.A, float).tobytes(), len(model.A), model.discrete, h, ticks)
+
+
+@lru_cache(maxsize=256)
+def _powers(A: bytes, n: int, discrete: bool, h: float, ticks: int) -> Matrix:
+    half = -(-bits_for(ticks) // 2)
+    doubled = _doublings(A, n, discrete, h, 2 * half)
     levels = []
     for level in range(2):
-        table = np.eye(len(model.A))[None]
+        table = np.eye(n)[None]
         for E in doubled[level * half : (level + 1) * half]:
             table = np.concatenate([table, E @ table])
         levels.append(table)
-    return np.stack(levels)
+    out = np.stack(levels)
+    out.flags.writeable = False
+    return out
 
 
 def noise_powers(model: Model, Q: Matrix, h: float, ticks: int) -> Matrix:

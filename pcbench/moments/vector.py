@@ -34,16 +34,34 @@ class Form(NamedTuple):
 
 def form_of(layout: Layout, problem: Problem) -> Form:
     """Return what noise reaches."""
-    begun = _begun(layout, problem)
-    notes = any(is_lanes(each) for each in begun.flight.notes.values())
-    moving, flight = tuple(kind == "moves" for kind in forms(layout, problem)), is_lanes(begun.x) or notes
-    many = sum(a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in _bare(begun))
-    return Form(moving, flight, many)
+    return _form(*_kind(layout, problem))
 
 
 def forms(layout: Layout, problem: Problem) -> tuple[str, ...]:
     """Return of each leaf of a state whether it moves with the noise, is the same in all runs, or differs in another way."""
-    leaves = _bare(_begun(layout, problem))
+    return _forms(*_kind(layout, problem))
+
+
+Kind = tuple[Layout, Any, tuple[Any, ...]]  # of cells that begin alike: their layout, and the shapes of their numbers
+
+
+def _kind(layout: Layout, problem: Problem) -> Kind:
+    leaves, tree = jax.tree.flatten(problem._replace(weights=()))
+    layout = layout._replace(width=1, ring=1, lifted=0, strides=False)  # what no beginning looks at
+    return layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves)
+
+
+@lru_cache(256)
+def _form(*kind: Any) -> Form:
+    begun, found = _begun(*kind), _forms(*kind)
+    notes = any(is_lanes(each) for each in begun.flight.notes.values())
+    many = sum(a.parts.size * (a.rows or 1) if is_lanes(a) else a.size for a in _bare(begun))
+    return Form(tuple(kind == "moves" for kind in found), is_lanes(begun.x) or notes, many)
+
+
+@lru_cache(256)
+def _forms(*kind: Any) -> tuple[str, ...]:
+    leaves = _bare(_begun(*kind))
     floats = [jnp.issubdtype(a.dtype, jnp.floating) for a in leaves]
     return tuple("same" if not is_lanes(a) else "moves" if f else "other" for a, f in zip(leaves, floats, strict=True))
 
@@ -54,14 +72,8 @@ def _bare(begun: Any) -> list[Any]:
     return jax.tree.leaves(bare, is_leaf=is_lanes)
 
 
-def _begun(layout: Layout, problem: Problem) -> Any:
-    leaves, tree = jax.tree.flatten(problem._replace(weights=()))
-    layout = layout._replace(width=1, ring=1, lifted=0, strides=False)  # what no beginning looks at
-    return _begun_with(layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves))
-
-
 @lru_cache(256)
-def _begun_with(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> Any:
+def _begun(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> Any:
     p = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*each) for each in shapes])
     return jax.eval_shape(partial(start.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
 
