@@ -65,5 +65,14 @@ def _digest(table: pa.Table) -> bytes:
     for field, column in zip(table.schema, table.columns, strict=True):
         out.update(f"{field.name}:{type_of(field.type)}:{column.null_count}".encode())
         number = pa.types.is_floating(field.type) or pa.types.is_integer(field.type)
-        out.update(np.ascontiguousarray(column.to_numpy()).tobytes() if number else repr(column.to_pylist()).encode())
+        out.update(np.ascontiguousarray(column.to_numpy()).tobytes() if number else _said(column).encode())
     return out.hexdigest()[:32].encode()
+
+
+def _said(column: pa.ChunkedArray) -> str:
+    """The `repr` of a column's list of values; of words, which are few, each is written once and looked up."""
+    if not pa.types.is_string(column.type):
+        return repr(column.to_pylist())
+    found = column.combine_chunks().dictionary_encode()
+    known = np.array([*map(repr, found.dictionary.to_pylist()), "None"], object)
+    return f"[{', '.join(known[found.indices.fill_null(len(known) - 1).to_numpy()].tolist())}]"

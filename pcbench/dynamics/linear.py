@@ -92,7 +92,7 @@ def noise_over_tick(A: Matrix, Qc: Matrix, h: float) -> Matrix:
     Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978).
     """
     A, Qc = (np.ascontiguousarray(M, float) for M in (A, Qc))
-    return _noise_over_tick(A.tobytes(), Qc.tobytes(), len(A), h)
+    return _noise_over_tick(A.tobytes(), Qc.tobytes(), len(A), h).copy()
 
 
 @lru_cache(maxsize=256)

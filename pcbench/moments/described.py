@@ -67,7 +67,7 @@ def described(cell: CellMoments, label: str, why: str, bound: Values | None) -> 
     jumps = bool((cell.planned.problem.jumps < cell.planned.cell.times.ticks).any())
     numbers = np.full((len(found) + 1, many, len(NUMBERS)), np.nan)
     for at, e in enumerate(found.values()):
-        numbers[at, : len(e.mean)] = np.stack(e[1:], 1)[:many]
+        numbers[at, : len(e.mean)] = np.array(e[1:]).T[:many]
     known = tuple(tuple(row) for row in (~np.isnan(numbers[:-1, :, 0])).tolist())
     which = _which(tuple(found), known, many, why, normal, jumps)
     values = numbers.reshape(-1, len(NUMBERS))[which.places]

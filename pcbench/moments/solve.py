@@ -30,6 +30,7 @@ from pcbench.simulation.schedule import per_lane
 from pcbench.study.cells import Cell
 
 SPLIT = 64  # cells, of more than which each observer goes by itself
+PACKETS = 8  # room of cells that have no more on the network: at an event all of it is gone through
 LARGE = 100  # numbers that the observers of a cell remember
 WAITING = 8 * MANY  # realisations that wait for others to share a call with, and cells behind one that waits, at most
 
@@ -49,7 +50,7 @@ class CellMoments(NamedTuple):
 
 
 def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
-    """Yield the cells ready to run, with one room for packets, few shapes, few programs; or as much as a cell needs by itself.
+    """Yield the cells ready to run, with one of two rooms for packets: few shapes, few programs; or with what a cell needs.
 
     That is where noise reaches what is on the network, and the covariance has all of the room.
 
@@ -57,10 +58,11 @@ def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     what noise reaches, and more; unless they are to be `together`.
     """
     split = len(cells) > SPLIT
-    ring = max(map(_ring, cells))
+    most = max(map(_ring, cells))
     for p in padding.checked(drafts(cells)):
         room = padding.room_of(p)
-        places = padding.rounded(_ring(p.cell) if _carried(p) else ring)
+        own = _ring(p.cell)
+        places = padding.rounded(own if _carried(p) else most if own > PACKETS else min(most, PACKETS))
         whole = padding.fitted(p, room._replace(ring=max(room.ring, places)))
         mixed = losses_alone(whole) or delays_alone(whole)
         apart = not together and (split or mixed or _remembered(whole) > LARGE)

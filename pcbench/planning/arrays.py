@@ -198,9 +198,8 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySche
     if cell.times.random and run is None:
         return per_lane.times(clocks, n, channels, error), per_lane.room(clocks, n, error)
     if len(clocks) == 1 and shared.plain(clocks[0]) and not error:
-        schedule = shared.regular(clocks[0], n, channels)
-    else:
-        schedule = shared.schedule(samples_of(cell, run), n, channels, error)
+        return shared.regular(clocks[0], n, channels)
+    schedule = shared.schedule(samples_of(cell, run), n, channels, error)
     return schedule, shared.in_flight(schedule)
 
 

@@ -128,11 +128,15 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     return with_events(out)
 
 
-def regular(clock: Clock, ticks: int, channels: int) -> Schedule:
-    """Return the `schedule` of a plain clock alone, of whose age observers believe what is so, without its loops."""
+def regular(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]:
+    """Return the `schedule` of a plain clock alone, of whose age observers believe what is so, and its packets `in_flight`.
+
+    It has no loops.
+    """
     n, q = ticks + 1, list(clock.channels)
     taken = np.arange(0, n, clock.period, dtype=np.int32)
-    arrives = taken + np.int32(clock.period if clock.delay is None else clock.delay)
+    late = np.int32(clock.period if clock.delay is None else clock.delay)
+    arrives = taken + late
     here = arrives <= ticks
     number, at = np.arange(len(taken), dtype=np.int32), arrives[here]
     out = at_no_tick(ticks, channels)
@@ -141,7 +145,7 @@ def regular(clock: Clock, ticks: int, channels: int) -> Schedule:
     out.arrive[at, 0], out.believed[at, 0], out.since[at, 0] = number[here], taken[here], np.diff(at, prepend=0)
     out.fresh[at[:, None], 0, q] = True
     out.number[at[:, None], 0, q] = number[here, None]
-    return with_events(out)
+    return with_events(out), 1 + int(late) // clock.period * bool(len(at))
 
 
 def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes: int = 0) -> Schedule:
