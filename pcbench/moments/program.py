@@ -21,8 +21,8 @@ from pcbench.moments.given import SCALES, Given
 from pcbench.moments.start import begin
 from pcbench.moments.stretch import Ways, along, recorded, rows, ways
 from pcbench.moments.sums import Seen
-from pcbench.moments.ticks import Tick, flat, matrix_of, one_cell
-from pcbench.moments.vector import over_cells, slope, steady, vector
+from pcbench.moments.ticks import Tick, flat, matrix_of, next_change, one_cell
+from pcbench.moments.vector import over_cells, slope, steady, timed, vector
 from pcbench.simulation.problem import Layout, State
 
 
@@ -83,12 +83,16 @@ def _begin(by: Means, shape: Shape, given: Given) -> tuple[Carried, Ways]:
     late = tuple(each[0] for each in given.network) if layout.pending else ()
     shown, seen = _shapes(by, given, runs, late)
     none = jnp.zeros((given.ticks.shape[2], cells))
-    if steady(p, shape.own, slope(form, partial(one_cell, layout), partial(flat, form)), mean, none, late):
+    one = slope(form, partial(one_cell, layout), partial(flat, form))
+    changes = None
+    if steady(p, shape.own, one, mean, none, late):
         tick = Tick(matrix_of(by)(zero, mean, none, late), ())
+    elif not late and timed(p, shape.own, one, mean, none, late):
+        tick, changes = Tick(matrix_of(by)(zero, mean, none, late), ()), next_change(by, runs, len(given.ticks), none)
     else:
         tick = Tick(jnp.zeros((A + shown, A + len(none), cells)), jnp.full((A + shown, cells), jnp.nan))
     targets = seen.off.shape[0] if layout.controller else None
-    go = ways(by, shape, given, tick, seen)
+    go = ways(by, shape, given, tick, seen, changes)
     kept = sums_of.nothing(len(seen.errors), targets, cells), rows(go, len(seen.errors))
     last = last_tick.nothing(by, mean, len(seen.errors)) if layout.consistency else ()
     return Carried(m, tick, *kept, last), go

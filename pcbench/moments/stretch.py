@@ -20,7 +20,7 @@ from pcbench.moments.events import Means
 from pcbench.moments.given import Given
 from pcbench.moments.powers import Powers, after, covariances, later, powers, seen_of
 from pcbench.moments.sums import Read, Seen
-from pcbench.moments.ticks import Tick, flown, one_cell
+from pcbench.moments.ticks import Tick, flown, matrix_of, one_cell
 
 TICKS = 4  # at a time: a cell of the cart takes two thirds of what it takes tick by tick; of 8 and 16 no less
 
@@ -41,11 +41,12 @@ class Ways(NamedTuple):
     many: int  # ticks that go together
     room: Shown  # of so many ticks, none of them there yet
     joint: bool  # whether covariances between what is seen are asked for
-    known: Powers | None  # None: a tick's matrix is not the same at every tick
+    known: Powers | None  # None: a tick's matrix is not the same at every tick, or
+    changes: Array | None = None  # [N+1] at which later tick it changes next
     parted: Any = ()  # the problem for entries of states side by side; (): states go as arrays
 
 
-def ways(by: Means, shape: Shape, given: Given, tick: Tick, seen: Seen) -> Ways:
+def ways(by: Means, shape: Shape, given: Given, tick: Tick, seen: Seen, changes: Array | None) -> Ways:
     """Return how a batch goes; `seen` has the shapes of what one run shows at a tick."""
     joint = shape.recorded == COVARIANCE or by.layout.consistency or any(len(each) for each in seen[1:])
     steady = isinstance(tick.shown, tuple)
@@ -57,7 +58,7 @@ def ways(by: Means, shape: Shape, given: Given, tick: Tick, seen: Seen) -> Ways:
     parted = side_by_side.of_problem(given.problem, shape.own, both) if entry_by_entry else ()
     known = powers(tick.matrix, _reached(given, tick), many, joint) if steady else None
     moved = () if steady and not given.ticks.shape[2] else jnp.zeros((many, both - 1, size, cells))
-    return Ways(by, shape, given, many, Shown(room, moved), joint, known, parted)
+    return Ways(by, shape, given, many, Shown(room, moved), joint, known, changes, parted)
 
 
 def _reached(given: Given, tick: Tick) -> int:
@@ -66,7 +67,25 @@ def _reached(given: Given, tick: Tick) -> int:
 
 
 def along(go: Ways, start: Array, stop: Array, c: Carried) -> Carried:
-    """Go from an event to the next."""
+    """Go from an event to the next; where a tick's matrix changes on the way, from change to change."""
+    changes = go.changes
+    if changes is None:
+        return _along(go, start, stop, c)
+
+    def piece(at: tuple[Array, Carried]) -> tuple[Array, Carried]:
+        k, c = at
+        new = (k > 0) & (changes[k - 1] == k)
+        mean, none = jax.tree.map(lambda a: a[0], c.moving.runs), jnp.zeros((go.given.ticks.shape[2], go.shape.cells))
+        matrix = lax.cond(new, lambda: matrix_of(go.by)(k, mean, none, ()), lambda: c.tick.matrix)
+        known = powers(matrix, _reached(go.given, c.tick), go.many, go.joint)
+        until = jnp.minimum(changes[k], stop)
+        return until, _along(go._replace(known=known), k, until, c._replace(tick=Tick(matrix, ())))
+
+    return lax.while_loop(lambda at: at[0] < stop, piece, (start, c))[1]
+
+
+def _along(go: Ways, start: Array, stop: Array, c: Carried) -> Carried:
+    """Go so far that a tick's matrix stays what it is, or look at it at every tick."""
     many, both = go.many, 1 + go.given.ticks.shape[1]
 
     def some(at: tuple[Array, Carried]) -> tuple[Array, Carried]:

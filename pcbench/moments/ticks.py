@@ -15,12 +15,14 @@ from pcbench.simulation import network, steps
 from pcbench.simulation.closed_loop import held, off_target
 from pcbench.simulation.problem import Layout, State
 
+BLOCK = 16  # ticks whose matrices are looked at together
+
 
 class Tick(NamedTuple):
     """The matrix of a tick, and what shows whether it is still that."""
 
     matrix: Array  # [A + V, A + w, C]
-    shown: Any  # [A + V, C]; (): it is the same at every tick
+    shown: Any  # [A + V, C]; (): it is the same at every tick, or changes at ticks that are known
 
 
 def flown(by: Means, k: Array, runs: State, entering: Array, late: Any, tick: Tick) -> tuple[State, Seen, Tick]:
@@ -76,3 +78,24 @@ def flat(form: Form, found: tuple[State, Seen]) -> Array:
 def _mark(many: int) -> Array:
     """Numbers whose product with a matrix shows whether it is the same."""
     return jnp.asarray(np.random.default_rng(many).normal(size=many))
+
+
+def next_change(by: Means, runs: State, ticks: int, none: Array) -> Array:
+    """Return for each tick, [N+1], the first later one whose matrix is another one's, of a matrix that reads no state."""
+    form, cells = by.form, none.shape[-1]
+    one, mean = by.over(along(form, partial(one_cell, by.layout))), jax.tree.map(lambda a: a[0], runs)
+    A = vector(form, jax.tree.map(lambda a: a[..., 0], mean)).shape[0]
+    mark = jnp.broadcast_to(_mark(A + len(none))[:, None], (A + len(none), cells))
+
+    def shown(k: Array) -> Array:
+        return jax.vmap(partial(flat, form), -1, -1)(one(k, mean, none, (), mark[:A], mark[A:])[1])
+
+    def changed(first: Array) -> Array:
+        each = jax.vmap(shown)(first + jnp.arange(-1, BLOCK))
+        return jnp.any(each[1:] != each[:-1], (1, 2))
+
+    blocks = -(-ticks // BLOCK)
+    at = jnp.arange(blocks * BLOCK)
+    there = lax.map(changed, jnp.arange(blocks) * BLOCK).reshape(-1) & (at > 0)
+    following = lax.cummin(jnp.where(there, at, ticks), reverse=True)
+    return jnp.append(following[1:], ticks)[:ticks]

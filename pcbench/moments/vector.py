@@ -130,10 +130,20 @@ def steady(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> bool:
 
     `each` is what it is given besides p and the tick, for all cells.
     """
+    return _last_read(p, own, f, *each) < len(jax.tree.leaves(p))
+
+
+def timed(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> bool:
+    """Return whether a function over cells gives the same in every state: whether it reads p and the tick alone."""
+    return _last_read(p, own, f, *each) <= len(jax.tree.leaves(p))
+
+
+def _last_read(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> int:
+    """The number of the last argument that a function reads: those of p, the tick, the others; -1: none."""
     leaves, tree = jax.tree.flatten(p)
     alone = [_alone(a) if mine else a for a, mine in zip(leaves, own, strict=True)]
     found, _ = reach(f, jax.tree.unflatten(tree, alone), jax.ShapeDtypeStruct((), int), *jax.tree.map(_alone, each))
-    return not found or max(found) < len(leaves)
+    return max(found, default=-1)
 
 
 def _alone(a: Any) -> Any:
