@@ -58,7 +58,17 @@ def ways(by: Means, shape: Shape, given: Given, tick: Tick, seen: Seen, changes:
     parted = side_by_side.of_problem(given.problem, shape.own, both) if entry_by_entry else ()
     known = powers(tick.matrix, _reached(given, tick), many, joint) if steady else None
     moved = () if steady and not given.ticks.shape[2] else jnp.zeros((many, both - 1, size, cells))
-    return Ways(by, shape, given, many, Shown(room, moved), joint, known, changes, parted)
+    return Ways(
+        by=by,
+        shape=shape,
+        given=given,
+        many=many,
+        room=Shown(room, moved),
+        joint=joint,
+        known=known,
+        changes=changes,
+        parted=parted,
+    )
 
 
 def _reached(given: Given, tick: Tick) -> int:

@@ -23,7 +23,7 @@ from pcbench.simulation.lifted import chunks
 from pcbench.simulation.lifted.form import plant_goes
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.sample_noise import Outliers, Rounding
-from pcbench.simulation.schedule import per_lane, shared
+from pcbench.simulation.schedule import per_lane, regular, shared
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of
 from pcbench.synthesis.certificate import Setting
@@ -194,11 +194,11 @@ def schedule_of(cell: Cell, run: tuple[int, int] | None = None) -> tuple[AnySche
     s, clocks, n = cell.scenario, cell.times.clocks, cell.times.ticks
     error, channels = cell.times.error, len(s.sampling.delay)
     if s.sampling.continuous:
-        return shared.at_every_tick(n, channels), 1
+        return regular.at_every_tick(n, channels), 1
     if cell.times.random and run is None:
         return per_lane.times(clocks, n, channels, error), per_lane.room(clocks, n, error)
-    if len(clocks) == 1 and shared.plain(clocks[0]) and not error:
-        return shared.regular(clocks[0], n, channels)
+    if len(clocks) == 1 and clocks[0].plain and not error:
+        return regular.regular(clocks[0], n, channels)
     schedule = shared.schedule(samples_of(cell, run), n, channels, error)
     return schedule, shared.in_flight(schedule)
 

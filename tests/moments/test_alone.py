@@ -39,9 +39,9 @@ def test_packets_that_noise_reaches_take_the_room_of_their_cell_alone(monkeypatc
     study |= {"lti": STUDY["lti"] | {"process_std": 0.2, "horizon": 6.0}}
     rings, computed = [], solve.computed
 
-    def noted(ones, recorded):
+    def noted(ones, *how):
         rings.append(ones[0].layout.ring)
-        return computed(ones, recorded)
+        return computed(ones, *how)
 
     monkeypatch.setattr(solve, "computed", noted)
     own = pcbench.exact(study).stats

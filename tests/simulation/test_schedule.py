@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pcbench.simulation.schedule import sampling, shared
+from pcbench.simulation.schedule import regular, sampling, shared
 from pcbench.simulation.schedule.shared import Sample, in_flight, pad_slots, periodic, schedule
 
 channels = st.integers(1, 3)
@@ -116,7 +116,7 @@ def test_padding_adds_only_empty_slots():
 
 @pytest.mark.parametrize("channels", [1, 3])
 def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
-    fast, slow = shared.at_every_tick(50, channels), shared.periodic([1] * channels, [0] * channels, 50)
+    fast, slow = regular.at_every_tick(50, channels), shared.periodic([1] * channels, [0] * channels, 50)
     for name, a, b in zip(fast._fields, fast, slow, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name)
         assert a.dtype == b.dtype, name
@@ -127,11 +127,11 @@ def test_at_every_tick_is_the_schedule_of_period_one_and_delay_zero(channels):
 def test_a_plain_clock_alone_is_laid_out_without_loops_as_its_samples_are(period, delay, ticks, channels):
     clock = sampling.Clock(channels, period, delay)
     in_turn = clock._replace(turns=(0,))  # late by nothing in turn: the same samples, one by one
-    assert shared.plain(clock)
-    assert not shared.plain(in_turn)
+    assert clock.plain
+    assert not in_turn.plain
     each = shared.samples([in_turn], ticks)
     assert shared.samples([clock], ticks) == each
-    (fast, many), slow = shared.regular(clock, ticks, 3), schedule(each, ticks, 3)
+    (fast, many), slow = regular.regular(clock, ticks, 3), schedule(each, ticks, 3)
     for name, a, b in zip(shared.Schedule._fields, fast, slow, strict=True):
         np.testing.assert_array_equal(a, b, err_msg=name, strict=True)
     assert many == in_flight(slow)

@@ -49,6 +49,11 @@ class Clock(NamedTuple):
         return self.profile == "uniform" or max(self.jitter, self.spread, *self.steps, self.loss, self.stamp.jitter) > 0
 
     @property
+    def plain(self) -> bool:
+        """Whether samples are a period apart, each as late as the others, and stamped when they are taken."""
+        return self == Clock(self.channels, self.period, self.delay)
+
+    @property
     def latest(self) -> int:
         """How much later than its delay a sample may arrive."""
         return self.spread + max(self.steps, default=0) + max(self.known_turns, default=0)

@@ -46,16 +46,11 @@ class Sample(NamedTuple):
     ahead: int = 0  # ticks by which its stamp is later than `taken`
 
 
-def plain(clock: Clock) -> bool:
-    """Return whether a clock's samples are a period apart, each as late as the others, and stamped when they are taken."""
-    return clock == Clock(clock.channels, clock.period, clock.delay)
-
-
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
     """Return every sample of clocks without randomness, taken up to tick `ticks`, from 0 on or before (`Clock.early`)."""
     out = []
     for clock in clocks:
-        if plain(clock):
+        if clock.plain:
             late = clock.period if clock.delay is None else clock.delay
             each = enumerate(range(0, ticks + 1, clock.period))
             out += [Sample(j, i, taken, taken + late) for i, taken in each for j in clock.channels]
@@ -128,26 +123,6 @@ def schedule(samples: list[Sample], ticks: int, channels: int, error: int = 0) -
     return with_events(out)
 
 
-def regular(clock: Clock, ticks: int, channels: int) -> tuple[Schedule, int]:
-    """Return the `schedule` of a plain clock alone, of whose age observers believe what is so, and its packets `in_flight`.
-
-    It has no loops.
-    """
-    n, q = ticks + 1, list(clock.channels)
-    taken = np.arange(0, n, clock.period, dtype=np.int32)
-    late = np.int32(clock.period if clock.delay is None else clock.delay)
-    arrives = taken + late
-    here = arrives <= ticks
-    number, at = np.arange(len(taken), dtype=np.int32), arrives[here]
-    out = at_no_tick(ticks, channels)
-    out.sense[taken] = out.note[taken] = number
-    out.sample[taken[:, None], q] = number[:, None]
-    out.arrive[at, 0], out.believed[at, 0], out.since[at, 0] = number[here], taken[here], np.diff(at, prepend=0)
-    out.fresh[at[:, None], 0, q] = True
-    out.number[at[:, None], 0, q] = number[here, None]
-    return with_events(out), 1 + int(late) // clock.period * bool(len(at))
-
-
 def at_no_tick(ticks: int, channels: int, slots: int = 1, early: int = 0, notes: int = 0) -> Schedule:
     """Return a schedule of nothing, with room."""
     n, q = ticks + 1, channels
@@ -189,26 +164,6 @@ def periodic(period: list[int], delay: list[int], ticks: int) -> Schedule:
     """Sample channel j every period[j] ticks from tick 0 on; each sample arrives delay[j] ticks later."""
     each = [Clock((j,), every, late) for j, (every, late) in enumerate(zip(period, delay, strict=True))]
     return schedule(samples(each, ticks), ticks, len(period))
-
-
-def at_every_tick(ticks: int, channels: int) -> Schedule:
-    """Take all channels at every tick and hand them over at once: `schedule` of period 1 and delay 0, without its loops."""
-    k = np.arange(ticks + 1, dtype=np.int32)
-    row, each = k[:, None], np.repeat(k[:, None], channels, 1)
-    return Schedule(
-        sense=k,
-        sample=each,
-        note=k,
-        arrive=row,
-        believed=row,
-        fresh=np.ones((ticks + 1, 1, channels), bool),
-        number=each[:, None],
-        since=np.minimum(row, 1),
-        event=np.ones(ticks + 1, bool),
-        next_event=k + np.int32(1),
-        early=each[:0],
-        also=np.zeros((ticks + 1, 0), np.int32),
-    )
 
 
 def oldest(found: list[Sample], overtaking: int) -> int:
