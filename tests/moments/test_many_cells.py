@@ -10,7 +10,7 @@ from pcbench.moments.vector import steady, timed
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
-TICKS, POINTS = 2000, 100  # of a study; at so many, about, moments are kept
+TICKS, POINTS = 2000, 80  # of a study; at so many moments are kept, every 25 ticks: within those that go together
 STUDY = {
     "name": "many",
     "scenarios": {"mine": {"base": "cart/gaussian", "horizon": 2.0, "tail": 1.0}},
