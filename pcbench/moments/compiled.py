@@ -1,5 +1,6 @@
 """Compiled programs of exact moments and calls of them: `FEW` or `MANY` cells side by side."""
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from threading import Lock
 from typing import Any
@@ -17,22 +18,29 @@ from pcbench.simulation import batch, compiling, kept_programs
 from pcbench.simulation.problem import Layout
 from pcbench.simulation.schedule import shared
 
-FEW, MANY = (
-    8,
-    128,
-)  # cells a call; measured on the cart: of 128 a cell costs four fifths of what it does with 64, and of 256 no less
+FEW, SOME, MANY = 8, 64, 128  # cells a call; of the cart's a cell costs four fifths with 128 of what it does with 64
 
 
 def compute(ones: list[Realised], recorded: str, every: int = 1) -> Found:
-    """Return what a batch leaves, [..., FEW or MANY], with what is recorded at every so many ticks."""
-    width = FEW if len(ones) <= FEW else MANY
+    """Return what a batch leaves, [..., FEW, SOME or MANY], with what is recorded at every so many ticks."""
+    own = own_of(ones[0].problem)
+    width = _width(len(ones), (ones[0].layout, own, recorded, every))
     each = _alike([ones[min(i, len(ones) - 1)] for i in range(width)])
-    own = own_of(each[0].problem)
     given = together([one.problem for one in each], [one.network for one in each], [one.chance for one in each])
     if ones[0].mode:
         given = given._replace(mix=mix_of([one.mode for one in each]))
     made = _program(each[0], own, width, recorded, every, given)
     return jax.tree.map(np.asarray, made(given))
+
+
+def _width(cells: int, kind: Hashable) -> int:
+    """Return how many cells a call is for; the last ones of a study go by the program of those before, not by another."""
+    if cells <= FEW:
+        return FEW
+    if cells <= SOME and kind not in _WIDE:
+        return SOME
+    _WIDE.add(kind)
+    return MANY
 
 
 def _alike(each: list[Realised]) -> list[Realised]:
@@ -56,7 +64,7 @@ def _program(one: Realised, own: tuple[bool, ...], width: int, recorded: str, ev
     with waiting.lock:  # the second thread to ask waits for the first one's program; another is made beside it
         if waiting.made is None:
             form = form_of(one.layout, one.problem)
-            written = width == MANY and not form.flight and form.many <= WRITTEN_OUT
+            written = width > FEW and not form.flight and form.many <= WRITTEN_OUT
             waiting.made = _compiled(one.layout, Shape(width, form, own, recorded, every, written), given)
         return waiting.made
 
@@ -83,5 +91,6 @@ class Making:
     made: Any = None
 
 
+_WIDE = set[Hashable]()  # kinds of cells of which there were more than SOME in a call
 _ASKING = Lock()
 _MADE: dict[Any, Making] = {}

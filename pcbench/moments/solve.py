@@ -59,10 +59,11 @@ def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     """
     split = len(cells) > SPLIT
     most = max(map(_ring, cells))
+    least = PACKETS if len(cells) > WAITING else most  # of so many cells another program is worth its time
     for p in padding.checked(drafts(cells)):
         room = padding.room_of(p)
         own = _ring(p.cell)
-        places = padding.rounded(own if _carried(p) else most if own > PACKETS else min(most, PACKETS))
+        places = padding.rounded(own if _carried(p) else most if own > least else min(most, least))
         whole = padding.fitted(p, room._replace(ring=max(room.ring, places)))
         mixed = losses_alone(whole) or delays_alone(whole)
         apart = not together and (split or mixed or _remembered(whole) > LARGE)
