@@ -1,4 +1,4 @@
-"""Compiled programs of exact moments and calls of them: `FEW` or `MANY` cells side by side."""
+"""Compiled programs of exact moments and calls of them: `FEW`, `SOME` or `MANY` cells side by side."""
 
 from collections.abc import Hashable
 from dataclasses import dataclass, field

@@ -1,8 +1,9 @@
 """A batch of cells from tick 0 to its end: the compiled program of exact moments.
 
 The loop is that of `simulation.loop`: at an event samples are taken and packets arrive, then plant and observers flow to the
-next. What goes along is the run without noise, a run with noise (`affine`), and the covariance of all that noise reaches. A
-tick's matrix is taken anew only where one product with it differs from the last tick's: between events it hardly ever does.
+next (`stretch`). What goes along is the run without noise, a run with noise (`affine`), and the covariance of all that noise
+reaches. A tick's matrix is the same at every tick, or found where it changes, or looked at tick by tick: it is taken anew only
+where one product with it differs from the last tick's.
 """
 
 from functools import partial

@@ -1,7 +1,7 @@
 """The ticks from one event to the next, some at a time, and what is kept of them.
 
-Runs go tick by tick. Covariances go by powers of a tick's matrix, over all ticks at once; where that matrix is not the same at
-every tick, one at a time.
+Runs go tick by tick. Covariances go by powers of a tick's matrix, over all ticks at once, while that matrix stays what it is;
+where that is not known beforehand, one at a time.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from pcbench.moments.powers import Powers, after, covariances, later, powers, se
 from pcbench.moments.sums import Read, Seen
 from pcbench.moments.ticks import Tick, flown, matrix_of, one_cell
 
-TICKS = 4  # at a time: a cell of the cart takes two thirds of what it takes tick by tick; of 8 and 16 no less
+TICKS = 4  # at a time, between events that are as many apart: a cell of the cart takes two thirds; of 8 and 16 no less
 
 
 class Shown(NamedTuple):
@@ -41,16 +41,22 @@ class Ways(NamedTuple):
     many: int  # ticks that go together
     room: Shown  # of so many ticks, none of them there yet
     joint: bool  # whether covariances between what is seen are asked for
-    known: Powers | None  # None: a tick's matrix is not the same at every tick, or
-    changes: Array | None = None  # [N+1] at which later tick it changes next
+    known: Powers | None  # of the matrix of every tick; None: it is looked at tick by tick
+    changes: Array | None = None  # [N+1] at which later tick it changes next; None: at none
     parted: Any = ()  # the problem for entries of states side by side; (): states go as arrays
+
+    @property
+    def sparse(self) -> bool:
+        """Whether at most one of the ticks that go together is recorded."""
+        return self.shape.every >= self.many
 
 
 def ways(by: Means, shape: Shape, given: Given, tick: Tick, seen: Seen, changes: Array | None) -> Ways:
     """Return how a batch goes; `seen` has the shapes of what one run shows at a tick."""
     joint = shape.recorded == COVARIANCE or by.layout.consistency or any(len(each) for each in seen[1:])
     steady = isinstance(tick.shown, tuple)
-    many = TICKS if steady and not by.layout.consistency else 1
+    apart = len(given.plan.at) * TICKS <= len(given.arrivals)  # events, by the room that there is for them
+    many = TICKS if steady and apart and not by.layout.consistency else 1
     cells, size = shape.cells, sum(len(each) for each in seen)
     both, entry_by_entry = 1 + given.ticks.shape[1], shape.written and many > 1
     alone = jax.tree.map(lambda a: jnp.zeros((many, both, *a.shape)), seen)
@@ -162,11 +168,11 @@ def _put(place: Array, room: Array, a: Array) -> Array:
 
 def rows(go: Ways, signals: int) -> Any:
     """Room for what is recorded, and one place more, or as many as ticks go together, for what is written in vain."""
-    shape, many = go.shape, go.many
+    shape = go.shape
     if not shape.recorded:
         return ()
     ticks, cells = len(go.given.arrivals), shape.cells
-    places = -(-ticks // shape.every) + 1 if shape.every >= many else ticks + many
+    places = -(-ticks // shape.every) + 1 if go.sparse else ticks + go.many
     others = signals if shape.recorded == COVARIANCE else 1
     return Recorded(jnp.zeros((places, signals, cells)), jnp.zeros((places, signals, others, cells)))
 
@@ -174,7 +180,7 @@ def rows(go: Ways, signals: int) -> Any:
 def recorded(go: Ways, rows: Any) -> Any:
     """Return what was recorded without the room for what was written in vain."""
     ticks, every = len(go.given.arrivals), go.shape.every
-    return jax.tree.map(lambda a: a[:-1] if every >= go.many else a[:ticks:every], rows)
+    return jax.tree.map(lambda a: a[:-1] if go.sparse else a[:ticks:every], rows)
 
 
 def _record(go: Ways, rows: Recorded, k: Array, until: Array, read: Read) -> Recorded:
@@ -183,7 +189,7 @@ def _record(go: Ways, rows: Recorded, k: Array, until: Array, read: Read) -> Rec
     Z, wide = mean.shape[1], rows.covariance.shape[2] > 1
     new = Recorded(mean, read.covariance[:, :Z, :Z] if wide else sums_of.variances(read)[:, :Z, None])
     write = lax.dynamic_update_slice_in_dim
-    if every < many:  # all of them; what is not yet so is written over in time
+    if not go.sparse:  # all of them; what is not yet so is written over in time
         return jax.tree.map(lambda room, a: write(room, a, k, 0), rows, new)
     place = -k % every
     row = jnp.where(k + place < until, (k + place) // every, len(rows.mean) - 1)

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from pcbench.moments.given import SMALL
 from pcbench.simulation import start
 from pcbench.simulation.lanes import entrywise, is_lanes, join, split
 from pcbench.simulation.lifted.reach import reach
@@ -130,20 +131,25 @@ def steady(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> bool:
 
     `each` is what it is given besides p and the tick, for all cells.
     """
-    return _last_read(p, own, f, *each) < len(jax.tree.leaves(p))
+    return max(_read(p, own, f, *each), default=-1) < len(own)
 
 
 def timed(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> bool:
-    """Return whether a function over cells gives the same in every state: whether it reads p and the tick alone."""
-    return _last_read(p, own, f, *each) <= len(jax.tree.leaves(p))
+    """Return whether a function over cells gives the same in every state, and changes at few ticks.
+
+    It may read p and the tick, but no long table, whose rows are as many as ticks.
+    """
+    found = _read(p, own, f, *each)
+    long = {i for i, (a, mine) in enumerate(zip(jax.tree.leaves(p), own, strict=True)) if not mine and a.size > SMALL}
+    return max(found, default=-1) <= len(own) and not found & long
 
 
-def _last_read(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> int:
-    """The number of the last argument that a function reads: those of p, the tick, the others; -1: none."""
+def _read(p: Any, own: tuple[bool, ...], f: OneCell, *each: Any) -> frozenset[int]:
+    """The numbers of the arguments that a function reads: leaves of p, the tick, and then leaves of the others."""
     leaves, tree = jax.tree.flatten(p)
     alone = [_alone(a) if mine else a for a, mine in zip(leaves, own, strict=True)]
     found, _ = reach(f, jax.tree.unflatten(tree, alone), jax.ShapeDtypeStruct((), int), *jax.tree.map(_alone, each))
-    return max(found, default=-1)
+    return frozenset(found)
 
 
 def _alone(a: Any) -> Any:

@@ -53,3 +53,7 @@ def test_where_a_matrix_changes_is_known_beforehand_where_it_reads_the_tick_but_
     state, own = jnp.ones((2, 3)), (False, True)
     assert timed(p, own, lambda p, k, state: p["own"] * p["common"][k], state)
     assert not timed(p, own, lambda p, k, state: p["own"] * p["common"][k] * state, state)
+    long = p | {"common": jnp.ones((1000, 2))}
+    assert not timed(long, own, lambda p, k, state: p["own"] * p["common"][k], state), (
+        "it has another row at every tick"
+    )
