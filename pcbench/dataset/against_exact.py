@@ -52,7 +52,7 @@ class Checked(NamedTuple):
         if self.rows.empty:
             return "No mean has an exact value to be compared with."
         far, cells = float((self.z.abs() > 2).mean()), self.rows.groupby(["scenario", "cell"]).ngroups
-        said = f"{len(self.rows):,} means of {cells:,} cells against their exact values: "
+        said = f"{len(self.rows):,} means of {'one cell' if cells == 1 else f'{cells:,} cells'} against their exact values: "
         if len(self.z):
             said += f"{100 * far:.3g} % of |z| above 2 (4.6 % by chance), the largest {self.z.abs().max():.2f}; "
         if self.wrong.empty:

@@ -32,10 +32,14 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
     part = strayed(s.apart[mine], s.size[mine])
     worst = int(np.argmax(part))
     reach = s.reach[mine].max(-1)
-    if part[worst] > ROUNDING and (np.isfinite(part[worst]) or np.isfinite(reach).all()):
+    bounded = (
+        np.isfinite(reach).all() or np.isfinite(s.size[mine]).all()
+    )  # or the run itself, where linear maps overflow
+    if part[worst] > ROUNDING and (np.isfinite(part[worst]) or bounded):
+        off = f"{part[worst]:.1g} of its size" if np.isfinite(part[worst]) else "more than a number can hold"
         return (
-            f"{where} is not affine in the noise: {names[worst]} is off by {part[worst]:.1g} of its size where an affine "
-            f"observer is off by less than {ROUNDING:.0e}; {instead}."
+            f"{where} is not affine in the noise: {names[worst]} is off by {off} where an affine observer is off by less than "
+            f"{ROUNDING:.0e}; {instead}."
         )
     bound = np.asarray(p.problem.bound)[: len(reach)]
     beyond = ~(reach <= bound)

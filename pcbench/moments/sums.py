@@ -34,7 +34,7 @@ class Sums(NamedTuple):
     std: Array
     reach: Array  # [Z, C] the largest |m| + FAR s
     apart: Array  # [Z, C] how far a run with noise was from where linear maps put it
-    size: Array  # [Z, C] the largest number in that comparison
+    size: Array  # [Z, C] the largest number in that comparison, of the runs themselves
     off: Any = ()  # [2, r, C] of a closed loop
     cost: Any = ()  # [2, C]
     input: Any = ()  # [2, C]
@@ -123,7 +123,7 @@ def _errors(s: Sums, read: Read, weight: Array) -> Sums:
     variance, moved = variances(read)[:, :z], read.moved[:, :, :z]
     counted = counts[:, None, None]
     apart = largest(jnp.abs(runs[:, 1:] - (mean[:, None] + moved)), 1)
-    large = largest(jnp.abs(runs), 1) + largest(jnp.abs(moved), 1)
+    large = largest(jnp.abs(runs), 1)
     size = jnp.maximum(s.size, largest(jnp.where(counted, large, 0.0), 0))
     std = _root(variance, size[None])
     last, any_counts = jnp.maximum(jnp.sum(counts) - 1, 0), jnp.any(counts)

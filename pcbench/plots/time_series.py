@@ -69,7 +69,7 @@ def drawn(
     t = scales.linear(0.0, float(part.t.max()))
     upper = Panel(t, _range(part), "", word)
     lower, log = _errors_range(part)
-    title = _size(part, unit) if log else f"error (true less estimated) [{unit}]"
+    title = _size(part, unit, exactly(result, scenario, cell)) if log else f"error (true less estimated) [{unit}]"
     others = [TRUTH, *([HELD] if "measured" in known else []), *([TARGET] if "target" in known else [])]
     said = [
         title_of_scenario(result, scenario),
@@ -83,11 +83,25 @@ def drawn(
     return figure
 
 
+def exactly(result: Result, scenario: str, cell: int) -> frozenset[str]:
+    """Return the observers whose errors over time are known exactly in a cell."""
+    known = result.moments_of(scenario, cell) if result.exact else pd.DataFrame()
+    return frozenset() if known.empty else frozenset(known.observer)
+
+
+def over(observers: frozenset[str], exact: frozenset[str]) -> str:
+    """Return over what the errors of these observers are taken at a time, some of them exactly."""
+    several = f"{one_run.RUNS} runs"
+    return "all noise" if observers <= exact else several if not observers & exact else f"all noise, or {several}"
+
+
 def _with_exact(part: pd.DataFrame, result: Result, scenario: str, cell: int) -> pd.DataFrame:
     """Return a run with the bands and sizes of its errors as they are exactly, of observers whose moments are known."""
     if not result.exact:
         return part
     known = result.moments_of(scenario, cell)
+    if known.empty:
+        return part
     known = known[known.signal == part.signal.iloc[0]]
     known = known[known.observer.isin(set(part.series))]
     mine = part.series.isin(set(known.observer))
@@ -148,9 +162,10 @@ def _envelope(
         ax.plot(rows.t, np.maximum(k * rows.value, floor), color=key.style.colour, linewidth=0.6, alpha=0.8, zorder=1.4)
 
 
-def _size(part: pd.DataFrame, unit: str) -> str:
+def _size(part: pd.DataFrame, unit: str, exact: frozenset[str]) -> str:
     """What a logarithmic axis of errors shows."""
-    return (f"rms error over {one_run.RUNS} runs" if (part.kind == "rms").any() else "|error|") + f" [{unit}]"
+    of = frozenset(part.series[part.kind == "rms"])
+    return (f"rms error over {over(of, exact)}" if of else "|error|") + f" [{unit}]"
 
 
 def _range(part: pd.DataFrame) -> scales.Scale:

@@ -66,7 +66,7 @@ def _cell(
         name = wording.marked(observer, [row.loc[metric].certified])
         cells = [name, wording.interval(row.loc[metric]), "not surely different" if against == "=" else against]
         cells += [wording.interval(row.loc[m]) if m in row.index else "-" for m in beside]
-        cells += ["none" if lost["mean"] == 0 else wording.fraction(lost)]
+        cells += ["-" if np.isnan(lost["mean"]) else "none" if lost["mean"] == 0 else wording.fraction(lost)]
         cells += _costs(costs, observer)
         rows.append({"cells": cells, "colour": look[observer].colour, "best": observer == order[0]})
     here = part[part.cell == cell].iloc[0]

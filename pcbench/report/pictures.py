@@ -84,7 +84,8 @@ def of_signal(where: Place, signal: str) -> Iterator[Picture]:
     if run is not None:
         seed = result.study.first_seed if shown.seed is None else shown.seed
         figure = time_series.drawn(result, run, scenario, signal, cell, seed, shown.paper)
-        text, note = sentences.time(run[run.signal == signal], unit_of_signal(result, scenario, signal))
+        exact = time_series.exactly(result, scenario, cell)
+        text, note = sentences.time(run[run.signal == signal], unit_of_signal(result, scenario, signal), exact)
         yield Picture(f"{name}-time", "One run in time", figure, text, note)
     if result.study.vary == "each" and axes and faults_borne.ALONE in set(whole.observer):
         figure = plots.bearing(result, **here)

@@ -5,7 +5,7 @@ import pandas as pd
 
 from pcbench.plots import frames, one_run, scales
 from pcbench.plots.scales import number as exact
-from pcbench.plots.time_series import BANDS
+from pcbench.plots.time_series import BANDS, over
 
 WINNERS = (
     "A cell is won where the best is surely better than every other (5 %, Holm); the number says how many times larger the "
@@ -69,12 +69,13 @@ def convergence(part: pd.DataFrame) -> str:
     return f"{', '.join(said)}." if said else "No mean has an interval."
 
 
-def time(run: pd.DataFrame, unit: str) -> tuple[str, str]:
-    """Return where one run ends, and how to read its picture."""
+def time(run: pd.DataFrame, unit: str, exact: frozenset[str] = frozenset()) -> tuple[str, str]:
+    """Return where one run ends, and how to read its picture, where errors of some observers over time are `exact`."""
     ends = run[run.kind.isin(["truth", "estimate", "target"])].groupby("series", sort=False).value.last()
     text = "At the end: " + ", ".join(f"{o} {_said(v, unit)}" for o, v in ends.items()) + "."
-    several = (run.kind == "rms").any() and run.series[run.kind == "rms"].nunique() <= BANDS
-    band = f" Bands: nine in ten errors of {one_run.RUNS} runs, this one and the seeds after it." if several else ""
+    of = frozenset(run.series[run.kind == "rms"])
+    runs = "" if of <= exact else ", this one and the seeds after it"
+    band = f" Bands: nine in ten errors over {over(of, exact)}{runs}." if 0 < len(of) <= BANDS else ""
     thin = (
         " Thin lines: three standard deviations that an observer believes; one where errors are on a logarithmic axis."
     )

@@ -1,6 +1,7 @@
 """A study without a seed: the same tables, files that are checked, and runs only of what has no exact answer."""
 
 import io
+import re
 import shutil
 
 import numpy as np
@@ -11,10 +12,12 @@ from commands import call
 from rich.console import Console
 
 import pcbench
-from pcbench.cli.screen import folder, took
+from pcbench.cli.screen import folder, results, took
 from pcbench.dataset import columns, compare, exact_part, parquet, store, verify
 from pcbench.dataset.result import opened
 from pcbench.errors import UserError
+from pcbench.plots import time_series
+from pcbench.report import page, sentences
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -133,6 +136,22 @@ def test_both_simulates_what_is_not_affine_alone(tmp_path):
     assert not verify.verify(tmp_path / "out", None, 0).differing
 
 
+@pytest.mark.parametrize("longest", [results.LONGEST, 1], ids=["cell by cell", "counted"])
+def test_where_nothing_is_known_neither_page_nor_table_says_nan(longest, tmp_path, monkeypatch):
+    """Shares of diverged runs stood there as nan %, and medians of observers that have no exact answer."""
+    monkeypatch.setattr(results, "LONGEST", longest)
+    (tmp_path / "mine.py").write_text(SIGNED)
+    study = STUDY | {"observers": ["dkf", "signed"], "use": {"signed": f"{tmp_path}/mine.py:OBSERVER"}}
+    done, shown = pcbench.run(study | {"axes": {}}, method="exact", out=tmp_path / "out"), io.StringIO()
+    results.closing(done, Console(file=shown, width=200), "rmse")
+    html = re.sub(r"<(script|style|svg).*?</\1>", "", page.page(done), flags=re.DOTALL)
+    for text in (shown.getvalue(), html):
+        assert "signed" in text
+        assert not re.search(r"\bnan\b", text)
+    assert "Bands: nine in ten errors over all noise, or 32 runs" in html, "of dkf, and of signed"
+    assert took.sentence(done, "there") == "Exact numbers of one cell are in there."
+
+
 def test_exact_numbers_in_a_folder_of_runs_stand_beside_and_the_command_says_so(tmp_path):
     pcbench.run("cart/slow", observers=["pccebo"], seeds=2, out=tmp_path / "out")
     result = pcbench.run("cart/slow", observers=["pccebo"], seeds=2, method="exact", out=tmp_path / "out")
@@ -175,3 +194,11 @@ seeds = 8
 [options.scenario]
 random_start = true
 """
+
+
+@pytest.mark.parametrize(("exact", "of"), [("ab", "all noise"), ("a", "all noise, or 32 runs"), ("c", "32 runs")])
+def test_a_picture_in_time_says_over_what_errors_are_taken(exact, of):
+    assert time_series.over(frozenset("ab"), frozenset(exact)) == of
+    rows = [(series, kind, 1.0) for series in "ab" for kind in ("estimate", "rms")]
+    run = pd.DataFrame(rows, columns=["series", "kind", "value"])
+    assert f"nine in ten errors over {of}" in sentences.time(run, "m", frozenset(exact))[1]

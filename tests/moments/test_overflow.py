@@ -7,6 +7,8 @@ import pytest
 from support import own_observer
 
 import pcbench
+from pcbench.moments import affine
+from pcbench.study import read
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -37,6 +39,18 @@ def test_an_observer_that_overflows_leaves_the_others_as_they_are():
     for name in ("dkf", "open-loop"):  # before it and behind it
         assert np.isfinite(alone[name, "tail_mse"])
         np.testing.assert_allclose(both[name], alone[name], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("run", "said"), [(3.0, "is not affine in the noise: a is off by more than"), (np.inf, "may leave")]
+)
+def test_where_linear_maps_overflow_and_the_run_does_not_an_observer_is_not_affine(run, said):
+    """As of a sliding mode, whose slope is wild and whose runs are not: it was said to leave its bound."""
+    (m,) = pcbench.exact(study({}, "dkf")).solved(read.grid(study({}, "dkf"), "").cells)
+    assert affine.refusal(m, "dkf") == ""
+    size, beyond = np.full_like(m.sums.size, run), np.full_like(m.sums.size, np.inf)
+    sums = m.sums._replace(size=size, apart=beyond, reach=beyond)
+    assert said in affine.refusal(m._replace(sums=sums), "dkf")
 
 
 @pytest.mark.slow

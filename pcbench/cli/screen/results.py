@@ -201,7 +201,10 @@ def _counted(shown: View, console: Console) -> list[str]:
     columns = [
         Column("observer", [marked(str(name), mine.certified) for name, mine in order], left=True),
         Column("cells won", [str(won.get(name, 0)) for name, _ in order]),
-        Column(f"median {metric} [{unit}]", [f"{mine['mean'].median():.4g}" for _, mine in order]),
+        Column(
+            f"median {metric} [{unit}]",
+            ["-" if np.isnan(m := mine["mean"].median()) else f"{m:.4g}" for _, mine in order],
+        ),
     ]
     if part.diverged.any():
         lost = [f"{100 * m.diverged.sum() / (m.n + m.diverged).sum():.3g} %" for _, m in order]

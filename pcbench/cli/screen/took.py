@@ -7,7 +7,8 @@ def sentence(result: Result, folder: str) -> str:
     """Return what a run took, in a sentence."""
     p = result.provenance
     if not result.cost.runs and result.exact and not p["blocks"]:
-        return f"Exact numbers of {result.stats.groupby(['scenario', 'cell']).ngroups:,} cells are in {folder}."
+        cells = result.stats.groupby(["scenario", "cell"]).ngroups
+        return f"Exact numbers of {'one cell' if cells == 1 else f'{cells:,} cells'} are in {folder}."
     if result.study.method == "exact" and not result.exact and p["blocks"] and result.stats.reason.isna().any():
         return (
             f"The tables in {folder} are of its runs, which stay; exact moments stand beside them: hold them together with "
