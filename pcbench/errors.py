@@ -38,16 +38,9 @@ def unknown(where: str, kind: str, got: str, valid: Iterable[str]) -> UserError:
     return UserError(f"{where}: '{short(got)}' is no {kind}; {hint}valid: {', '.join(names) or 'none'}.")
 
 
-EXTRAS = (
-    dict.fromkeys(("cvxpy", "clarabel", "scs", "optax"), "design")
-    | {
-        "matplotlib": "report",
-        "jinja2": "report",
-        "distributed": "dask",
-        "control": "control",
-    }
-    | dict.fromkeys(("rosbags", "mcap", "mcap-ros2", "pyulog"), "logs")
-)  # by package, which of pcbench's extras brings it
+EXTRAS = {"distributed": "dask", "control": "control"} | dict.fromkeys(
+    ("rosbags", "mcap", "mcap-ros2", "pyulog"), "logs"
+)  # by package, the extra of pcbench that installs it
 
 
 def missing(module: str) -> str:

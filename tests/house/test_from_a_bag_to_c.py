@@ -1,6 +1,6 @@
 """The guide's way from a bag to a filter in C, as it stands: every block, in its order, and the numbers that it tells.
 
-In processes of their own, which have what the page says is installed and none of pcbench's other extras.
+In processes of their own, which have what the page says is installed and none of the other extras of pcbench.
 """
 
 import json
