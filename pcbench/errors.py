@@ -15,6 +15,11 @@ LIBRARIES = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdl
 OURS = os.path.dirname(os.path.realpath(__file__))
 
 
+def printable(text: str) -> str:
+    """Return a text in one line that no terminal and no page obeys: a character that cannot be printed is its escape."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+
+
 class UserError(ValueError):
     """A mistake the user can mend. The CLI prints the sentence and exits with code 2.
 
@@ -22,7 +27,7 @@ class UserError(ValueError):
     """
 
     def __init__(self, sentence: str):
-        super().__init__("".join(c if c.isprintable() else ascii(c)[1:-1] for c in sentence))
+        super().__init__(printable(sentence))
 
 
 class DesignError(UserError):

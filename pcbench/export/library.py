@@ -7,6 +7,7 @@ counts the products of floats, as the column of costs does.
 import re
 from typing import Any, NamedTuple
 
+from pcbench.errors import printable
 from pcbench.export import functions, structs
 from pcbench.export.functions import Source
 
@@ -78,6 +79,14 @@ class About(NamedTuple):
     rows: int  # of past inputs
 
 
+def comment(text: str) -> str:
+    """Return a text as a comment of C can hold it: nothing in it opens or ends a comment, or joins two lines."""
+    for code in ("*/", "/*", "??/"):
+        text = text.replace(code, f"{code[:-1]} {code[-1]}")
+    text = printable(text)
+    return f"{text}." if text.endswith("\\") else text
+
+
 def identifier(label: str) -> str:
     """Return a label as C can call it."""
     text = re.sub(r"\W", "_", label)
@@ -104,7 +113,7 @@ def header(about: About, s: Source) -> str:
     said = ("", "which channels arrive", "ticks since it was taken", "which sample of its channel, from 0", "of its own tick",
             "ticks since the last tick at which anything arrived, from 0 before the first")  # fmt: skip
     arrival = [each._replace(says=says) for each, says in zip(s.arrival, said, strict=True)]
-    signals = ", ".join(f"{name} [{unit}]" for name, unit in about.signals)
+    signals = ", ".join(comment(f"{name} [{unit}]") for name, unit in about.signals)
     order = ORDER.format(label=label, sampled=SAMPLED.format(label=label) if _has(s, "sampled") else "")
     order = (
         order
@@ -113,7 +122,7 @@ def header(about: About, s: Source) -> str:
     )
     past = PAST.format(rows=about.rows, inputs=about.inputs) if s.looks_back else ""
     lines = [
-        f"/* {about.observer}, as {about.scenario} has it: made by pcbench.",
+        f"/* {comment(about.observer)}, as {comment(about.scenario)} has it: made by pcbench.",
         "",
         f"   xhat: {signals}; {about.inputs} inputs u, {about.outputs} outputs y, in the scenario's units and order.",
         f"   One tick is {about.dt!r} s. Begin with {label}_begin and {label}_init.",
@@ -170,7 +179,7 @@ def code(about: About, s: Source) -> str:
 def gains(about: About, s: Source, numbers: Any) -> str:
     """Return the gains as a constant initialiser."""
     each = structs.initialiser(s.gains, functions.numbers(numbers))
-    head = f"/* The gains of {about.observer} in {about.scenario}. */\n#include <math.h>\n"
+    head = f"/* The gains of {comment(about.observer)} in {comment(about.scenario)}. */\n#include <math.h>\n"
     lines = [head + f'#include "{about.label}.h"\n', f"static const {about.label}_gains {about.label}_nominal = {{"]
     return plain("\n".join([*lines, *each, "};", ""]))
 

@@ -1,5 +1,6 @@
 """The test vector as C, and the program that replays it: it prints what differs from the simulation, signal by signal."""
 
+from pcbench.export import library
 from pcbench.export.functions import Source
 from pcbench.export.library import About, plain
 from pcbench.export.terms import known, written
@@ -131,7 +132,7 @@ def header(about: About, v: Vector, noted: int, ring: int) -> str:
         "NOTED": max(noted, 1), "RING": max(ring, 1),
     }  # fmt: skip
     lines = [
-        f"/* A run of {about.scenario} with {about.observer}. */",
+        f"/* A run of {library.comment(about.scenario)} with {library.comment(about.observer)}. */",
         "#include <stdbool.h>",
         "#include <stdint.h>",
         "",

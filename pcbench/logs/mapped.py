@@ -29,6 +29,7 @@ from pcbench.logs import bags, flight, matlab, mcaps, wide
 from pcbench.logs.log import Batch, Floats, Log, Rows, Table
 from pcbench.logs.messages import RECEIVED
 from pcbench.logs.units import SECONDS
+from pcbench.signal_names import unit
 
 
 class Column(BaseModel):
@@ -111,7 +112,7 @@ def opened(path: Path, delay: float | None = None) -> Log:
 
 def _read(path: Path) -> Mapping:
     try:
-        return Mapping.model_validate(tomllib.loads(path.read_text()))
+        found = Mapping.model_validate(tomllib.loads(path.read_text()))
     except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: {said(error)}; expected TOML such as pcbench guide logs shows; mend it.") from None
     except ValidationError as error:
@@ -124,6 +125,10 @@ def _read(path: Path) -> Mapping:
             ) from None
         what = first["msg"][0].lower() + first["msg"][1:]
         raise UserError(f"{path.name}: {place}: {what}; see pcbench guide logs for what stands there.") from None
+    for what in ("channels", "inputs", "truth"):
+        for name, column in getattr(found, what).items():
+            unit(column.unit, f"{path.name}: {what}.{name}.unit")
+    return found
 
 
 def _times(c: Column, kind: Format, where: str, delay: float | None) -> tuple[str, str | None, float | None]:

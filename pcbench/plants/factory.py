@@ -20,7 +20,6 @@ unknown_parameters={"friction": ("1/s", 0.0, 1.0)},
 )
 """
 
-import re
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -29,12 +28,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from jax import Array
 
-from pcbench.errors import UserError, short, shown, unknown
+from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import nonlinear, trial
 from pcbench.plants.entry import Entry
 from pcbench.plants.nonlinear import Equations
 from pcbench.plants.trial import WHERE
 from pcbench.protocols import Now, Plant
+from pcbench.signal_names import names_and_units, unit
 
 Function = Callable[[Any, Now, Array], Any]  # (numbers, now, x[n]) -> an array, or a list of its entries
 Range = str | tuple[str, float, float]  # a unit, or (unit, least, most) where observers look for the value
@@ -69,7 +69,7 @@ def plant(
     Raises UserError for shapes that do not fit, and where a function or its slope is not finite at the operating point.
     """
     x0, u0 = _point(operating_point)
-    signals = tuple(_named(text, "states") for text in states)
+    signals = names_and_units(states, f"{WHERE}: states")
     if len(signals) != len(x0):
         raise UserError(
             f"{WHERE}: states: got {len(signals)} names, expected {len(x0)}, one for each state of the operating point."
@@ -97,7 +97,10 @@ def plant(
         y0=(),
     )
     e = e._replace(y0=trial.tried(e, kept))
-    units = [(name, each if isinstance(each, str) else each[0]) for name, each in (pushed | sought).items()]
+    units = [
+        (name, unit(each if isinstance(each, str) else each[0], f"{WHERE}: {name}"))
+        for name, each in (pushed | sought).items()
+    ]
     return Entry(
         plant=Plant(
             step=partial(nonlinear.step, e),
@@ -137,14 +140,6 @@ def _point(given: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
             f"{WHERE}: operating_point: got {shown(given)}, expected at least one state and one input, all finite."
         )
     return x0, u0
-
-
-def _named(text: str, what: str) -> tuple[str, str]:
-    """A name and a unit from a text such as "angle [rad]"."""
-    found = re.fullmatch(r"\s*([A-Za-z]\w*)\s*(?:\[([^\]]+)\])?\s*", text)
-    if not found:
-        raise UserError(f"{WHERE}: {what}: got '{short(text)}', expected a name with a unit, such as 'angle [rad]'.")
-    return found[1], found[2] or "1"
 
 
 def _given(field: Any, step: Any, tick: Any) -> str:

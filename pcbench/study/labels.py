@@ -112,7 +112,7 @@ def _free(label: str, name: str, where: str) -> None:
             f"{where}: got the label '{short(label)}', expected letters, digits, '-', '_', '.' or '+', at most {LONGEST}; "
             "write another."
         )
-    if label in OBSERVERS or label == "scenario":
+    if label in OBSERVERS or label in ("scenario", "target"):
         raise UserError(
             f"{where}: got '{short(name)}' as '{label}', which is pcbench's own name; expected another label; write "
             f'[observers.my-{label}] use = "{short(name)}".'

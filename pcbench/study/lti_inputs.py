@@ -14,6 +14,7 @@ from typing import Any
 
 from pcbench.errors import UserError, short, shown, unknown
 from pcbench.scenarios.sources import SHAPES, Source, Sources, Table, Wave
+from pcbench.signal_names import unit
 from pcbench.study import axes
 
 ROWS = 200_000  # of a table
@@ -82,8 +83,9 @@ def _wave(given: dict[str, Any], where: str) -> Wave:
         raise UserError(f"{where}.signal is missing; write signal = one of {', '.join(SHAPES)}.")
     if shape not in SHAPES:
         raise unknown(f"{where}.signal", "shape of a signal", str(shape), SHAPES)
-    if not isinstance(given.get("unit", ""), str):
-        raise UserError(f"{where}.unit: got {shown(given['unit'])}, expected a text such as 'V'.")
+    measured_in = given.get("unit", "")
+    if not isinstance(measured_in, str):
+        raise UserError(f"{where}.unit: got {shown(measured_in)}, expected a text such as 'V'.")
     numbers = {
         key: axes.number(given[key], f"{where}.{key}", 0.0 if key == "frequency" else None)
         for key in ("amplitude", "frequency", "offset", "phase")
@@ -93,7 +95,7 @@ def _wave(given: dict[str, Any], where: str) -> Wave:
         raise UserError(f"{where}: got a {shape} without a frequency, expected one; write frequency = ..., in Hz.")
     if shape not in REPEATING and (numbers.get("frequency") or numbers.get("phase")):
         raise UserError(f"{where}: got a {shape} with a frequency or a phase, expected neither; leave them out.")
-    return Wave(shape, **numbers, unit=given.get("unit", ""))
+    return Wave(shape, **numbers, unit=measured_in and unit(measured_in, f"{where}.unit"))
 
 
 def _table(given: list[Any], many: int, ticks: tuple[int, float], kind: str, where: str) -> Table:

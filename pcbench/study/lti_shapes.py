@@ -1,13 +1,13 @@
 """The numbers of a study's `[lti]` table: their types, and whether matrices, vectors and names fit together."""
 
-import re
 from typing import Annotated, Any, Protocol
 
 import numpy as np
 from pydantic import AfterValidator, BeforeValidator, Field, Strict, ValidationInfo
 
 from pcbench.dynamics import expression
-from pcbench.errors import UserError, short, shown
+from pcbench.errors import UserError, shown
+from pcbench.signal_names import names_and_units
 from pcbench.study import axes
 
 LEAST = 1e-100  # a number is 0 or at least this, so that its square is not 0
@@ -110,14 +110,4 @@ def signals(states: list[str] | None, n: int, where: str) -> tuple[tuple[str, st
         return tuple((f"x{i + 1}", "1") for i in range(n))
     if len(states) != n:
         raise UserError(f"{where}: got {len(states)} names, expected {n}, one for each state.")
-    out = []
-    for text in states:
-        found = re.fullmatch(r"\s*([A-Za-z]\w*)\s*(?:\[([^\]]+)\])?\s*", text)
-        if not found:
-            raise UserError(f"{where}: got '{short(text)}', expected a name with a unit, such as 'angle [rad]'.")
-        out.append((found[1], found[2] or "1"))
-    names = [name for name, _ in out]
-    for name in names:
-        if names.count(name) > 1:
-            raise UserError(f"{where}: got '{short(name)}' twice, expected each once; rename one.")
-    return tuple(out)
+    return names_and_units(states, where)

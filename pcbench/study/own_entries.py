@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from pcbench import controllers, observers, plants
 from pcbench.errors import UserError, unknown
 from pcbench.protocols import Controller, Observer
+from pcbench.signal_names import pair
 from pcbench.study import own, own_controllers, own_observers
 from pcbench.study.own import Own
 from pcbench.study.own_options import require_model
@@ -33,11 +34,17 @@ def _as_it_is(found: Any, module: ModuleType, where: str) -> Any:
     return found
 
 
+def _plant(found: plants.Entry, module: ModuleType, where: str) -> plants.Entry:
+    for name, unit in found.signals + found.unknowns:
+        pair(name, unit, f"{where}: {name}")
+    return found
+
+
 KINDS = {
     "observer": Kind(
         (Observer, observers.Entry), "a pcbench.Observer, or an Entry of pcbench.observers", own_observers.entry
     ),
-    "plant": Kind((plants.Entry,), "what pcbench.plant returns", _as_it_is),
+    "plant": Kind((plants.Entry,), "what pcbench.plant returns", _plant),
     "controller": Kind(
         (Controller, controllers.Entry), "a pcbench.Controller, or a pcbench.ControllerEntry", own_controllers.entry
     ),

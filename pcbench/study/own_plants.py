@@ -12,6 +12,7 @@ from pcbench.dynamics.linear import Model
 from pcbench.errors import UserError
 from pcbench.plants import Entry
 from pcbench.protocols import Plant
+from pcbench.signal_names import pair
 from pcbench.study.own import Code, Own
 from pcbench.study.own_observers import ABSENT
 
@@ -60,12 +61,12 @@ def absent(reference: str, code: Code, known: dict[str, Any]) -> Own:
     told = {name: nothing if name in known["functions"] else None for name in FUNCTIONS}
     there = Entry(
         plant=Plant(step=nothing, output=nothing, field=nothing if known["field"] else None),
-        signals=tuple((name, unit) for name, unit in known["signals"]),
+        signals=tuple(pair(name, unit, reference) for name, unit in known["signals"]),
         numbers=numbers,
         nominal=lambda numbers: model,
         prepare=nothing,
         summary=ABSENT,
-        unknowns=tuple((name, unit) for name, unit in known["unknowns"]),
+        unknowns=tuple(pair(name, unit, reference) for name, unit in known["unknowns"]),
         model=told["model"],
         successor=told["successor"],
         sensor=told["sensor"],

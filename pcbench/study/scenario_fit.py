@@ -1,6 +1,5 @@
 """Whether what a table `[scenario]` says fits the plant: lengths of lists, names of signals, a controller's options."""
 
-import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -8,10 +7,11 @@ from pydantic import ValidationError
 
 from pcbench.controllers import CONTROLLERS
 from pcbench.controllers import entry_of as controller_of
-from pcbench.errors import UserError, short, shown, unknown
+from pcbench.errors import UserError, unknown
 from pcbench.plants import PLANTS, Entry, signals_of
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import PATHS
+from pcbench.signal_names import names_and_units, require_different
 from pcbench.study.sentences import sentence
 
 # by field: how many numbers, and whether none is allowed as well
@@ -78,16 +78,11 @@ def require_fit(s: Scenario, many: dict[str, int], entry: Entry, where: str) -> 
     for name in s.scoring.headline:
         if name not in names:
             raise unknown(f"{where}.headline", "signal", name, names)
-    if len(set(names)) < len(names):
-        raise UserError(f"{where}.signals: got a name twice in {shown(names)}, expected each once; rename one.")
+    require_different(names, f"{where}.signals")
 
 
 def signals(texts: list[str], many: int, where: str) -> tuple[tuple[str, str], ...]:
     """Names and units from texts such as "angle [rad]"."""
     if len(texts) != many:
         raise UserError(f"{where}: got {len(texts)} names, expected {many}.")
-    found = [re.fullmatch(r"\s*([A-Za-z]\w*)\s*(?:\[([^\]]+)\])?\s*", text) for text in texts]
-    for text, each in zip(texts, found, strict=True):
-        if not each:
-            raise UserError(f"{where}: got '{short(text)}', expected a name with a unit, such as 'angle [rad]'.")
-    return tuple((each[1], each[2] or "1") for each in found if each)
+    return names_and_units(texts, where)

@@ -15,7 +15,7 @@ from scipy.io import loadmat
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.export import files, program
+from pcbench.export import files, library, program
 from pcbench.export.terms import Writer, stored
 from pcbench.observers import OBSERVERS
 
@@ -104,6 +104,32 @@ def test_what_cannot_be_exported_says_what_stands_in_the_way(study, observer, wo
     with pytest.raises(UserError) as error:
         files.exported(study, observer)
     assert all(word in str(error.value) for word in words)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "*/ int x; /*",
+        "*/*/*",
+        "/*/",
+        "end \\",
+        "end *\\",
+        "??/",
+        "a *??/",
+        "\x1b]0;title\x07",
+        "line\n*/ two",
+        "\u202e",
+        "*",
+        "/",
+    ],
+)
+def test_a_text_in_a_comment_of_c_stays_in_it(text):
+    """A scanner of C99, in the order of its phases: trigraphs, joined lines, then comments."""
+    lines = f"/* {library.comment(text)} */\n/* {library.comment(text)}\n   next */\nint end;"
+    joined = re.sub(r"\\[ \t]*\n", "", lines.replace("??/", "\\"))
+    assert re.sub(r"/\*.*?\*/", "", joined, flags=re.S).split() == ["int", "end;"]
+    assert "/*" not in library.comment(text)
+    assert "".join(library.comment(text).split("\n")).isprintable()
 
 
 def _compiled(f, *given):

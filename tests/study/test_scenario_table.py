@@ -108,7 +108,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
         ),
         (WHITE | {"signals": ["a [m]"]}, "scenario.signals: got 1 names, expected 2"),
         (WHITE | {"signals": ["a [m]", "2b"]}, "scenario.signals: got '2b', expected a name with a unit"),
-        (WHITE | {"signals": ["a [m]", "a"]}, "scenario.signals: got a name twice"),
+        (WHITE | {"signals": ["a [m]", "a"]}, "scenario.signals: got 'a' twice"),
         (WHITE | {"headline": ["speed"]}, "scenario.headline: 'speed' is no signal; .*valid: position, velocity"),
         (WHITE | {"observers": ["dfk"]}, "scenario.observers: 'dfk' is no observer; did you mean 'dkf'"),
         (WHITE | {"options": {"dkf": {"r": 1.0}}}, "scenario.options.dkf: 'r' is no key here; did you mean 'R'"),

@@ -1,0 +1,65 @@
+"""Names with units, such as "angle [rad]": the one place where both are checked, wherever a file or a function gives them.
+
+A unit is printed in tables, figures, LaTeX and the comments of C, so it has few characters: letters, digits, spaces and
+`^ * / % . - ( )`, with `°`, `µ`, `Ω`, `·`, `²` and `³`. After a `^` comes a number or a parenthesis, because `^^` is a code of
+TeX. A unit contains neither `/*` nor `*/`, which are comments of C.
+"""
+
+import re
+from collections.abc import Iterable
+
+from pcbench.errors import UserError, short
+
+LONGEST_NAME = 60  # characters
+TAKEN = re.compile(r"t|[uy]\d+|sigma|scenario|cell|seed|tick")  # other columns of a trace, a recording or a table
+LONGEST_UNIT = 40
+LONGEST_TEXT = 200  # of a name with its unit and spaces
+NAME = re.compile(r"[A-Za-z]\w*")
+NAMED = re.compile(r"\s*([A-Za-z]\w*)\s*(?:\[([^\[\]]+)\])?\s*")
+UNIT = re.compile(r"(?:[A-Za-z0-9 */%.()°µμΩ·²³-]|\^(?=-?\d|\())+")
+COMMENTS = ("/*", "*/")
+
+
+def unit(text: str, where: str) -> str:
+    """Return a unit as it is given; raise UserError if it has other characters, or is too long."""
+    if len(text) > LONGEST_UNIT or not UNIT.fullmatch(text) or any(each in text for each in COMMENTS):
+        raise UserError(
+            f"{where}: got the unit '{short(text)}', expected at most {LONGEST_UNIT} letters, digits and ^ * / % . - ( ), such "
+            "as 'rad/s' or 'kg*m^2'; write another."
+        )
+    return text
+
+
+def name_and_unit(text: str, where: str) -> tuple[str, str]:
+    """Return the name and the unit of a text such as "angle [rad]", "1" if it has none; raise UserError for another text."""
+    found = NAMED.fullmatch(text) if len(text) <= LONGEST_TEXT else None
+    return pair(found[1] if found else text, (found[2] if found else "") or "1", where)
+
+
+def pair(name: str, measured_in: str, where: str) -> tuple[str, str]:
+    """Return a name and its unit; raise UserError if the name is none, or another column's, or the unit is none."""
+    if len(name) > LONGEST_NAME or not NAME.fullmatch(name):
+        raise UserError(
+            f"{where}: got '{short(name)}', expected a name with a unit, such as 'angle [rad]', of at most {LONGEST_NAME} "
+            "letters and digits; write another."
+        )
+    if TAKEN.fullmatch(name):
+        raise UserError(
+            f"{where}: got the name '{name}', which another column of a trace or a recording has, expected another name; "
+            f"write one such as '{name}_state'."
+        )
+    return name, unit(measured_in, where)
+
+
+def names_and_units(texts: Iterable[str], where: str) -> tuple[tuple[str, str], ...]:
+    """Return names and units; raise UserError for a text that is none, or a name that occurs twice."""
+    found = tuple(name_and_unit(text, where) for text in texts)
+    require_different([name for name, _ in found], where)
+    return found
+
+
+def require_different(names: list[str], where: str) -> None:
+    """Raise UserError for a name that occurs twice."""
+    if len(set(names)) < len(names):
+        twice = next(name for i, name in enumerate(names) if name in names[:i])
+        raise UserError(f"{where}: got '{short(twice)}' twice, expected each name once; rename one.")
