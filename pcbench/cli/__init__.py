@@ -6,7 +6,7 @@ import signal
 import sys
 from contextlib import suppress
 
-from pcbench.cli.stopping import STOPPED, asked, interrupt, stop_if_asked, unraisable
+from pcbench.cli.stopping import STOPPED, asked, exit_code, interrupt, stop_if_asked, unraisable
 from pcbench.errors import UserError, missing, out_of_memory, said
 from pcbench.machine import threads
 
@@ -15,13 +15,14 @@ MANY = 100_000  # new objects before Python looks for cycles: by thousands it do
 
 
 def main() -> None:
-    """Run the command line and exit: 0 done, 1 a check found something wrong, 2 a mistake to mend, 130 stopped.
+    """Run the command line and exit: 0 done, 1 a check found something wrong, 2 a mistake to mend, 130 stopped, 143 by SIGTERM.
 
     Everything is imported here, so that Ctrl-C is heard from the start.
     """
     code = 0
     gc.set_threshold(MANY)
     signal.signal(signal.SIGINT, interrupt)
+    signal.signal(signal.SIGTERM, interrupt)
     sys.unraisablehook = unraisable
     threads.one()
     try:
@@ -55,18 +56,19 @@ def main() -> None:
         else:
             raise
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is done is done
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
     gc.freeze()  # the interpreter takes a third of a second to look once more through all that was imported
-    if code == STOPPED:
-        _leave()
+    if code == exit_code():
+        _leave(code)
     sys.exit(code)
 
 
-def _leave() -> None:
+def _leave(code: int) -> None:
     """End the process at once: a program that computes in another thread crashes the interpreter that ends beside it."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(OSError, ValueError):
             stream.flush()
-    os._exit(STOPPED)
+    os._exit(code)
 
 
 def _of_usage(error: Exception) -> str:
@@ -78,7 +80,7 @@ def _of_usage(error: Exception) -> str:
 
 
 def _stopped() -> int:
-    return _complain("stopped; every file already written is complete.", STOPPED)
+    return _complain("stopped; every file already written is complete.", exit_code())
 
 
 def _complain(sentence: str, code: int = 2) -> int:

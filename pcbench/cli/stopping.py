@@ -1,4 +1,4 @@
-"""Ctrl-C: noted, raised, and raised again where a library swallows it."""
+"""Ctrl-C and SIGTERM: noted, raised, and raised again where a library swallows it."""
 
 import signal
 import sys
@@ -8,17 +8,19 @@ from typing import Any
 
 from pcbench.machine.progress import Progress
 
-STOPPED = 130  # the exit code of a program that Ctrl-C has ended
+STOPPED = 130  # the exit code of a program that Ctrl-C has ended; SIGTERM: 143
 SOON = 0.05  # [s] until it is tried again
 _ASKED: list[int] = []
 
 
 def interrupt(number: int, frame: Any) -> None:
-    """Stop: the handler of SIGINT.
+    """Stop: the handler of SIGINT and SIGTERM; a second SIGTERM ends the process at once.
 
     While an extension module is being loaded it waits: some crash, or raise an error of their own, where Python is interrupted.
     """
     _ASKED.append(number)
+    if number == signal.SIGTERM:
+        signal.signal(number, signal.SIG_DFL)
     if hasattr(signal, "setitimer") and _loads_an_extension(frame):
         signal.signal(signal.SIGALRM, interrupt)
         signal.setitimer(signal.ITIMER_REAL, SOON)
@@ -44,6 +46,11 @@ def unraisable(found: Any) -> None:
 def asked() -> bool:
     """Say whether Ctrl-C was pressed."""
     return bool(_ASKED)
+
+
+def exit_code() -> int:
+    """Return the exit code of a program that was stopped: 128 and the number of the signal."""
+    return 128 + _ASKED[0] if _ASKED else STOPPED
 
 
 def stop_if_asked() -> None:

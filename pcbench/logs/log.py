@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import UserError
+from pcbench.logs.clocks import HOUR, apart
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -65,9 +66,16 @@ def require_sound(log: Log, batch: Batch) -> None:
         if bad.any():
             i = int(np.argmax(bad))
             early = batch.sampled[i] - batch.arrived[i]
+            place = f"{log.name}: row {batch.row[i]} of channel {log.channels[batch.channel[i]]}"
+            if early > HOUR:
+                raise UserError(
+                    f"{place}: the stamp {batch.sampled[i]:.10g} s is {apart(early)} after the arrival "
+                    f"{batch.arrived[i]:.10g} s, so they are of two clocks or units; convert the arrivals to the clock of the "
+                    "stamps, or leave them out and give a delay."
+                )
             raise UserError(
-                f"{log.name}: row {batch.row[i]} of channel {log.channels[batch.channel[i]]}: got "
-                f"{got.format(value=batch.value[i], early=early)}, expected {expected}; mend or leave out that row."
+                f"{place}: got {got.format(value=batch.value[i], early=early)}, expected {expected}; mend or leave out that "
+                "row."
             )
 
 

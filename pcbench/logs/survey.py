@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import UserError
-from pcbench.logs.log import Batch, Log, require_sound
+from pcbench.logs import clocks
+from pcbench.logs.clocks import Times
+from pcbench.logs.log import Batch, Log, Table, require_sound
 from pcbench.logs.spread import Line, Spread, add, fit, largest
 
 GAP = 5.0  # medians of an interval
@@ -38,6 +40,8 @@ class Seen(NamedTuple):
     doubled_row: int = 0  # of the first
     long: NDArray[Any] = np.zeros((0, 3))  # the longest intervals
     steps: NDArray[Any] = np.zeros((0, 3))  # the largest changes from one delay to the next
+    stamps: Times = Times("", "")
+    arrivals: Times = Times("", "")
 
 
 class Survey(NamedTuple):
@@ -49,11 +53,12 @@ class Survey(NamedTuple):
     end: float  # [s] the latest stamp or arrival
     behind: float  # [s] how far behind the latest stamp before it a row's may be
     grid: NDArray[Any]  # [K] s, some of the stamps and arrivals, less the start
+    tables: dict[str, Times]  # the times of inputs and truth, of those that the log has
 
 
 def survey(log: Log) -> Survey:
-    """Read a log once; raise UserError for a row that no run can be fed with."""
-    seen = [Seen() for _ in log.channels]
+    """Read a log once; raise UserError for a row that no run can be fed with, and for times of two clocks."""
+    seen = [_unseen(name) for name in log.channels]
     rows, start, end, behind, newest, grid = 0, np.inf, -np.inf, 0.0, -np.inf, Spread()
     for batch in log.measurements():
         if not len(batch.row):
@@ -70,7 +75,33 @@ def survey(log: Log) -> Survey:
         grid = add(grid, both, both)
     if not rows:
         raise UserError(f"{log.name}: got no samples, expected one at least; see which topic or channel is meant.")
-    return Survey(dict(zip(log.channels, seen, strict=True)), rows, start, end, behind, grid.kept[:, 1] - start)
+    tables = {name: _times(table, name) for name, table in (("inputs", log.inputs), ("truth", log.truth)) if table}
+    clocks.require_one(log.name, [*(s.stamps for s in seen), *(s.arrivals for s in seen), *tables.values()])
+    return Survey(
+        channels=dict(zip(log.channels, seen, strict=True)),
+        rows=rows,
+        start=start,
+        end=end,
+        behind=behind,
+        grid=grid.kept[:, 1] - start,
+        tables=tables,
+    )
+
+
+def _unseen(channel: str) -> Seen:
+    fix = "convert the arrivals to the clock of the stamps, or leave them out and give a delay"
+    return Seen(
+        stamps=Times(f"stamps of channel {channel}", "convert its stamps to the clock of the other channels"),
+        arrivals=Times(f"arrivals of channel {channel}", fix),
+    )
+
+
+def _times(table: Table, name: str) -> Times:
+    """The times of a table of inputs or truth."""
+    times = Times(f"times of the {name}", f"convert the times of the {name} to the clock of the stamps")
+    for rows in table.read():
+        times = clocks.more(times, rows.t, rows.row)
+    return times
 
 
 def _more(seen: Seen, batch: Batch) -> Seen:
@@ -104,6 +135,8 @@ def _more(seen: Seen, batch: Batch) -> Seen:
         doubled_row=seen.doubled_row or (int(rows[np.argmax(again)]) if again.any() else 0),
         long=largest(seen.long, steps[forward], stamps[forward], rows[forward]),
         steps=largest(seen.steps, change[there], at[there], arrived[there]),
+        stamps=clocks.more(seen.stamps, batch.sampled, batch.row),
+        arrivals=clocks.more(seen.arrivals, batch.arrived, batch.row),
     )
 
 

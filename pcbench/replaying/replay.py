@@ -10,7 +10,7 @@ import pandas as pd
 from pcbench.errors import UserError
 from pcbench.logs import reading
 from pcbench.logs.events import Clocked
-from pcbench.logs.log import Log, Table
+from pcbench.logs.log import Log
 from pcbench.logs.survey import Survey, survey
 from pcbench.logs.ticks import better, ticks
 from pcbench.machine import process
@@ -24,6 +24,7 @@ from pcbench.study.cells import Cell
 from pcbench.study.raw import Described
 
 LENGTH = 1 << 16  # ticks of a part
+HORIZONS = 10  # of the plant file that a log may cover per row; a longer one has times of two clocks or units
 
 
 class Replayed(NamedTuple):
@@ -98,13 +99,20 @@ def asked(
             f"{opened.name}: got the channels {', '.join(opened.channels)}, expected one for each of the "
             f"{len(s.sampling.delay)} outputs of {s.name}; take another plant, or say in a TOML which are meant."
         )
-    ends = [table_ends(table) for table in (opened.inputs, opened.truth) if table]
-    begin = min([found.start, *(first for first, _ in ends)]) if start is None else start
-    end = max([found.end, *(last for _, last in ends)])
+    tables = list(found.tables.values())
+    begin = min([found.start, *(t.low for t in tables)]) if start is None else start
+    end = max([found.end, *(t.high for t in tables)])
     last, _ = ticks(np.array([end]), begin, s.dt)
     if last[0] < 1:
         raise UserError(
             f"{opened.name}: got nothing after {begin:g} s, expected samples there; give an earlier --start."
+        )
+    rows = found.rows + sum(t.spread.many for t in tables)
+    if last[0] > HORIZONS * cell.times.ticks * rows:
+        raise UserError(
+            f"{opened.name}: {rows:,} rows cover {int(last[0]):,} ticks of {s.dt:g} s, from {begin:.10g} s to {end:.10g} s, "
+            f"more than {HORIZONS} horizons of {s.horizon:g} s per row; check the units of the times and --start, or write a "
+            "longer horizon."
         )
     if opened.inputs is None:
         said.append(f"{opened.name} has no inputs: they are taken to be 0.")
@@ -129,14 +137,6 @@ def turned_back(found: Survey) -> list[str]:
         for name, seen in found.channels.items()
         if seen.out_of_order
     ]
-
-
-def table_ends(table: Table) -> tuple[float, float]:
-    """Return the first and the last time [s] of inputs or truth; of an empty table none that counts."""
-    first, last = np.inf, -np.inf
-    for rows in table.read():
-        first, last = (min(first, rows.t.min()), max(last, rows.t.max())) if len(rows.t) else (first, last)
-    return float(first), float(last)
 
 
 def rounding(a: Asked) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pcbench.errors import UserError, shown
 from pcbench.logs import reading
+from pcbench.logs.survey import survey
 from pcbench.scenarios import SCENARIOS
 from pcbench.scenarios.scenario import CHAIN, LOST, SPREAD, TURNS
 from pcbench.study.lti import Lti
@@ -43,6 +44,7 @@ def resolved(table: dict[str, Any], where: str, folder: Path | None, tick: float
             )
     name = Path(asked.removeprefix(IN_TURN if turns else FROM))
     log = reading.opened(name if folder is None else folder / name)
+    survey(log)  # refuses rows and clocks that no delay can be read from
     batches = list(log.measurements())
     columns = ("channel", "sampled", "arrived")
     channel, sampled, arrived = (np.concatenate([getattr(b, c) for b in batches]) for c in columns)
