@@ -25,6 +25,32 @@ SHAPED = ["dynamics.integrate", "plants", "observers", "controllers", "synthesis
 install_import_hook([f"pcbench.{name}" for name in SHAPED], "shapes.checked")
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark nightly tests as slow, so that the default run leaves them out as well."""
+    for item in items:
+        if item.get_closest_marker("nightly"):
+            item.add_marker("slow")
+
+
+PERMITTED_SKIPS = (  # in CI, by the reason that they give; any other skipped test is a failure there
+    "the group docs is not installed",  # .ci/run builds the reference itself
+    "only root may mount",
+    "no mount here",
+)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """Turn a skipped test into a failure in CI, where every tool that a test needs is installed."""
+    report = yield
+    skipped = report.skipped and not hasattr(report, "wasxfail")
+    if skipped and os.environ.get("CI") and not any(reason in str(report.longrepr) for reason in PERMITTED_SKIPS):
+        report.outcome = "failed"
+        report.longrepr = f"skipped in CI, where it must run: {report.longrepr}"
+    return report
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _in_a_hurry(request):
     """Compile everything in a hurry, in other processes too; the slow tests have it as a user has.
