@@ -17,8 +17,7 @@ from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS, Scenario
 from pcbench.study import Study, observers_of, scenarios_of
 from pcbench.study.names import base_in, own_in
-from pcbench.study.raw import raw_of
-from pcbench.study.read import described
+from pcbench.study.read import outline
 
 FILE = Path(__file__).parent / "references.bib"
 ENTRY = re.compile(r"^% known by: (?P<words>[^\n]+)\n(?P<text>@\w+\{(?P<key>[\w-]+),.*?^\})$", re.M | re.S)
@@ -65,7 +64,7 @@ def bibtex(what: str | None = None) -> str:
         return _written(every.values(), ["everything that pcbench has"])
     target = store.target(what)
     there = store.text(target, ownership.TEXT) is not None
-    study = ownership.opened(target).study if there else described(raw_of(what, []), what)
+    study = ownership.opened(target).study if there else outline(what, [])
     record = (summary.record(target) if there else None) or {}
     keys = {*known(_sources(study)), *ALWAYS, *_solvers(record)}
     return _written([r for key, r in every.items() if key in keys], _about(study, record))

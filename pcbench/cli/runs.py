@@ -63,7 +63,7 @@ def run(
         from pcbench.study import read
 
         statistics.compared(metric, "--metric")
-        asked, where = read.described(read.raw_of(study, changes or []), study), chosen(signal)
+        asked, where = read.outline(study, changes or []), chosen(signal)
         read.require_signals(asked, where, "--signal")
         into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
         with bar(quiet or as_json, "designing gains") as progress:

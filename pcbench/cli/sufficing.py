@@ -51,7 +51,7 @@ def suffices(
     from pcbench.study import read
     from pcbench.sufficing import asking
 
-    name = read.described(read.raw_of(study, changes or []), study).name
+    name = read.outline(study, changes or []).name
     into = str(Path("results") / re.sub(r"[^\w.+-]+", "-", f"{name}-{over}").strip("-")) if folder is None else folder
     with bar(quiet or as_json, "designing gains") as progress:
         table = asking.suffices(

@@ -6,12 +6,13 @@ A file stands as code/DIGEST/FILE, with the files beside it that it imports. A r
 from pathlib import PurePosixPath
 from typing import Any
 
+from pydantic.errors import PydanticUserError
+
 from pcbench.dataset import store
-from pcbench.errors import UserError
+from pcbench.errors import UserError, short
 from pcbench.study import Study, own, own_controllers, own_entries, own_observers, own_plants
 from pcbench.study.own import Own
-from pcbench.study.read import Load
-from pcbench.study.references import Named
+from pcbench.study.references import SCENARIO, Load, Named
 
 
 def keep(target: store.Target, study: Study) -> None:
@@ -39,15 +40,27 @@ def copy(target: store.Target, into: store.Target) -> None:
 def loader(target: store.Target, there: dict[str, Any], run: bool) -> Load:
     """Return what finds what is the user's own in the study whose text is `there`: by its code where it is to be `run`.
 
-    Without it observers and controllers have the options that the text says they had, and plants the facts.
+    Without it observers and controllers have the options that the text says they had, and plants the facts. Scenarios are
+    refused in either case: the study of a dataset has their tables.
     """
 
     def load(named: Named, where: str) -> Own:
+        if named.kind == SCENARIO:
+            raise UserError(
+                f"{where}: got '{short(named.reference)}', expected a table: the study of a dataset names no scenario by "
+                "MODULE:NAME; run the study again from its own file into a new folder."
+            )
         module, name = own.split(named.reference, where)
         kept, path = module.startswith(f"{own.FOLDER}/"), PurePosixPath(module)
         if not run:
             digest = path.parent.name if kept else ""
-            return _absent(named, own.Code(path.name if kept else module, name, (), digest), there)
+            try:
+                return _absent(named, own.Code(path.name if kept else module, name, (), digest), there["resolved"])
+            except (LookupError, TypeError, ValueError, AttributeError, NameError, PydanticUserError):
+                raise UserError(
+                    f"{where}: got '{short(named.reference)}', whose facts and options are not in [resolved] as written, "
+                    "expected them there; run the study again from its own file into a new folder."
+                ) from None
         if not kept:
             return own_entries.load(named.kind, named.reference, where)
         return own_entries.of(named.kind, own.Code(path.name, name, _files(target, path), path.parent.name), where)
@@ -55,9 +68,8 @@ def loader(target: store.Target, there: dict[str, Any], run: bool) -> Load:
     return load
 
 
-def _absent(named: Named, code: own.Code, there: dict[str, Any]) -> Own:
-    """What stands for a user's own whose code is left alone."""
-    resolved = there["resolved"]
+def _absent(named: Named, code: own.Code, resolved: dict[str, Any]) -> Own:
+    """What stands for a user's own whose code is left alone, by what a study's text says of it."""
     digest = code.digest or resolved.get("code", {}).get(
         named.key if named.kind == "observer" else f"{named.kind} {code.name}", ""
     )

@@ -30,6 +30,12 @@ class Kind(NamedTuple):
     entry: Callable[[Any, ModuleType, str], Any]  # what is found, of what module, where -> its entry
 
 
+class InModule(NamedTuple):
+    """An object of a scenario's own module, in its table."""
+
+    name: str
+
+
 def _as_it_is(found: Any, module: ModuleType, where: str) -> Any:
     return found
 
@@ -40,6 +46,23 @@ def _plant(found: plants.Entry, module: ModuleType, where: str) -> plants.Entry:
     return found
 
 
+def _table(found: dict[str, Any], module: ModuleType, where: str) -> dict[str, Any]:
+    """A scenario's table, in which a plant and a controller that are objects of its module have their names."""
+    out = dict(found)
+    for kind in ("plant", "controller"):
+        value = out.get(kind)
+        if kind not in out or isinstance(value, str):
+            continue
+        names = [name for name, each in vars(module).items() if each is value]
+        if not isinstance(value, KINDS[kind].types) or not names:
+            raise UserError(
+                f"{where}.{kind}: got {called(value)}, expected {KINDS[kind].expected} that the same module holds, or a name; "
+                "write that."
+            )
+        out[kind] = InModule(names[0])
+    return out
+
+
 KINDS = {
     "observer": Kind(
         (Observer, observers.Entry), "a pcbench.Observer, or an Entry of pcbench.observers", own_observers.entry
@@ -48,7 +71,7 @@ KINDS = {
     "controller": Kind(
         (Controller, controllers.Entry), "a pcbench.Controller, or a pcbench.ControllerEntry", own_controllers.entry
     ),
-    "scenario": Kind((dict,), DICT, _as_it_is),
+    "scenario": Kind((dict,), DICT, _table),
 }
 
 

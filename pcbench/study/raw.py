@@ -14,14 +14,17 @@ from pcbench.study import axes as axis
 from pcbench.study.labels import labelled
 from pcbench.study.lti_inputs import located
 from pcbench.study.own_scenarios import tabled
-from pcbench.study.references import absolute, looked_up
+from pcbench.study.references import Load, absolute, looked_up
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
 NOT_TOML = (ValueError, RecursionError)  # what tomllib raises, also for numbers too long and lists too deep
 
 
-def raw_of(what: Described, overrides: list[str]) -> dict[str, Any]:
-    """Return a study as a dict, with `key=value` overrides put in and _ for - in its keys; its values are not checked."""
+def raw_of(what: Described, overrides: list[str], load: Load) -> dict[str, Any]:
+    """Return a study as a dict, with `key=value` overrides put in and _ for - in its keys; its values are not checked.
+
+    `load` is the gate to the code of scenarios that it names.
+    """
     folder: Path | None = None
     if isinstance(what, Study):
         raw = deepcopy(what.model_dump(exclude_none=True))
@@ -39,7 +42,7 @@ def raw_of(what: Described, overrides: list[str]) -> dict[str, Any]:
         raise unknown("study", "study, scenario or TOML file", name, [*STUDIES, *SCENARIOS])
     for text in overrides:
         override(raw, text)
-    return named(raw, where_of(what, raw), folder)
+    return named(raw, where_of(what, raw), folder, load)
 
 
 def where_of(what: Described, raw: dict[str, Any]) -> str:
@@ -47,7 +50,7 @@ def where_of(what: Described, raw: dict[str, Any]) -> str:
     return str(what) if isinstance(what, str | Path) else str(raw.get("name", "study"))
 
 
-def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[str, Any]:
+def named(raw: dict[str, Any], where: str, folder: Path | None, load: Load) -> dict[str, Any]:
     """Return a raw study with _ for - in its keys, the table axes.plant as axes, and a single value of an axis as a list."""
     axes = raw.get("axes")
     if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # `plant.lam = [...]` is a table to TOML
@@ -56,7 +59,7 @@ def named(raw: dict[str, Any], where: str, folder: Path | None = None) -> dict[s
             if key in axes:
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
-    raw = labelled(tabled(underscored(raw, where), where, folder), where)
+    raw = labelled(tabled(underscored(raw, where), where, folder, load), where)
     raw = looked_up(raw) if folder is None else absolute(looked_up(raw), folder)
     for table in ("lti", "scenario", "tune", "controller"):
         if isinstance(raw.get(table), dict):

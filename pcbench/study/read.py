@@ -3,7 +3,7 @@
 Every mistake ends in one sentence: where, what was found, what was expected, what to write instead.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 from pydantic import ValidationError
@@ -27,30 +27,28 @@ from pcbench.study import (
 from pcbench.study.cells import Cell, Grid, cells
 from pcbench.study.own import Own
 from pcbench.study.raw import Described, named, raw_of, where_of
-from pcbench.study.references import Named, named_in
+from pcbench.study.references import Load, Named, named_in
 from pcbench.study.scenario_table import ScenarioTable
-
-Load = Callable[[Named, str], Own]  # (what a study names, where) -> what is a user's own
 
 
 def from_here(named: Named, where: str) -> Own:
-    """Return what a study names, by its code, a path taken from the working folder."""
+    """Run the code that a study names, a path taken from the working folder: the gate of a study that the user gives."""
     return own_entries.load(named.kind, named.reference, where)
 
 
 def load(what: str, overrides: list[str] | None = None) -> Study:
     """Return a checked study from a built-in name, a scenario's name or a TOML file, with `key=value` overrides put in."""
-    return parse(raw_of(what, overrides or []), what)
+    return parse(raw_of(what, overrides or [], from_here), what)
 
 
-def described(raw: dict[str, Any], where: str, load: Load = from_here) -> Study:
+def described(raw: dict[str, Any], where: str, load: Load) -> Study:
     """Return the study that `raw` describes; its names and options are checked, its cells are not made.
 
-    `load` finds what is the user's own.
+    `load` is the gate to the user's own code.
 
     Raises UserError naming the place in it that is wrong.
     """
-    raw = named(raw, where)
+    raw = named(raw, where, None, load)
     own = _own(raw)
     if own and not raw.get("scenarios"):
         raw = raw | {"scenarios": own}
@@ -79,6 +77,11 @@ def described(raw: dict[str, Any], where: str, load: Load = from_here) -> Study:
     return study
 
 
+def outline(what: str, overrides: list[str]) -> Study:
+    """Return the study that the user names, as `described`; its code is run, its cells are not made."""
+    return described(raw_of(what, overrides, from_here), what, from_here)
+
+
 def _own(raw: dict[str, Any]) -> list[str]:
     """The scenarios that a raw study brings: those it names where it says no others."""
     table = raw.get("scenario")
@@ -98,7 +101,7 @@ def _tables(study: Study) -> Iterator[tuple[str, ScenarioTable]]:
     yield from ((f"scenarios.{name}", table) for name, table in (study.tables or {}).items())
 
 
-def grid(raw: dict[str, Any], where: str, load: Load = from_here) -> Grid:
+def grid(raw: dict[str, Any], where: str, load: Load) -> Grid:
     """Return the study that `raw` describes with its cells; raise UserError naming the place in it that is wrong."""
     study, every = described(raw, where, load), []
     for name in study.scenarios:
@@ -119,15 +122,15 @@ def unstable(found: Grid) -> list[str]:
 
 def parse(raw: dict[str, Any], where: str) -> Study:
     """Return the checked study that `raw` describes; raise UserError naming the place in it that is wrong."""
-    return grid(raw, where).study
+    return grid(raw, where, from_here).study
 
 
 def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Grid:
     """Return a checked study with its cells from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
-    raw = raw_of(study, overrides)
+    raw = raw_of(study, overrides, from_here)
     where = where_of(study, raw)
     raw |= {key: value for key, value in changes.items() if value is not None}
-    return grid(raw, where)
+    return grid(raw, where, from_here)
 
 
 def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Study:
@@ -147,7 +150,7 @@ def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tup
 
 def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
     """Return the one scenario of a name or a TOML file; raise UserError where there are more."""
-    study = described(raw_of(what, overrides or []), what)
+    study = outline(what, overrides or [])
     if len(study.scenarios) > 1:
         raise UserError(f"{what}: got {len(study.scenarios)} scenarios, expected one here; name a scenario.")
     return scenarios_of(study)[study.scenarios[0]]

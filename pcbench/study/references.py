@@ -7,10 +7,12 @@ from typing import Any, NamedTuple
 from pcbench.controllers import CONTROLLERS
 from pcbench.plants import PLANTS
 from pcbench.study import own
+from pcbench.study.own import Own
 from pcbench.study.own_entries import installed
 
 NAMES: dict[str, Collection[str]] = {"plant": PLANTS, "controller": CONTROLLERS}
 KINDS = {"plant": "plant", "controller": "controller", "use": "controller"}  # of what the keys of tables name
+SCENARIO = "scenario"  # the kind of a scenario that a raw study names, which its table replaces
 
 
 class Named(NamedTuple):
@@ -19,6 +21,9 @@ class Named(NamedTuple):
     kind: str
     key: str  # by which a study finds what is named: the label of an observer, of others what the place says
     reference: str
+
+
+Load = Callable[[Named, str], Own]  # the gate: (what a study names, where) -> the user's own object, or a refusal
 
 
 def named_in(study: dict[str, Any]) -> list[Named]:

@@ -1,0 +1,142 @@
+"""A dataset from somebody else: commands that read it run no code, wherever its study names some."""
+
+import re
+import shutil
+import sys
+import tomllib
+
+import pytest
+import tomli_w
+
+import pcbench
+from pcbench.cli.commands import ALL, app
+
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
+
+READS = {  # commands that run no code of a dataset, by what is said after their name; the others run it, or take no dataset
+    "status": ["ds", "--json"],
+    "report": ["ds", "-q"],
+    "tables": ["ds"],
+    "cite": ["ds"],
+    "merge": ["ds", "ds2", "--out", "merged"],
+    "compare": ["ds", "ds2", "-q"],
+    "verify": ["ds", "--sample", "0", "-q"],
+    "run": ["cart/slow", "--out", "ds", "--observers", "dkf", "--seeds", "2", "-q"],
+    "suffices": ["cart/slow", "--below", "1", "--over", "noise_std", "--range", "0.1", "0.5", "--out", "ds", "-q"],
+}
+SLOW = ("run", "suffices", "report")  # asked only where the study is refused
+CODE = """
+import pathlib
+pathlib.Path(__file__).with_name("MARK").touch()
+sc = {"base": "cart/slow"}
+"""
+
+
+def in_use(study, reference):
+    study["use"] = {"nudge": reference}
+    study["observers"] = ["dkf", "nudge"]
+
+
+def in_tables(study, **table):
+    study["tables"] = {"mine": {"base": "cart/slow"} | table}
+
+
+PLACES = {  # where a name of code may stand in a study: what puts a reference there
+    "scenarios": lambda s, ref: s["scenarios"].append(ref),
+    "a table of scenarios": lambda s, ref: s.update(scenarios={"mine": {"base": ref}}),
+    "use of a table of scenarios": lambda s, ref: s.update(scenarios={"cart/slow": {}, "mine": {"use": ref}}),
+    "base of scenario": lambda s, ref: s.update(scenario={"name": "mine", "base": ref}),
+    "plant of scenario": lambda s, ref: s.update(scenario={"name": "mine", "base": "cart/slow", "plant": ref}),
+    "base of tables": lambda s, ref: in_tables(s, base=ref),
+    "plant of tables": lambda s, ref: in_tables(s, plant=ref),
+    "controller of tables": lambda s, ref: in_tables(s, controller=ref),
+    "observers of tables": lambda s, ref: in_tables(s, observers=[ref]),
+    "controller": lambda s, ref: s.update(controller={"use": ref}),
+    "use": in_use,
+    "observers": lambda s, ref: s.update(observers=["dkf", ref]),
+    "a table of observers": lambda s, ref: s.update(observers={"dkf": {}, "mine": {"use": ref}}),
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A dataset of one run, to be copied."""
+    out = tmp_path_factory.mktemp("foreign") / "ds"
+    pcbench.run("cart/slow", observers=["dkf"], seeds=2, out=out)
+    return out
+
+
+@pytest.fixture
+def here(made, tmp_path, monkeypatch):
+    """A folder with two copies of a dataset, and a module that leaves a mark if it is run."""
+    for name in ("ds", "ds2"):
+        shutil.copytree(made, tmp_path / name)
+    (tmp_path / "evil_module.py").write_text(CODE)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+def edited(here, change):
+    """Change the study of the dataset."""
+    for name in ("ds", "ds2"):
+        path = here / name / "study.toml"
+        study = tomllib.loads(path.read_text())
+        change(study)
+        path.write_text(tomli_w.dumps(study))
+
+
+def sentence_of(name, words):
+    """What a command says in place of an answer; empty where it gives one."""
+    try:
+        app([name, *words], prog_name="pcbench", standalone_mode=False)
+    except pcbench.UserError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("reference", ["evil_module.py:sc", "evil_module:sc"])
+@pytest.mark.parametrize("place", PLACES)
+def test_reading_a_dataset_runs_no_code_that_its_study_names(here, place, reference, capsys):
+    edited(here, lambda study: PLACES[place](study, reference))
+    refused = "scenario" in place or place in ("base of tables", "plant of tables")
+    for name in [name for name in READS if refused or name not in SLOW]:
+        sentence = sentence_of(name, READS[name])
+        assert "\n" not in sentence
+        assert not (here / "MARK").exists(), f"{name}: {sentence}"
+        assert "evil_module" not in sys.modules
+        if refused:
+            assert re.match(r"ds2?/study.toml: .*evil_module", sentence), name
+        if "scenarios" in place or place == "base of scenario":
+            assert "expected a table" in sentence, name
+        shutil.rmtree(here / "merged", ignore_errors=True)
+
+
+def test_an_installed_scenario_is_not_imported_for_a_dataset(here, monkeypatch):
+    from pcbench.study import own_entries
+
+    offered = {"theirs": own_entries.Installed("evil_module:sc", "theirs")}
+    monkeypatch.setattr(own_entries, "installed", lambda kind: offered if kind == "scenario" else {})
+    edited(here, lambda study: study["scenarios"].append("theirs"))
+    assert "expected a table" in sentence_of("status", ["ds"])
+    assert not (here / "MARK").exists()
+
+
+def test_every_command_is_known_to_read_a_dataset_or_not():
+    takes_none = {
+        "list",
+        "guide",
+        "show",
+        "new",
+        "trace",
+        "log",
+        "replay",
+        "design",
+        "tune",
+        "export",
+        "check",
+        "reproduce",
+    }
+    runs_its_code = {"score"}
+    writes_one = {"draws", "guest"}
+    assert {*READS} | takes_none | runs_its_code | writes_one == set(ALL)
