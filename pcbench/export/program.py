@@ -15,7 +15,7 @@ from pcbench.export.terms import Entries, Term, Writer, is_known, kind_of, known
 from pcbench.simulation.lanes import primitives, rules
 
 Rule = Callable[[Writer, Any, list[Entries]], Entries]
-MOVES = primitives.STRUCTURAL | {"stack", "tile"}
+MOVES = primitives.STRUCTURAL | {"split", "stack", "tile"}
 RULES: dict[str, Rule] = dict.fromkeys(primitives.FOLDS, arithmetic.fold) | {
     "dot_general": arithmetic.product,
     "cumsum": arithmetic.running_sum,
@@ -60,7 +60,11 @@ def _walk(w: Writer, jaxpr: Any, consts: list[Entries], args: list[Entries]) -> 
         return known(np.asarray(v.val)) if isinstance(v, primitives.Literal) else env[v]
 
     for eqn in jaxpr.eqns:
-        env.update(zip(eqn.outvars, _step(w, eqn, [*map(read, eqn.invars)]), strict=True))
+        try:
+            made = _step(w, eqn, [*map(read, eqn.invars)])
+        except (KeyError, AttributeError) as error:  # a parameter, or a type of number, that this file does not read
+            raise Hindered(f"{eqn.primitive.name} in a form that is not read here ({error})") from error
+        env.update(zip(eqn.outvars, made, strict=True))
     return [*map(read, jaxpr.outvars)]
 
 
@@ -78,24 +82,22 @@ def _step(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
         return [
             scalar(np.int32(next(i for i, p in enumerate(primitives.param(eqn, "platforms")) if not p or "cpu" in p)))
         ]
-    if name == "split":
-        at = np.cumsum(primitives.param(eqn, "sizes"))[:-1]
-        return [*np.split(args[0], at, primitives.param(eqn, "axis"))]
     if name in MOVES:
-        return [_moved(eqn, args)]
+        return _moved(eqn, args)
     if arithmetic.is_elementwise(name):
         return [arithmetic.elementwise(w, eqn, args)]
     if name in RULES:
         return [RULES[name](w, eqn, args)]
+    if (expansion := primitives.expansion(eqn)) is not None:
+        return write(w, expansion, args)
     raise Hindered(name)
 
 
-def _moved(eqn: Any, args: list[Entries]) -> Entries:
+def _moved(eqn: Any, args: list[Entries]) -> list[Entries]:
     """Entries at the places to which the primitive moves their numbers."""
-    where = rules.places(eqn.primitive, primitives.said(eqn), tuple(a.shape for a in args))
     flat = np.concatenate([a.ravel() for a in args])
-    out: Entries = flat[where.ravel()].reshape(where.shape) if where.size else np.empty(where.shape, object)
-    return out
+    each = rules.places(eqn.primitive, primitives.said(eqn), tuple(a.shape for a in args))
+    return [flat[where.ravel()].reshape(where.shape) if where.size else np.empty(where.shape, object) for where in each]
 
 
 def _kinds(vs: Any) -> list[str]:

@@ -132,6 +132,21 @@ def test_a_text_in_a_comment_of_c_stays_in_it(text):
     assert "".join(library.comment(text).split("\n")).isprintable()
 
 
+@jax.custom_vjp
+def _with_own_slope(x):
+    """A call that pcbench has no name for, with its program among its parameters."""
+    return jnp.square(x) + 1
+
+
+_with_own_slope.defvjp(lambda x: (_with_own_slope(x), x), lambda x, g: (2 * x * g,))
+
+
+def test_a_primitive_of_another_form_is_named_with_its_observer(monkeypatch):
+    monkeypatch.setitem(program.RULES, "dot_general", lambda w, eqn, args: eqn.params["renamed"])
+    with pytest.raises(UserError, match=r"^dkf: \w+ needs dot_general in a form that is not read here \('renamed'\)"):
+        files.exported("cart/white", "dkf")
+
+
 def _compiled(f, *given):
     """A function of float vectors as C, called at some of them."""
     w = Writer()
@@ -156,6 +171,8 @@ def _compiled(f, *given):
         lambda x: jnp.stack([jnp.arctan2(x[0], -x[1]), jnp.round(x[2] * 5), x[3] ** -3, jnp.hypot(x[0], x[1]), x[0] % -0.3]),
         lambda x: jax.lax.while_loop(lambda s: s[1][0] < 9, lambda s: (s[1], s[0] + s[1]), (x, x[::-1]))[0],
         lambda x: jnp.stack(jax.lax.fori_loop(0, (x[0] * 5).astype(int), lambda i, s: (s[1], s[0]), (x, -x))).ravel(),
+        lambda x: jnp.stack([*jnp.unstack(x.reshape(2, 2), axis=1), *jnp.split(2 * x, 2)]).ravel(),
+        lambda x: jnp.tile(_with_own_slope(x)[:3], 2),
     ],
 )  # fmt: skip
 def test_a_program_of_jax_is_the_same_in_c(f, tmp_path):

@@ -78,6 +78,8 @@ def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
     args = [entries(a) for a in args]
     if differs and name == "gather" and rules.takes_rows(eqn, args):
         return [rules.rows_of_table(eqn, args)]
+    if differs and name in STRUCTURAL:
+        return rules.structural(eqn, args)
     if differs and name in _RULES and not (name == "dot_general" and rules.products(eqn) > rules.WRITTEN_OUT):
         return [_RULES[name](eqn, args)]
     return _fallback(jaxpr, eqn, args)
@@ -200,8 +202,9 @@ ROWS = {"dynamic_slice": _read_row, "dynamic_update_slice": _write_row}
 
 def _fallback(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
     """Apply any primitive: as it is where nothing differs between lanes, else by vmap over the joined arrays."""
-    if eqn.primitive.name in _RULES and not any(map(is_lanes, args)):
-        return [eqn.primitive.bind(*args, **eqn.params)]
+    if eqn.primitive.name in _RULES.keys() | STRUCTURAL and not any(map(is_lanes, args)):
+        found = eqn.primitive.bind(*args, **eqn.params)
+        return list(found) if eqn.primitive.multiple_results else [found]
     given = {v: a for v, a in zip(eqn.invars, args, strict=True) if not isinstance(v, Literal)}
     alone = jaxpr.replace(constvars=(), invars=list(given), outvars=eqn.outvars, eqns=[eqn], effects=eqn.effects)
     apply = jaxpr_as_fun(ClosedJaxpr(alone, ()))
@@ -214,8 +217,5 @@ def _fallback(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
 
 
 _RULES = (
-    dict.fromkeys(ELEMENTWISE, rules.elementwise)
-    | dict.fromkeys(STRUCTURAL, rules.structural)
-    | dict.fromkeys(rules.FOLDS, rules.fold)
-    | {"dot_general": rules.dot}
+    dict.fromkeys(ELEMENTWISE, rules.elementwise) | dict.fromkeys(rules.FOLDS, rules.fold) | {"dot_general": rules.dot}
 )

@@ -24,6 +24,7 @@ __all__ = [
     "Literal",
     "branches",
     "called",
+    "expansion",
     "fold_axes",
     "generators",
     "inner",
@@ -44,7 +45,7 @@ ELEMENTWISE = frozenset(
     or pow rem round rsqrt select_n sign sin sinh sqrt square stop_gradient sub tan tanh xor""".split()  # noqa: SIM905
 )
 STRUCTURAL = frozenset(
-    "broadcast_in_dim concatenate expand_dims reshape rev slice squeeze transpose".split()  # noqa: SIM905
+    "broadcast_in_dim concatenate expand_dims reshape rev slice squeeze transpose unstack".split()  # noqa: SIM905
 )
 FOLDS = ("reduce_sum", "reduce_max", "reduce_min", "reduce_prod", "reduce_and", "reduce_or")
 CALLS = frozenset(["jit", "pjit", "closed_call", "core_call", "remat", "checkpoint", "custom_jvp_call"])
@@ -132,8 +133,27 @@ def takes_rows(params: dict[str, Any], operand: tuple[int, ...], rank: int) -> b
 
 
 def param(eqn: Any, name: str) -> Any:
-    """Return one of an equation's parameters."""
+    """Return one of an equation's parameters; raise UserError, naming the primitive, if this release of jax has none such."""
+    if name not in eqn.params:
+        raise UserError(
+            f"jax: got {eqn.primitive.name} with the parameters {', '.join(sorted(eqn.params))}, expected {name} among them, as "
+            "up to jax 0.12; install a release of jax that pyproject.toml lists."
+        )
     return eqn.params[name]
+
+
+def expansion(eqn: Any) -> Any:
+    """Return the only program among an equation's parameters, closed, if it takes and returns what the equation does."""
+    programs = [p if hasattr(p, "consts") else ClosedJaxpr(p, ()) for p in inner(eqn.params)]
+    if len(programs) != 1:
+        return None
+    (only,) = programs
+    return only if _types(only.jaxpr) == _types(eqn) else None
+
+
+def _types(x: Any) -> list[list[Any]]:
+    """Shapes and types of what an equation or a program takes and returns."""
+    return [[(v.aval.shape, v.aval.dtype) for v in vs] for vs in (x.invars, x.outvars)]
 
 
 def said(eqn: Any) -> tuple[tuple[str, Any], ...]:

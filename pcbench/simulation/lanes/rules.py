@@ -42,26 +42,31 @@ def elementwise(eqn: Any, args: list[Any]) -> Lanes:
     return Lanes(out)
 
 
-def structural(eqn: Any, args: list[Any]) -> Any:
+def structural(eqn: Any, args: list[Any]) -> list[Any]:
     """Apply a primitive that moves numbers about, to their places."""
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     entries = [e for a, s in zip(args, shapes, strict=True) for e in entries_of(a, s).flat]
-    moved = places(eqn.primitive, primitives.said(eqn), tuple(shapes))
-    if not moved.size:  # nothing is left that could differ
-        return jnp.zeros(moved.shape, eqn.outvars[0].aval.dtype)
-    width = next(jnp.shape(e) for e in entries if jnp.ndim(e))
-    return lanes_of(moved.shape, [jnp.broadcast_to(entries[p], width) for p in moved.flat])
+    width = next((jnp.shape(e) for e in entries if jnp.ndim(e)), ())
+    return [
+        lanes_of(moved.shape, [jnp.broadcast_to(entries[p], width) for p in moved.flat])
+        if moved.size
+        else jnp.zeros(moved.shape, v.aval.dtype)  # nothing is left that could differ
+        for moved, v in zip(places(eqn.primitive, primitives.said(eqn), tuple(shapes)), eqn.outvars, strict=True)
+    ]
 
 
 @cache
-def places(primitive: Any, params: tuple[tuple[str, Any], ...], shapes: tuple[tuple[int, ...], ...]) -> np.ndarray:
-    """Return where each entry goes: the primitive applied to the entries' numbers."""
+def places(
+    primitive: Any, params: tuple[tuple[str, Any], ...], shapes: tuple[tuple[int, ...], ...]
+) -> list[np.ndarray]:
+    """Return where each entry of each result comes from: the primitive applied to the entries' numbers."""
     offsets = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
     with jax.ensure_compile_time_eval():
         numbers = [
             jnp.asarray(o + np.arange(int(np.prod(s))).reshape(s)) for o, s in zip(offsets, shapes, strict=False)
         ]
-        return np.asarray(primitive.bind(*numbers, **dict(params)))
+        found = primitive.bind(*numbers, **dict(params))
+    return [np.asarray(each) for each in (found if primitive.multiple_results else [found])]
 
 
 def fold(eqn: Any, args: list[Any]) -> Lanes:
