@@ -136,8 +136,8 @@ def param(eqn: Any, name: str) -> Any:
     """Return one of an equation's parameters; raise UserError, naming the primitive, if this release of jax has none such."""
     if name not in eqn.params:
         raise UserError(
-            f"jax: got {eqn.primitive.name} with the parameters {', '.join(sorted(eqn.params))}, expected {name} among them, as "
-            "up to jax 0.12; install a release of jax that pyproject.toml lists."
+            f"jax: got {eqn.primitive.name} with the parameters {', '.join(sorted(eqn.params))}, expected {name} among "
+            "them, as up to jax 0.12; install a release of jax that pyproject.toml lists."
         )
     return eqn.params[name]
 
