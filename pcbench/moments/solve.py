@@ -63,8 +63,9 @@ def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
     for p in padding.checked(drafts(cells)):
         room = padding.room_of(p)
         own = _ring(p.cell)
-        places = padding.rounded(own if _carried(p) else most if own > least else min(most, least))
-        whole = padding.fitted(p, room._replace(ring=max(room.ring, places)))
+        fitted = padding.fitted(p, room)  # a loop has its controller's numbers from here on
+        places = padding.rounded(own if _carried(fitted) else most if own > least else min(most, least))
+        whole = fitted._replace(layout=fitted.layout._replace(ring=max(room.ring, places)))
         mixed = losses_alone(whole) or delays_alone(whole)
         apart = not together and (split or mixed or _remembered(whole) > LARGE)
         yield from _split(whole) if apart else [whole]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from loops import Q1, Q2, study
 
 import pcbench
 
@@ -19,6 +20,7 @@ GRIDS = {
         "axes": {"delay_steps": [[0.0, 0.1, 0.3]], "delay_stay": [0.2, 0.9]},
     },
     "tank": {"study": "csth/10s-noise", "axes": {}},
+    "loop": {"study": study({"use": "lqr", "Q1": Q1, "Q2": Q2, "actuator_delay": 0.03}), "axes": {}},
 }
 METRICS = ["mae", "mse", "tail_mae", "tail_mse", "final", "cost"]
 

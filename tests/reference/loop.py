@@ -67,7 +67,7 @@ class Feedback(NamedTuple):
         x = xhat
         for i in range(self.ahead):
             at = k + i - self.ahead
-            x = plant.Phi @ x + plant.Gamma @ (sent[at] if at >= 0 else np.zeros(plant.Gamma.shape[1]))
+            x = plant.Phi @ x + plant.Gamma @ (sent[at] if at >= 0 else np.zeros_like(self.u_ref[0]))
         u = self.u_ref[k + self.ahead] - self.K @ (x - self.x_ref[k + self.ahead])
         return np.clip(u, -self.limit, self.limit), kept
 
