@@ -15,9 +15,9 @@ LIBRARIES = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdl
 OURS = os.path.dirname(os.path.realpath(__file__))
 
 
-def printable(text: str) -> str:
-    """Return a text in one line that no terminal and no page obeys: a character that cannot be printed is its escape."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+def printable(text: str, but: str = "") -> str:
+    """Return a text that no terminal and no page obeys: characters that cannot be printed, `but` those, are their escapes."""
+    return text if text.isprintable() else "".join(c if c.isprintable() or c in but else ascii(c)[1:-1] for c in text)
 
 
 class UserError(ValueError):

@@ -7,7 +7,7 @@ import sys
 from contextlib import suppress
 
 from pcbench.cli.stopping import STOPPED, asked, exit_code, interrupt, stop_if_asked, unraisable
-from pcbench.errors import UserError, missing, out_of_memory, said
+from pcbench.errors import UserError, missing, out_of_memory, printable, said
 from pcbench.machine import threads
 
 __all__ = ["main"]
@@ -84,5 +84,5 @@ def _stopped() -> int:
 
 
 def _complain(sentence: str, code: int = 2) -> int:
-    print(f"pcbench: {sentence}", file=sys.stderr)
+    print(f"pcbench: {printable(sentence)}", file=sys.stderr)
     return code

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Set, console
+from pcbench.cli.shared import AsJson, Set, console, write
 
 
 def list_(
@@ -71,7 +71,7 @@ def show(
         return
     found = read.scenario_of(scenario, changes)
     if as_toml:
-        print(scenario_toml.as_study(found), end="")
+        write(scenario_toml.as_study(found))
     elif as_json:
         print(json.dumps({found.name: sheet(found)}, indent=2))
     else:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from pcbench.errors import UserError
+from pcbench.errors import UserError, printable
 
 PLAIN = {"±": "+-", "…": "...", "–": "-", "·": ".", "µ": "u", "²": "^2", "→": "->", "≤": "<=", "≥": ">="}  # in ASCII
 WIDE = 100  # columns of a table in a file, where COLUMNS says nothing
@@ -59,15 +59,20 @@ def _in_ascii(error: UnicodeError) -> tuple[str, int]:
 
 def say(sentence: str) -> None:
     """Tell the user something, beside what a command prints."""
-    print(f"pcbench: {sentence}", file=sys.stderr)
+    print(f"pcbench: {printable(sentence)}", file=sys.stderr)
+
+
+def write(text: str) -> None:
+    """Print a text of several lines as it is, for a program or a file; what no terminal may obey is its escape."""
+    print(printable(text, but="\n\t"), end="")
 
 
 def console() -> Any:
     """Return where tables are printed: as wide as the terminal, or as COLUMNS says."""
-    from rich.console import Console
+    from pcbench.cli.screen.tables import Screen
 
     wide = os.environ.get("COLUMNS", "")
-    return Console() if sys.stdout.isatty() else Console(width=int(wide) if wide.isdecimal() and int(wide) else WIDE)
+    return Screen() if sys.stdout.isatty() else Screen(width=int(wide) if wide.isdecimal() and int(wide) else WIDE)
 
 
 def setup() -> None:

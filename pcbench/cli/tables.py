@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import RANKS, Folder, Metric, Signals, chosen, out
-from pcbench.errors import UserError
+from pcbench.cli.shared import RANKS, Folder, Metric, Signals, chosen, out, write
+from pcbench.errors import UserError, printable
 
 SUFFIXES = {".tex": "latex", ".md": "markdown", ".csv": "csv"}
 
@@ -55,9 +55,10 @@ def _form(asked: dict[str, bool], file: str | None) -> str:
 
 
 def _put(content: str, file: str | None) -> None:
-    """Print a text, or write it into a file."""
+    """Print a text, or write it into a file, what cannot be printed as its escape."""
+    content = printable(content, but="\n")
     if file is None:
-        print(content, end="")
+        write(content)
         return
     try:
         Path(file).write_text(content, encoding="utf-8")

@@ -56,8 +56,10 @@ def _face(font: str) -> FT2Font:
 
 @contextmanager
 def drawn_on(paper: Paper) -> Iterator[None]:
-    """Let what is drawn within have the paper's font and size."""
-    with mpl.rc_context({"font.family": [paper.font, "DejaVu Sans"], "font.size": paper.size}):
+    """Let what is drawn within have the paper's font and size, and its text be text, never mathematics."""
+    with mpl.rc_context(
+        {"font.family": [paper.font, "DejaVu Sans"], "font.size": paper.size, "text.parse_math": False}
+    ):
         yield
 
 

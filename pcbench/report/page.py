@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jinja2
+from markupsafe import Markup
 
 from pcbench.dataset import store
 from pcbench.dataset.columns import MEANING
 from pcbench.dataset.result import Result, opened
+from pcbench.errors import printable
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.plots import frames
 from pcbench.plots.files import inline
@@ -175,4 +177,9 @@ def _provenance(result: Result) -> list[tuple[str, str]]:
 
 def _template() -> jinja2.Template:
     text = files("pcbench.report").joinpath("page.html").read_text(encoding="utf-8")
-    return jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined).from_string(text)
+    return jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, finalize=_text).from_string(text)
+
+
+def _text(value: Any) -> Any:
+    """What the page shows: a text that cannot be printed has escapes; pictures are made of such text already."""
+    return value if isinstance(value, Markup) or not isinstance(value, str) else printable(value, but="\n")

@@ -2,8 +2,9 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, Strict
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict
 
+from pcbench.errors import printable
 from pcbench.study import axes
 from pcbench.study.lti_inputs import read
 
@@ -12,6 +13,7 @@ Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
 Size = Annotated[Number, Field(ge=0)]
 Switch = Annotated[bool, Strict()]
 PerChannel = Number | list[Number]
+Words = Annotated[str, AfterValidator(printable)]
 Input = Annotated[Any, BeforeValidator(read)]
 
 
@@ -23,8 +25,8 @@ class ScenarioTable(BaseModel):
     name: str | None = Field(
         None, pattern=r"^\w[\w./+-]*$", max_length=100, description="what tables call it; default: the study's name"
     )
-    summary: str | None = Field(None, description="in a few words")
-    source: str | None = Field(None, description="paper and section")
+    summary: Words | None = Field(None, description="in a few words")
+    source: Words | None = Field(None, description="paper and section")
     plant: str | None = Field(None, description="pcbench list plants")
     observers: list[str] | None = Field(None, min_length=1, description="those that run unless a study names others")
     dt: Positive | None = Field(None, description="s, the tick; default 0.001")

@@ -1,6 +1,7 @@
 """A scenario as a study file to start from: `[scenario]` with every field, its unit and what it means."""
 
 import json
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -35,7 +36,11 @@ def as_study(s: Scenario) -> str:
         known = [key for key in fields if key in ScenarioTable.model_fields and s.value(key) is not None]
         lines += ["", f"# {TITLES[record]}", *(_line(s, key) for key in known)]
     for label, given in s.options.items():
-        lines += ["", f"[scenario.options.{label}]", *(f"{key} = {said(value)}" for key, value in given.items())]
+        lines += [
+            "",
+            f"[scenario.options.{key_of(label)}]",
+            *(f"{key_of(key)} = {said(value)}" for key, value in given.items()),
+        ]
     return "\n".join(lines) + "\n"
 
 
@@ -70,7 +75,12 @@ def said(value: Any) -> str:
     if isinstance(value, str):
         return json.dumps(value, ensure_ascii=False)
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key} = {said(each)}" for key, each in value.items()) + "}"
+        return "{" + ", ".join(f"{key_of(key)} = {said(each)}" for key, each in value.items()) + "}"
     if isinstance(value, list | tuple):
         return f"[{', '.join(said(each) for each in value)}]"
     return repr(value)
+
+
+def key_of(name: str) -> str:
+    """Return a name as a key of TOML: in quotes unless it has letters, digits, `-` and `_` only."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else said(name)

@@ -6,6 +6,9 @@ from pcbench.tables.layout import LEAST, SURELY, Entry, Head, Table
 
 NEEDS = r"% needs \usepackage{booktabs, siunitx}"
 SPECIAL = {
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
     "_": r"\_",
     "%": r"\%",
     "&": r"\&",
@@ -14,7 +17,18 @@ SPECIAL = {
     "^": r"\textasciicircum{}",
     "~": r"\textasciitilde{}",
 }
-LETTERS = {"±": r"$\pm$", "²": r"\textsuperscript{2}"}
+LETTERS = {"±": r"$\pm$", "²": r"\textsuperscript{2}", "<": r"\textless{}", ">": r"\textgreater{}"}
+IN_UNITS = {
+    "*": " ",
+    "·": r"\cdot ",
+    "²": "^{2}",
+    "³": "^{3}",
+    "°": r"{}^{\circ}",
+    "Ω": r"\Omega ",
+    "µ": r"\mu ",
+    "μ": r"\mu ",
+}
+OF_UNIT = re.compile(r"\^(-?\d+|\([^()]*\))|(.)", re.S)
 SYMBOLS = {"degC": (r"\degreeCelsius", r"^\circ\mathrm{C}"), "%": (r"\percent", r"\%")}  # with siunitx, and without
 ESTIMATE = re.compile(r"\(?(?P<value>[-+\d.e]+?)(?: ± (?P<half>[\d.]+|\?)\)?)?(?:e(?P<power>[-+]\d+))?")
 LEANING = re.compile(r"(?P<value>\S+) \((?P<low>\S+) \.\. (?P<high>\S+)\)")
@@ -75,8 +89,10 @@ def _unit(text: str) -> str:
 
 
 def _power(unit: str) -> str:
-    """A unit with its exponents in braces: more than one digit is one exponent."""
-    return re.sub(r"\^(-?\d+)", r"^{\1}", unit.replace("*", r" "))
+    """A unit with its exponents in braces, more than one digit being one exponent, and all specials of LaTeX escaped."""
+    return OF_UNIT.sub(
+        lambda m: f"^{{{_power(m[1])}}}" if m[1] else IN_UNITS.get(m[2]) or SPECIAL.get(m[2], m[2]), unit
+    )
 
 
 def _text(words: str) -> str:

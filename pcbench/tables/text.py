@@ -2,6 +2,7 @@
 
 import csv
 import io
+import re
 
 from pcbench.dataset.columns import axes_of
 from pcbench.tables.layout import LEAST, SURELY, Entry, Head, Table
@@ -22,14 +23,19 @@ def _table(t: Table) -> str:
         "",
         f"| {' | '.join(heads)} |",
         f"|{'|'.join([':---'] * len(t.stub) + ['---:'] * len(t.heads))}|",
-        *(f"| {' | '.join([*words, *map(_entry, each)])} |" for words, each in t.rows),
+        *(f"| {' | '.join([*map(_text, words), *map(_entry, each)])} |" for words, each in t.rows),
         "",
     ]
     return "\n".join(lines)
 
 
 def _head(h: Head) -> str:
-    return f"{h.text} [{h.unit}]" if h.unit not in ("", "1") else h.text
+    return f"{_text(h.text)} [{h.unit}]" if h.unit not in ("", "1") else _text(h.text)
+
+
+def _text(words: str) -> str:
+    """Words in which Markdown finds no column, tag, link or code."""
+    return re.sub(r"[\\|<>`\[\]]", r"\\\g<0>", words)
 
 
 def _entry(entry: Entry | None) -> str:

@@ -11,13 +11,12 @@ import pytest
 from commands import call
 from hypothesis import given
 from hypothesis import strategies as st
-from rich.console import Console
 from small_study import STUDY
 
 import pcbench
 from pcbench.cli import shared
 from pcbench.cli.screen import consistency, results
-from pcbench.cli.screen.tables import Column, aligned, printed
+from pcbench.cli.screen.tables import Column, Screen, aligned, printed
 from pcbench.controllers import CONTROLLERS
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
@@ -42,7 +41,7 @@ def many():
 
 
 def shown(result, width=80, metric="tail_rmse", signals=None):
-    console = Console(file=io.StringIO(), width=width)
+    console = Screen(file=io.StringIO(), width=width)
     results.closing(result, console, metric, signals)
     return console.file.getvalue()
 
@@ -215,7 +214,7 @@ def test_what_stands_before_a_sign_ends_there_and_what_stands_behind_it_begins_t
 @pytest.mark.parametrize(("width", "left_out"), [(90, []), (55, ["least"]), (40, ["less", "least"])])
 def test_where_room_is_scarce_the_least_goes_first(width, left_out):
     columns = [Column("name", ["n" * 20]), Column("less", ["1" * 20], spare=1), Column("least", ["2" * 20], spare=2)]
-    console = Console(file=io.StringIO(), width=width)
+    console = Screen(file=io.StringIO(), width=width)
     assert printed("title", columns, console) == left_out
     text = console.file.getvalue()
     assert [c.head for c in columns if c.cells[0] not in text] == left_out
@@ -248,7 +247,7 @@ def test_everything_there_is_can_be_told_whole(kind):
     from pcbench.cli.screen import listing
 
     for name, said in found(kind).items():
-        console = Console(file=io.StringIO(), width=80)
+        console = Screen(file=io.StringIO(), width=80)
         listing.whole(name, said, console)
         text = console.file.getvalue()
         assert max(map(len, text.splitlines())) <= 80
@@ -296,7 +295,7 @@ def test_gains_that_nothing_proves_are_named_with_the_reason(tmp_path, monkeypat
     (tmp_path / "mine.py").write_text(text.replace(proof, 'pcbench.uncertified("by hand")'))
     monkeypatch.chdir(tmp_path)
     result = pcbench.run("cart/slow", observers=["mine.py:nudge", "kfbo"], seeds=4)
-    screen = Console(record=True, width=100)
+    screen = Screen(record=True, width=100)
     results.closing(result, screen, "tail_rmse")
     sentence = "Nothing proves the gains of nudge (by hand)."
     assert sentence in screen.export_text()
@@ -319,7 +318,7 @@ def believed(cells, squares=SQUARES):
 
 @pytest.mark.parametrize(("cells", "exact"), [(1, False), (2, False), (1, True), (30, False)])
 def test_who_knows_how_wrong_it_is_stands_in_a_table_with_its_verdict(cells, exact):
-    console, stats = Console(file=io.StringIO(), width=100), believed(cells)
+    console, stats = Screen(file=io.StringIO(), width=100), believed(cells)
     stats = stats[~stats.metric.str.endswith("band")] if exact else stats
     assert consistency.said("cart/slow", stats, console) == [consistency.MEANS]
     text = console.file.getvalue()
@@ -333,7 +332,7 @@ def test_who_knows_how_wrong_it_is_stands_in_a_table_with_its_verdict(cells, exa
 
 
 def test_of_who_believes_nothing_nothing_is_said():
-    console = Console(file=io.StringIO(), width=100)
+    console = Screen(file=io.StringIO(), width=100)
     assert consistency.said("cart/slow", believed(1).iloc[:0], console) == []
     assert console.file.getvalue() == ""
 

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from pcbench.cli.screen import claims, comparison, gains, results, took
+from pcbench.cli.screen.tables import Screen
 from pcbench.dataset.compare import Comparison
 from pcbench.dataset.cost import Cost
 from pcbench.reproduce.claim import FINDING, VERDICTS, Claim
@@ -79,7 +79,7 @@ def test_a_difference_that_may_be_chance_is_none(changes, text):
 
 def printed(show_it, *given):
     out = io.StringIO()
-    show_it(*given, Console(file=out, width=200, color_system=None))
+    show_it(*given, Screen(file=out, width=200, color_system=None))
     return out.getvalue()
 
 

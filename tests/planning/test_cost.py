@@ -9,11 +9,11 @@ import pandas as pd
 import pytest
 from jax import lax
 from matplotlib.collections import PathCollection
-from rich.console import Console
 
 import pcbench
 from pcbench import plots
 from pcbench.cli.screen import results
+from pcbench.cli.screen.tables import Screen
 from pcbench.errors import UserError
 from pcbench.planning.cost import counted
 from pcbench.plots import observer_costs
@@ -136,7 +136,7 @@ def test_what_no_loop_depends_on_is_not_computed():
 def test_tables_have_what_observers_cost_where_that_is_asked():
     result = pcbench.run("cart/slow", observers=["open-loop"], seeds=2)
     costs = pcbench.costs("cart/slow", observers=["open-loop"])
-    console = Console(file=io.StringIO(), width=140)
+    console = Screen(file=io.StringIO(), width=140)
     results.closing(result, console, "tail_rmse", None, costs)
     (row,) = [line.split() for line in console.file.getvalue().splitlines() if line.strip().startswith("open-loop")]
     assert {"0", "6", "16"} <= set(row)

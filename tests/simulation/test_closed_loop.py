@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from commands import call
 from helicopters import estimate, planned, record
-from rich.console import Console
 from scipy.stats import binomtest
 
 import pcbench
 from pcbench import statistics
 from pcbench.cli.screen import results
+from pcbench.cli.screen.tables import Screen
 from pcbench.errors import UserError
 from pcbench.machine import process
 from pcbench.planning import controller, in_memory
@@ -171,7 +171,7 @@ def test_an_observer_that_always_diverges_is_shown_and_loses(short, capsys):
     assert set(done.stats[done.stats.metric == "tracking_rmse"].signal) == {"pitch", "yaw"}
     pair = done.pairs[(done.pairs.signal == "pitch") & (done.pairs.metric == "mae")]
     assert (pair.n.item(), pair.prob_a_better.item()) == (0, 0.0)
-    results.closing(done, Console(width=160), "mae")
+    results.closing(done, Screen(width=160), "mae")
     said = capsys.readouterr().out
     assert "3 seeds" in said
     assert "100 % (43.9 .. 100)" in said

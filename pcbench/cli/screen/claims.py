@@ -1,7 +1,7 @@
 """What a person reads of a reproduction: claims with their verdicts, paper by paper, and how many of each."""
 
 from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
 from pcbench.cli.screen.tables import titled
 from pcbench.reproduce.claim import FINDING, VERDICTS, Claim, counts
@@ -15,8 +15,7 @@ def claims(title: str, rows: list[Claim], console: Console) -> None:
     for head in ("claim", "printed", "reproduced", "verdict"):
         table.add_column(head, overflow="fold")
     for row in rows:
-        cells = (row.claim, row.printed, row.reproduced)
-        table.add_row(*map(escape, cells), f"[{STYLES[row.verdict]}]{row.verdict}[/]")
+        table.add_row(row.claim, row.printed, row.reproduced, Text(row.verdict, STYLES[row.verdict]))
     console.print(table)
     console.print(summary(rows), highlight=False)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
 from pcbench.checking.finding import Finding
 from pcbench.cli.screen.tables import Column, printed, titled
@@ -135,5 +135,5 @@ def checked(title: str, findings: list[Finding], console: Console) -> None:
         table.add_column(head, overflow="fold", no_wrap=head != "why")
     for found in findings:
         colour = {"passes": "green", "fails": "red"}.get(found.verdict, "yellow")
-        table.add_row(found.check, f"[{colour}]{found.verdict}[/]", escape(found.why))
+        table.add_row(found.check, Text(found.verdict, colour), found.why)
     console.print(table)

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 from rich.padding import Padding
+from rich.text import Text
 
 from pcbench.cli.screen.tables import titled
+from pcbench.errors import printable
 
 OWN = ("summary", "options", "table", "signals", "unknown", "parameters")  # not said in a line
 
@@ -18,13 +19,13 @@ def lines(title: str, rows: Mapping[str, Mapping[str, Any]], console: Console) -
     table.add_column("name", no_wrap=True)
     table.add_column("what", overflow="fold")
     for name, said in rows.items():
-        table.add_row(name, escape(said["summary"]))
+        table.add_row(name, said["summary"])
     console.print(table)
 
 
 def whole(name: str, said: Mapping[str, Any], console: Console) -> None:
     """Print all that is said of one thing."""
-    console.print(f"[bold]{escape(name)}[/bold]: {escape(said['summary'])}", highlight=False)
+    console.print(Text.assemble((printable(name), "bold"), printable(f": {said['summary']}")))
     for key, value in said.items():
         if key not in OWN and value not in (None, [], {}, ""):
             console.print(f"  {key.replace('_', ' ')}: {words(value)}", highlight=False, markup=False, soft_wrap=False)
@@ -51,7 +52,7 @@ def _options(options: Mapping[str, Mapping[str, Any]], console: Console) -> None
         console.print(
             f"  {name}: {kind}, default {words(o['default'])}{can}", style="bold", highlight=False, markup=False
         )
-        console.print(Padding(escape(o["description"]), (0, 0, 0, 6)), highlight=False)
+        console.print(Padding(o["description"], (0, 0, 0, 6)), highlight=False)
 
 
 def words(value: Any) -> str:

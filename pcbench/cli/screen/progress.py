@@ -7,6 +7,7 @@ from rich import progress as rich
 from rich.console import Console
 from rich.text import Text
 
+from pcbench.errors import printable
 from pcbench.machine.progress import SILENT, Progress
 
 
@@ -29,7 +30,7 @@ def bar(quiet: bool, first: str = "") -> Iterator[Progress]:
     if quiet or not console.is_terminal:
         yield SILENT
         return
-    columns = [rich.TextColumn("{task.description}"), rich.BarColumn(), rich.MofNCompleteColumn(), Rate()]
+    columns = [rich.TextColumn("{task.description}", markup=False), rich.BarColumn(), rich.MofNCompleteColumn(), Rate()]
     with rich.Progress(*columns, rich.TimeRemainingColumn(), console=console, transient=True) as lines:
         yield drawn(lines, first)
 
@@ -38,6 +39,7 @@ def drawn(lines: rich.Progress, first: str = "") -> Progress:
     """Return a Progress that draws lines."""
 
     def begin(what: str, many: int | None) -> None:
+        what = printable(what)
         last = lines.tasks[-1] if lines.tasks else None
         if last and last.total is None:
             lines.update(last.id, description=what, total=many, what=what)
@@ -50,7 +52,7 @@ def drawn(lines: rich.Progress, first: str = "") -> Progress:
         lines.advance(lines.tasks[-1].id, many)
 
     def note(text: str) -> None:
-        lines.update(lines.tasks[-1].id, description=text)
+        lines.update(lines.tasks[-1].id, description=printable(text))
 
     if first:
         begin(first, None)

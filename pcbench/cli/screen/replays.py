@@ -3,7 +3,6 @@
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 
 from pcbench.cli.screen.tables import Column, printed
 
@@ -13,7 +12,7 @@ def table(found: Any, double: dict[str, Any], single: dict[str, Any], console: C
     about = found.about
     signals = [(name, unit) for name, unit in about.signals if name in double]
     columns = [
-        Column("signal", [escape(f"{name} [{unit}]") for name, unit in signals], left=True),
+        Column("signal", [f"{name} [{unit}]" for name, unit in signals], left=True),
         Column("double:\nat most off", [f"{double[name].most:.2g}" for name, _ in signals]),
         Column("rms error", [f"{double[name].error:.6g}" for name, _ in signals]),
         Column("float:\nrms off", [f"{single[name].differs:.2g}" for name, _ in signals]),

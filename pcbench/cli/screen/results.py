@@ -126,6 +126,7 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
     exact = ["pooled_rmse"] if "rmse" in there - filled else []
     beside = [m for m in (*exact, *BESIDE, consistency.HEAD) if m in filled and m != metric]
     values: dict[str, list[str]] = {name: [] for name in (*axes, "observer", metric, LESS, *beside, "divergence")}
+    bold: set[int] = set()
     for cell in cells:
         wide = cell.set_index(["observer", "metric"])
         met = shown.pairs[shown.pairs.cell == cell.cell.iloc[0]]
@@ -135,7 +136,8 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
             for axis in axes:
                 values[axis].append(_axis(cell[axis].iloc[0]) if best else "")
             name = marked(observer, [wide.loc[(observer, metric), "certified"]])
-            values["observer"].append(f"[bold]{name}[/bold]" if best else name)
+            values["observer"].append(name)
+            bold |= {len(values["observer"]) - 1} if best else set()
             values[metric].append(interval(wide.loc[observer, metric]))
             values[LESS].append("" if best else difference(met, observer, order[0]))
             for name in beside:
@@ -145,7 +147,10 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
                 values.setdefault(name, []).append(_cost(shown.costs, cell.cell.iloc[0], observer, name))
     lost, several = bool(shown.stats.diverged.any()), len(set(values["observer"])) > 1
     columns = [Column(axis, values[axis]) for axis in axes]
-    columns += [Column("observer", values["observer"], left=True), Column(_head(shown, metric), values[metric])]
+    columns += [
+        Column("observer", values["observer"], left=True, bold=frozenset(bold)),
+        Column(_head(shown, metric), values[metric]),
+    ]
     columns += [Column(LESS, values[LESS])] if several else []
     columns += [Column("diverged", values["divergence"])] if lost else []
     columns += [Column(name, values[name]) for name in COST if name in values]

@@ -1,26 +1,43 @@
 """How all tables of pcbench look: a number is never cut; where a terminal is narrow, columns are left out, the least first."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
+from rich.text import Text
+
+from pcbench.errors import printable
+
+
+class Screen(Console):
+    """A terminal that prints text as it is: no text of a study is markup, and what cannot be printed is its escape.
+
+    What has a style is a `rich.text.Text`, or is printed with `style`.
+    """
+
+    def __init__(self, **given: Any):
+        super().__init__(markup=False, emoji=False, **given)
+
+    def render_str(self, text: str, **given: Any) -> Text:
+        """Return a text with its own line breaks."""
+        return super().render_str(printable(text, but="\n"), **given)
 
 
 class Column(NamedTuple):
     """A column of a table that fits: it goes before those of a lower `spare`; one of 0 stays."""
 
     head: str
-    cells: list[str]  # with markup
+    cells: list[str]
     spare: int = 0
     left: bool = False  # text, not numbers
+    bold: frozenset[int] = frozenset()  # numbers of the rows in which it is
 
 
 def titled(title: str) -> Table:
     """Return an empty table with its title."""
-    return Table(title=escape(title), title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
+    return Table(title=title, title_justify="left", box=SIMPLE_HEAD, pad_edge=False)
 
 
 def printed(title: str, columns: list[Column], console: Console, sections: list[int] | None = None) -> list[str]:
@@ -48,14 +65,19 @@ def fits(columns: list[Column], console: Console) -> bool:
 def _table(columns: list[Column], sections: list[int] | None) -> Table:
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for column in columns:
-        table.add_column(escape(column.head), justify="left" if column.left else "right", overflow="fold", no_wrap=True)
-    rows = list(zip(*(c.cells if c.left else aligned(c.cells) for c in columns), strict=True))
+        table.add_column(column.head, justify="left" if column.left else "right", overflow="fold", no_wrap=True)
+    rows = list(zip(*(_cells(c) for c in columns), strict=True))
     for many in sections or [len(rows)]:
         for row in rows[:many]:
             table.add_row(*row)
         table.add_section()
         rows = rows[many:]
     return table
+
+
+def _cells(column: Column) -> list[str | Text]:
+    cells = column.cells if column.left else aligned(column.cells)
+    return [Text(printable(cell), "bold") if i in column.bold else cell for i, cell in enumerate(cells)]
 
 
 def width(table: Table, console: Console) -> int:

@@ -1,0 +1,210 @@
+"""Text of a study is text wherever it is printed or written: no markup, mathematics, LaTeX, HTML, code or escape in it acts."""
+
+import io
+import re
+import tomllib
+import unicodedata
+from html.parser import HTMLParser
+
+import pytest
+from matplotlib.text import Text
+from rich.progress import Progress, TextColumn
+
+from pcbench.cli.commands import app
+from pcbench.cli.screen import listing
+from pcbench.cli.screen.tables import Column, Screen, printed
+from pcbench.plots.paper import PAPER
+from pcbench.plots.scales import Scale
+from pcbench.plots.sheet import Key, Panel, sheet
+from pcbench.study import read, scenario_toml, scenarios_of
+from pcbench.tables import latex, text
+from pcbench.tables.layout import Entry, Head, Table
+
+LABELS = [
+    "kfbo-\\input{/etc/hostname}",
+    "kfbo-<img src=x onerror=alert(1)>",
+    "kfbo-../../../evil",
+    "kfbo-[red]x[/red]",
+    "kfbo-[/foo]",
+    "kfbo-[link=//x/etc]click",
+    "kfbo-$\\frac$",
+    "kfbo-*/ x",
+    "kfbo-a|b{0}%s#&~^_",
+]
+UNPRINTABLE = "ok\x1b]0;title\x07\x1b[2J\x1b[31mred\nline2\r\u202e\u200b\x9b31m"
+SHOWN = r"ok\x1b]0;title\x07\x1b[2J\x1b[31mred\nline2\r\u202e\u200b\x9b31m"
+STUDY = {
+    "name": "hostile",
+    "seeds": 2,
+    "observers": ["kfbo", *LABELS],
+    "options": {label: {"R": 0.1 + 0.1 * i} for i, label in enumerate(LABELS)},
+    "scenario": {
+        "base": "cart/white",
+        "name": "s/../../x",
+        "summary": UNPRINTABLE,
+        "source": f"[/b] </pre><script>alert(2)</script> {UNPRINTABLE}",
+        "horizon": 2.0,
+        "tail": 1.0,
+        "options": {'kfbo-"]': {"R": 0.3}},
+    },
+}
+# each special of LaTeX as it stands in a text, by the LaTeX book
+TEX = {"\\": "\\textbackslash{}", "{": "\\{", "}": "\\}", "$": "\\$", "&": "\\&", "#": "\\#", "_": "\\_", "%": "\\%"}
+TEX |= {"^": "\\textasciicircum{}", "~": "\\textasciitilde{}", "<": "\\textless{}", ">": "\\textgreater{}"}
+
+
+ENTRY = Entry({"mean": 1.0, "ci_low": 0.9, "ci_high": 1.1, "n": 2, "diverged": 0}, "")
+
+
+def is_plain(content):
+    """Whether a terminal shows a text and does nothing else."""
+    return all(c in "\n\t" or unicodedata.category(c) not in ("Cc", "Cf", "Zl", "Zp", "Cs") for c in content)
+
+
+class Page(HTMLParser):
+    """The elements of a page, and what is written in them."""
+
+    def __init__(self, content):
+        super().__init__()
+        self.elements, self.words = [], []
+        self.feed(content)
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+
+def test_a_table_prints_cells_heads_and_titles_as_text():
+    out = io.StringIO()
+    console = Screen(file=out, width=400)
+    printed(
+        "[bold]title", [Column("[u]head", [*LABELS, UNPRINTABLE, ":smile:"], left=True, bold=frozenset({1}))], console
+    )
+    console.print("[/b]", style="bold")
+    assert all(each in out.getvalue() for each in (*LABELS, "[bold]title", "[u]head", "[/b]", ":smile:"))
+    assert is_plain(out.getvalue())
+
+
+def test_a_table_for_a_terminal_has_no_codes_but_those_of_its_styles():
+    out = io.StringIO()
+    console = Screen(file=out, width=400, force_terminal=True)
+    printed("title", [Column("observer", [*LABELS, UNPRINTABLE], left=True, bold=frozenset({0, 10}))], console)
+    listing.whole("name", {"summary": UNPRINTABLE, "source": "[link=//x]y"}, console)
+    without = re.sub(r"\x1b\[[\d;]*m", "", out.getvalue())
+    assert is_plain(without.replace("\n", ""))
+    assert all(each in without for each in (*LABELS, "[link=//x]y"))
+
+
+def test_progress_says_labels_as_text():
+    from pcbench.cli.screen.progress import drawn
+
+    with Progress(TextColumn("{task.description}", markup=False), disable=True) as lines:
+        progress = drawn(lines)
+        progress.begin(UNPRINTABLE, 2)
+        assert is_plain(lines.tasks[-1].description)
+        progress.note(f"[/b] {UNPRINTABLE}")
+        assert is_plain(lines.tasks[-1].description)
+
+
+def test_labels_and_units_in_latex_are_text():
+    heads = [Head("position", unit) for unit in ("m^-12", "%", "kg*m^2", "m}\\input{x}", "m^^5cinput", "m$&#_~")]
+    (first, *_), rows = heads, [([label], [ENTRY] * 6) for label in LABELS]
+    table = Table("s", "", LABELS[0], [Head("observer")], heads, rows, over=first)
+    for plain in (True, False):
+        lines = latex.latex([table], plain)
+        for label in LABELS:
+            assert "".join(TEX.get(c, c) for c in label) in lines
+        assert not re.search(r"\\input|\^\^|[^\\]\$\\frac|\\mathrm\{m\}", lines)
+        assert "m^{-12}" in lines
+        assert "kg m^{2}" in lines
+
+
+def test_labels_in_markdown_keep_to_their_column():
+    rows = [([label], [ENTRY]) for label in LABELS]
+    lines = text.markdown([Table("s", "", "about", [Head("observer")], [Head("x")], rows)]).splitlines()
+    assert all(len(re.findall(r"(?<!\\)\|", line)) == 3 for line in lines[2:-1])
+    assert not re.search(r"(?<!\\)[<>\[`]", "".join(lines[4:]))
+
+
+def test_no_text_of_a_picture_is_mathematics():
+    scale = Scale(0.0, 1.0, (0.0, 1.0), ("$\\frac$", "$x$"), False)
+    figure, axes = sheet(PAPER, "$\\frac$", [Panel(scale, scale, "$\\a$", "$b$")], [Key("$\\frac$", _style())])
+    figure.canvas.draw()
+    assert len(axes) == 1
+    assert [t.get_text() for t in figure.findobj(Text) if t.get_parse_math()] == []
+
+
+def _style():
+    from pcbench.plots.palette import Style
+
+    return Style("#000000", (), "o")
+
+
+def test_a_study_is_printed_as_toml_that_is_the_same_study():
+    found = read.parse(STUDY, "hostile")
+    scenario = scenarios_of(found)["s/../../x"]
+    assert scenario.summary == SHOWN
+    again = read.parse(tomllib.loads(scenario_toml.as_study(scenario)), "again")
+    (own,) = (s for name, s in scenarios_of(again).items() if name == again.scenarios[0])
+    assert own.options == scenario.options
+    assert own.source == scenario.source
+
+
+@pytest.mark.slow
+def test_hostile_text_passes_every_command_as_text(tmp_path, capsys, monkeypatch):
+    """No traceback, no code of a terminal, and every label is printed as it is."""
+    import tomli_w
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "400")
+    (tmp_path / "study.toml").write_text(tomli_w.dumps(STUDY), encoding="utf-8")
+    (tmp_path / "one.toml").write_text(tomli_w.dumps(STUDY | {"observers": LABELS[:1]}), encoding="utf-8")
+    all_of_them = {
+        "show": ["show", "study.toml"],
+        "show --toml": ["show", "study.toml", "--toml"],
+        "show --json": ["show", "study.toml", "--json"],
+        "run": ["run", "study.toml", "--out", "a"],
+        "run again": ["run", "study.toml", "--out", "b", "--set", "root_seed=1", "--costs"],
+        "status": ["status", "a"],
+        "status --json": ["status", "a", "--json"],
+        "verify": ["verify", "a", "--sample", "1"],
+        "compare": ["compare", "a", "b"],
+        "report": ["report", "a"],
+        "tables": ["tables", "a", "--signal", "all"],
+        "tables --latex": ["tables", "a", "--latex", "--signal", "all"],
+        "tables --latex --plain": ["tables", "a", "--latex", "--plain", "--signal", "all"],
+        "tables --csv": ["tables", "a", "--csv"],
+        "cite": ["cite", "a"],
+        "cite study": ["cite", "study.toml"],
+        "trace": ["trace", "one.toml", "--observer", LABELS[0], "--out", "t.csv"],
+        "design": ["design", "one.toml", LABELS[0]],
+        "export": ["export", "one.toml", LABELS[7], "--out", "c"],
+        "check": ["check", "one.toml"],
+        "list": ["list"],
+    }
+    said = {}
+    for name, words in all_of_them.items():
+        app(words, standalone_mode=False)
+        out, err = capsys.readouterr()
+        assert is_plain(out), name
+        assert is_plain(err), name
+        said[name] = out
+    for name in ("run", "status"):
+        assert all(label in said[name] for label in LABELS), name
+    assert "".join(TEX.get(c, c) for c in LABELS[0]) in said["tables --latex"]
+    assert "\\input" not in said["tables --latex"] + said["tables --latex --plain"]
+    page = (tmp_path / "a" / "report.html").read_text(encoding="utf-8")
+    assert is_plain(page)
+    found = Page(page)
+    words = "".join(found.words)
+    assert all(label in words for label in LABELS)
+    assert SHOWN in words
+    assert not {"script", "img", "iframe", "object"} & {tag for tag, _ in found.elements}
+    assert not [a for _, attrs in found.elements for a in attrs if a.startswith("on")]
+    for file in [p for p in tmp_path.rglob("*") if p.suffix in (".c", ".h", ".toml", ".md", ".csv")]:
+        if file.name not in ("study.toml", "one.toml") or file.parent != tmp_path:
+            assert is_plain(file.read_text(encoding="utf-8")), file
+    assert not re.search(r"(?<!scenario )kfbo-\*/", (tmp_path / "c" / "vector.h").read_text())
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b", "c", "one.toml", "study.toml", "t.csv"]
