@@ -22,7 +22,6 @@ unknown_parameters={"friction": ("1/s", 0.0, 1.0)},
 
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -31,7 +30,7 @@ from jax import Array
 from pcbench.errors import UserError, shown, unknown
 from pcbench.plants import nonlinear, trial
 from pcbench.plants.entry import Entry
-from pcbench.plants.nonlinear import Equations
+from pcbench.plants.nonlinear import Equations, PlantFunction
 from pcbench.plants.trial import WHERE
 from pcbench.protocols import Now, Plant
 from pcbench.signal_names import names_and_units, unit
@@ -103,22 +102,22 @@ def plant(
     ]
     return Entry(
         plant=Plant(
-            step=partial(nonlinear.step, e),
-            output=partial(nonlinear.output, e),
-            field=partial(nonlinear.field, e) if field is not None else None,
-            unknown=partial(nonlinear.unknown, e) if units else None,
+            step=PlantFunction(nonlinear.step, e),
+            output=PlantFunction(nonlinear.output, e),
+            field=PlantFunction(nonlinear.field, e) if field is not None else None,
+            unknown=PlantFunction(nonlinear.unknown, e) if units else None,
         ),
         signals=signals,
         numbers=kept,
-        nominal=partial(nonlinear.nominal, e),
-        prepare=partial(nonlinear.prepare, e),
+        nominal=PlantFunction(nonlinear.nominal, e),
+        prepare=PlantFunction(nonlinear.prepare, e),
         summary=summary,
         unknowns=tuple(units),
         heavy=True,
-        model=partial(nonlinear.model, e) if field is not None else None,
-        successor=partial(nonlinear.successor, e) if step is not None else None,
-        sensor=partial(nonlinear.sensor, e),
-        residual=partial(nonlinear.residual, e),
+        model=PlantFunction(nonlinear.model, e) if field is not None else None,
+        successor=PlantFunction(nonlinear.successor, e) if step is not None else None,
+        sensor=PlantFunction(nonlinear.sensor, e),
+        residual=PlantFunction(nonlinear.residual, e),
         positive=tuple(positive),
         drifts="drift" in kept._fields,
         ranges=tuple(_range(name, each) for name, each in (pushed | sought).items()),

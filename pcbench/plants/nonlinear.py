@@ -43,6 +43,21 @@ class Equations(NamedTuple):
     y0: tuple[float, ...]  # [q]
 
 
+class PlantFunction(NamedTuple):
+    """A function of this module with a plant's equations as its first argument.
+
+    Two are equal if function and equations are, so one that was sent to another process, or read from a file, is equal to the
+    one there: `functools.partial` compares identities, and a program would be refused the plant it was compiled for.
+    """
+
+    function: Callable[..., Any]
+    equations: Equations
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function."""
+        return self.function(self.equations, *arguments)
+
+
 class Params(NamedTuple):
     """The numbers as arrays, the operating point, and the unknown inputs of every tick; N ticks, r unknown inputs."""
 

@@ -33,7 +33,8 @@ def compiled(
     # names of arguments, and shapes of those that are not used, are not in the text, and a call looks at them
     trees = f"{lowered.in_tree} {jax.tree.leaves(lowered.in_avals)} {lowered.out_tree}"
     text = kept_programs.of_text(said.replace(name, plain) + trees, device, options)
-    if (found := kept_programs.load(where, text, device)) is not None:
+    found, trees_here = kept_programs.load(where, text, device), (lowered.in_tree, lowered.out_tree)
+    if found is not None and found.trees == trees_here:  # they may hold functions, of the same text and yet not equal
         kept_programs.keep(where, text, asked)
         return found
     with kept_programs.found_by_jax() as hits:

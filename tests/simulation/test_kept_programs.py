@@ -111,6 +111,32 @@ def test_a_program_of_the_same_text_for_an_unused_argument_of_another_shape_is_a
     assert len(list(where.glob("*.program"))) == 2
 
 
+def test_a_program_of_the_same_text_for_a_function_that_is_not_equal_is_compiled_again(where):
+    """`functools.partial` compares identities: a copy from another process is another argument."""
+    device, x = jax.devices()[0], np.arange(3.0)
+
+    def apply(function):
+        return function.args[0] * 2.0
+
+    for _ in range(2):
+        given = jax.tree_util.Partial(partial(np.multiply, 3.0), x)
+        kinds = jax.tree_util.Partial(given.func, *shapes(x))
+        made = compiling.compiled(apply, lambda kinds=kinds: (kinds,), device, None, None)
+        assert np.asarray(made(given)).tolist() == [0.0, 2.0, 4.0]
+
+
+def test_a_plants_function_is_equal_to_its_copy_and_to_no_other_plants():
+    import pickle
+
+    from pcbench.plants.nonlinear import Equations, PlantFunction
+
+    one = PlantFunction(metrics.update, Equations(None, metrics.look, metrics.look, 0.1, tuple, (), (), (0.0,), (), ()))
+    copy = pickle.loads(pickle.dumps(one))
+    assert copy is not one
+    assert (copy, hash(copy)) == (one, hash(one))
+    assert copy != one._replace(equations=one.equations._replace(tick=0.2))
+
+
 def shapes(*arrays):
     place = jax.sharding.SingleDeviceSharding(jax.devices()[0])
     return tuple(jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=place) for a in arrays)
