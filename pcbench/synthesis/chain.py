@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import matrix_balance, solve_discrete_are
 
 from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.observability import rank
 from pcbench.errors import DesignError, said
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.sampled import Sampled, by_poles, invertible, noise_over, power, require_seen
@@ -90,7 +91,7 @@ def by_companion(plant: Sampled, d: int, pole: float, where: str) -> Matrix:
     """Return K [n, q] of the paper's companion G with T = C, so F = inv(C) G C; C must be invertible."""
     if not invertible(plant.C):
         raise DesignError(
-            f"{where}: gain = 'companion' got C of shape {list(plant.C.shape)} and rank {np.linalg.matrix_rank(plant.C)}, "
+            f"{where}: gain = 'companion' got C of shape {list(plant.C.shape)} and rank {rank(plant.C)}, "
             "expected an invertible one (T = C); take 'poles' or 'riccati'."
         )
     F = np.linalg.solve(plant.C, companion(pole, len(plant.A)) @ plant.C)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import null_space
 
 from pcbench.dynamics.linear import Matrix, Model
-from pcbench.dynamics.observability import require_observable
+from pcbench.dynamics.observability import rank, require_observable
 from pcbench.errors import UserError
 from pcbench.synthesis import common_lyapunov, error_bounds
 from pcbench.synthesis.certificate import Certificate
@@ -43,9 +43,9 @@ class ReducedOrderGains(NamedTuple):
 def coordinates(C: Matrix, where: str) -> Matrix:
     """Return T [n, n] with C inv(T) = [I 0]: C itself, then the directions it does not see; identity where C = [I 0]."""
     l, n = C.shape
-    if np.linalg.matrix_rank(C) < l or l == n:
+    if rank(C) < l or l == n:
         raise UserError(
-            f"{where}: got C of shape {[l, n]} and rank {np.linalg.matrix_rank(C)}, expected independent outputs, fewer than "
+            f"{where}: got C of shape {[l, n]} and rank {rank(C)}, expected independent outputs, fewer than "
             "states; leave a repeated output out."
         )
     if np.array_equal(C, np.eye(l, n)):

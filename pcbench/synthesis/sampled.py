@@ -12,7 +12,7 @@ import numpy as np
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
-from pcbench.dynamics.observability import shown
+from pcbench.dynamics.observability import rank, shown
 from pcbench.errors import DesignError, UserError, said
 from pcbench.synthesis.certificate import NO_NOISE, Setting
 from pcbench.synthesis.remembered import remembered
@@ -91,7 +91,7 @@ def noise_over(plant: Sampled, d: int) -> Matrix:
 
 def invertible(C: Matrix) -> bool:
     """Say whether the outputs give the state at once, without one to spare."""
-    return C.shape[0] == C.shape[1] and bool(np.linalg.matrix_rank(C) == len(C))
+    return C.shape[0] == C.shape[1] and rank(C) == len(C)
 
 
 def by_poles(plant: Sampled, d: int, pole: float, where: str) -> Matrix:

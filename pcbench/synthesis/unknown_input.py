@@ -14,13 +14,13 @@ Assumptions 1 and 2 do not make an L1 possible: modes of (A11, A211) may be unmo
 its link angle and velocity measured, those are printed at -0.006 +- 1.9365j; they are -0.000625 +- 1.9365j.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import eigh
 
 from pcbench.dynamics.linear import Matrix, Model
-from pcbench.dynamics.observability import RANK, shown, unobservable
+from pcbench.dynamics.observability import product, rank, shown, unobservable
 from pcbench.errors import UserError
 from pcbench.synthesis.certificate import SHORT, Certificate, certified
 
@@ -126,9 +126,9 @@ def _assumed(model: Model, where: str) -> Matrix:
     A, C, E = model.A, model.C, model.E
     (n, m), p, r = model.B.shape, len(C), E.shape[1]
     ranks = (
-        ("2, rank C = p", _rank(_unit(C)), p, "leave a repeated output out"),
-        ("1, rank E = r", _rank(_unit(E.T)), r, "leave a repeated unknown input out"),
-        ("1, rank(C E) = r", _rank(_unit(_product(C, E).T)), r, "measure what the unknown input moves at once"),
+        ("2, rank C = p", rank(C), p, "leave a repeated output out"),
+        ("1, rank E = r", rank(E), r, "leave a repeated unknown input out"),
+        ("1, rank(C E) = r", rank(product(C, E)), r, "measure what the unknown input moves at once"),
     )
     for which, got, expected, todo in ranks:
         if got < expected:
@@ -142,9 +142,9 @@ def _assumed(model: Model, where: str) -> Matrix:
         if not holds:
             raise UserError(f"{where}: Assumption 2, {which}, is not met: got {counted}, expected {which}; {todo}.")
     for mode in unobservable(A, C):
-        rank = _rank(np.vstack([mode * np.eye(n) - A, C]))
+        got = min(rank(np.vstack([mode.real * np.eye(n) - A, C])), n - 1) if mode.imag == 0 else n - 1
         raise UserError(
-            f"{where}: Assumption 2, (C, A) observable, is not met: got rank {rank} of [lam I - A; C] at the mode "
+            f"{where}: Assumption 2, (C, A) observable, is not met: got rank {got} of [lam I - A; C] at the mode "
             f"lam = {shown(mode)}, expected {n}; measure another output."
         )
     return E
@@ -153,17 +153,6 @@ def _assumed(model: Model, where: str) -> Matrix:
 def _unit(rows: Matrix) -> Matrix:
     """Rows of length 1, so that no rank depends on units; a row of zeros stays one."""
     return rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-300)
-
-
-def _product(C: Matrix, E: Matrix) -> Matrix:
-    """C E, less the entries that are what rounding leaves of larger terms."""
-    product = C @ E
-    return np.where(np.abs(product) > RANK * (np.abs(C) @ np.abs(E)), product, 0.0)
-
-
-def _rank(M: Any) -> int:
-    sizes = np.linalg.svd(M, compute_uv=False)
-    return int((sizes > RANK * sizes[0]).sum())
 
 
 def _basis(onto: Matrix, k: int) -> Matrix:
