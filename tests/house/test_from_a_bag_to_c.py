@@ -13,7 +13,7 @@ import sys
 
 import pandas as pd
 import pytest
-from documents import PAGES, blocks, commands
+from documents import PAGES, blocks, commands, fenced
 
 from pcbench.errors import EXTRAS
 
@@ -33,10 +33,9 @@ def sitting(tmp_path_factory):
     """The folder behind the last step but the compiler's, and what every command has printed, by its name and number."""
     folder, said = tmp_path_factory.mktemp("sitting"), {}
     there = {"cwd": folder, "env": as_installed(tmp_path_factory.mktemp("missing")), "text": True}
-    for name, text in zip(("joint", "simulated"), blocks("toml", PAGE), strict=True):
-        (folder / f"{name}.toml").write_text(text)
-    (log,) = (b for b in blocks("text", PAGE) if b.startswith("log ="))
-    (folder / "bench.toml").write_text(log)
+    for block in fenced(PAGE):
+        if block.title:
+            (folder / block.title).write_text(block.text)
     bag, picture = blocks("python", PAGE)
     for line in commands(PAGE):
         words = shlex.split(line)[1:]

@@ -3,26 +3,22 @@
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from documents import PAGES, blocks
 
 import pcbench
 from pcbench.planning import plan
 from pcbench.study import read
 
-GUIDE = Path(pcbench.__file__).parent / "guide"
-LOOP = (GUIDE / "a_loop_of_your_own.md").read_text()
-
-
-def blocks(page, language):
-    return re.findall(rf"^```{language}\n(.*?)^```$", page, re.S | re.M)
+PAGE = "a_loop_of_your_own.md"
+LOOP = PAGES[PAGE]
 
 
 @pytest.fixture
 def pendulum(tmp_path, monkeypatch):
     """A working folder with the page's file."""
-    (tmp_path / "pendulum.py").write_text(blocks(LOOP, "python")[0])
+    (tmp_path / "pendulum.py").write_text(blocks("python", PAGE)[0])
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -37,7 +33,7 @@ def test_the_pendulums_file_is_a_study(pendulum):
 
 @pytest.mark.slow
 def test_for_small_angles_it_is_the_linear_plant_that_the_page_writes_down(pendulum):
-    (pendulum / "same.py").write_text(blocks(LOOP, "python")[1])
+    (pendulum / "same.py").write_text(blocks("python", PAGE)[1])
     done = subprocess.run([sys.executable, "same.py"], capture_output=True, text=True, check=True)
     apart = float(re.search(r"but for (\S+) of them", done.stdout)[1])
     assert apart < 1e-9

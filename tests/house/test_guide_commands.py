@@ -1,68 +1,58 @@
-"""Every command line that the README and the guide show is run, page by page in one folder, on few seeds."""
+"""Every block of the guide, the README and CONTRIBUTING is of a kind that is known, and runs in the order of its page."""
 
-import shlex
+import re
 
 import pytest
-from commands import call
-from documents import PAGES, TEXTS, blocks, commands
+from documents import RUN, fenced
+from walked import walked
 
-FEW = ["--seeds", "4"]
-CHEAP = {  # what would take minutes in a command of this name: fewer runs, or a part of it
-    "run": FEW,
-    "suffices": ["--seeds", "16", "--max-seeds", "64", "--within", "0.5"],
-    "tune": ["--budget", "3", "--train", "1000:1016", "--judge", "2000:2016"],
-}
-ELSEWHERE = (  # another machine, seeds without end, or what a test of its own runs, in minutes
-    *("tcp://", "elsewhere/", "--until-se", "verify by-runs"),
-    *("reproduce all", "run all", "run fair", "score cart"),
-    *("simulated.toml", "joint.toml", "bench.toml", "joint-tuned"),
-)
-FILES = {  # what a page says to save, by the page and what is in it
-    "motor.toml": ("your_own_plant.md", '"motor"'),
-    "pushed.toml": ("unknown_inputs.md", '"pushed"'),
-    "noise-map.toml": ("axes_and_schedules.md", "noise-map"),
-    "slower-camera.toml": ("first_study.md", "slower-camera"),
-}
+LANGUAGES = ("sh", "python", "toml", "text")
+NOT_RUN = [  # every block that no test runs, with the reason that its page gives
+    ("README.md", "sh", ".ci/run runs it in a clean environment"),
+    ("README.md", "sh", ".ci/run runs it in a clean environment"),
+    ("code_and_guests.md", "sh", "the estimates are of another program"),
+    ("five_papers.md", "sh", "minutes; tests/reproduce runs paper by paper"),
+    ("large_studies.md", "sh", "needs a Dask scheduler on another machine"),
+    ("large_studies.md", "python", "needs a cluster under SLURM"),
+    ("large_studies.md", "sh", "needs a cluster under SLURM"),
+    ("CONTRIBUTING.md", "sh", "what .ci/run does, in an hour"),
+]
+SAVED = re.compile(r"\b[Ss]ave\s+(?:\w+\s+)?as\s+`([\w.-]+)`")
 
 
-def saved(folder):
-    """The files of the pages, and a result to look at."""
-    for name, (page, said) in FILES.items():
-        (folder / name).write_text(next(b for b in blocks("toml", page) if said in b))
-    (folder / "mine.py").write_text(blocks("python", "your_own_observer.md")[0])
-    (folder / "pendulum.py").write_text(blocks("python", "a_loop_of_your_own.md")[0])
-    (folder / "filter.py").write_text(blocks("python", "code_and_guests.md")[0])
-    assert call("new", "plant", "swing", cwd=folder).returncode == 0
-    assert call("new", "controller", "brake", cwd=folder).returncode == 0
-    assert call("run", "quick", *FEW, "--quiet", cwd=folder).returncode == 0
+@pytest.mark.parametrize("name", RUN)
+def test_every_block_says_what_it_is_written_in(name):
+    fences = re.findall(r"^.*(?:```|~~~).*$", RUN[name], re.M)
+    assert all(re.fullmatch(r"```", fence) for fence in fences[1::2])
+    for fence in fences[::2]:
+        assert re.fullmatch(rf'```(?:{"|".join(LANGUAGES)})(?: title="[\w.-]+")?', fence), fence
+    assert len(fenced(name)) == len(fences) / 2
 
 
-def smaller(words):
-    """A command line on few seeds."""
-    if words[0] == "tune" or (words[0] == "suffices" and "--below" in words):
-        return [*words, *CHEAP[words[0]]]
-    if words[0] != "run":
-        return words
-    if "--seeds" in words:
-        at = words.index("--seeds")
-        return [*words[: at + 1], "8" if "--first-seed" not in words else "4", *words[at + 2 :]]
-    return [*(word if word != "8" else "2" for word in words), *FEW]
+def test_the_blocks_that_are_not_run_are_these():
+    assert [(name, b.language, b.reason) for name in RUN for b in fenced(name) if b.reason is not None] == NOT_RUN
+    assert sum(len(re.findall(r"<!-- *not run", text)) for text in RUN.values()) == len(NOT_RUN)
+
+
+def test_a_remark_that_a_block_is_not_run_stands_at_one_that_would_be():
+    for name in RUN:
+        for block in fenced(name):
+            assert block.reason is None or (block.language in ("sh", "python") and block.reason)
+
+
+def test_what_a_page_says_to_save_has_that_name():
+    found = [(name, file) for name, text in RUN.items() for file in SAVED.findall(text)]
+    assert len(found) > 8
+    for name, file in found:
+        assert file in [block.title for block in fenced(name)], (name, file)
+
+
+def runs(name):
+    return any(block.reason is None and block.language in ("sh", "python") for block in fenced(name))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in TEXTS if commands(name)])
-def test_every_command_runs(name, tmp_path):
-    saved(tmp_path)
-    (tmp_path / "new").mkdir()
-    for line in commands(name):
-        if any(word in line for word in ELSEWHERE):
-            continue
-        words = smaller(shlex.split(line)[1:])
-        done = call(*words, cwd=tmp_path / "new" if words[0] == "new" else tmp_path)  # there is one of that name
-        assert done.returncode == 0, (line, done.stdout[-300:], done.stderr[-600:])
-
-
-def test_what_a_page_says_to_save_is_there():
-    for name, (page, said) in FILES.items():
-        assert f"`{name}`" in PAGES[page]
-        assert said in "".join(blocks("toml", page))
+@pytest.mark.parametrize("name", [name for name in RUN if runs(name)])
+def test_every_block_runs(name, tmp_path):
+    for done in walked(name, tmp_path):
+        assert done.code == 0, (done.what, done.out[-300:], done.err[-900:])

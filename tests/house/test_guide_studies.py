@@ -130,7 +130,7 @@ def test_a_plant_of_python_control_runs(capsys):
 def test_the_observer_example_is_short_and_knows_its_schedule(tmp_path, monkeypatch):
     """At most 25 lines of code, it passes every check, and it runs from the study file that is shown."""
     monkeypatch.chdir(tmp_path)
-    (example,) = blocks("python", "your_own_observer.md")
+    example = blocks("python", "your_own_observer.md")[0]
     assert len([line for line in example.splitlines() if line.strip()]) <= 25
     (tmp_path / "mine.py").write_text(example)
     found = checking.check("mine.py:nudge", options={"share": 0.2}).findings

@@ -1,4 +1,5 @@
-"""Command lines in processes of their own, without importing everything for each: one process imports, then forks for each.
+"""Command lines, and files of Python, in processes of their own, without importing everything for each: one process imports,
+then forks for each.
 
 The fork happens before jax starts its devices, so a command starts as it would from a shell, three seconds later.
 """
@@ -13,7 +14,7 @@ from functools import cache
 from pathlib import Path
 
 SERVER = """
-import json, os, sys, traceback
+import json, os, runpy, sys, traceback
 from pcbench import api, cli
 from pcbench.cli import catalogue, commands
 from pcbench.cli.screen import results
@@ -31,9 +32,14 @@ for line in sys.stdin:
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     for number, path in enumerate(outputs, 1):
         os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT), number)
-    sys.argv, code = ["pcbench", *words], 1
+    sys.argv, code = words, 1
     try:
-        cli.main()
+        if words[0] == "pcbench":
+            cli.main()
+        else:
+            sys.path.insert(0, cwd)
+            runpy.run_path(words[0], run_name="__main__")
+            code = 0
     except SystemExit as done:
         code = done.code if isinstance(done.code, int) else int(done.code is not None)
     except BaseException:
@@ -53,6 +59,11 @@ def server() -> subprocess.Popen:
 
 def call(*words, cwd=None) -> subprocess.CompletedProcess:
     """Run `pcbench WORDS...` and return what it left, as subprocess.run would."""
+    return started("pcbench", *words, cwd=cwd)
+
+
+def started(*words, cwd=None) -> subprocess.CompletedProcess:
+    """Run `pcbench WORDS...`, or `python WORDS...` where the first word is a file, likewise."""
     process, given = server(), [str(word) for word in words]
     with tempfile.TemporaryDirectory() as folder:
         outputs = [str(Path(folder) / name) for name in ("out", "err")]
@@ -60,7 +71,7 @@ def call(*words, cwd=None) -> subprocess.CompletedProcess:
         process.stdin.flush()
         if not select.select([process.stdout], [], [], PATIENCE)[0]:
             process.kill()
-            raise TimeoutError(f"pcbench {' '.join(given)} took more than {PATIENCE} s")
+            raise TimeoutError(f"{' '.join(given)} took more than {PATIENCE} s")
         code = int(process.stdout.readline())
         out, err = (Path(path).read_text() for path in outputs)
     return subprocess.CompletedProcess(given, code, out, err)

@@ -1,7 +1,8 @@
-"""The README and the pages of the guide, and the blocks of code in them."""
+"""The README, CONTRIBUTING and the pages of the guide, and the blocks of code in them."""
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import pcbench
 
@@ -10,12 +11,31 @@ GUIDE = Path(pcbench.__file__).parent / "guide"
 README = (ROOT / "README.md").read_text()
 PAGES = {path.relative_to(GUIDE).as_posix(): path.read_text() for path in sorted(GUIDE.rglob("*.md"))}
 TEXTS = {"README.md": README, **PAGES}
+RUN = {name: text for name, text in TEXTS.items() if "/" not in name}  # decision records only record
+RUN["CONTRIBUTING.md"] = (ROOT / "CONTRIBUTING.md").read_text()
+BLOCK = re.compile(
+    r'^(?:<!-- not run: (?P<reason>.*?) -->\n)?```(?P<language>\w+)(?: title="(?P<title>[^"]*)")?\n(?P<text>.*?)^```$',
+    re.S | re.M,
+)
+
+
+class Block(NamedTuple):
+    """A fenced block: why it is not run, what it is written in, and the name under which the reader saves it."""
+
+    reason: str | None
+    language: str
+    title: str | None
+    text: str
+
+
+def fenced(name):
+    """The blocks of a page in their order."""
+    return [Block(*found.group("reason", "language", "title", "text")) for found in BLOCK.finditer(RUN[name])]
 
 
 def blocks(language, *names):
     """The blocks of a language, of the pages of these names, or of all and the README."""
-    texts = [TEXTS[name] for name in names or TEXTS]
-    return [block for text in texts for block in re.findall(rf"^```{language}\n(.*?)^```$", text, re.S | re.M)]
+    return [b.text for name in names or TEXTS if name in RUN for b in fenced(name) if b.language == language]
 
 
 def prose(text):
@@ -23,7 +43,13 @@ def prose(text):
     return re.sub(r"^```.*?^```$", "", text, flags=re.S | re.M)
 
 
+def lines(text):
+    """The command lines of a block of shell, as one string each, without the remarks beside them."""
+    joined = re.sub(r"\\\n\s+", "", text)
+    return [line for each in joined.splitlines() if (line := re.sub(r"(^|\s+)#.*", "", each))]
+
+
 def commands(name):
-    """The command lines that a page shows, as one string each, without what is said beside them."""
-    lines = [line for block in blocks("text", name) for line in re.sub(r"\\\n\s+", "", block).splitlines()]
-    return [re.split(r"\s{2,}", line)[0] for line in lines if line.startswith("pcbench ")]
+    """The command lines of pcbench that a page shows."""
+    shown = [block.text for block in fenced(name) if block.language == "sh" and not block.title] if name in RUN else []
+    return [line for text in shown for line in lines(text) if line.startswith("pcbench ")]

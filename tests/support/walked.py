@@ -1,0 +1,93 @@
+"""A page of the guide as its reader goes through it: in an empty folder, block by block, in the order of the page.
+
+Commands are made short: what a command line does is the same, with fewer seeds, cells and rounds.
+"""
+
+import shlex
+import subprocess
+from typing import NamedTuple
+
+from commands import call, started
+from documents import RUN, fenced, lines
+
+STUDIES = {  # what makes a study that pcbench brings along short, every scenario and observer of it kept
+    "all": ["--seeds", "2"],
+    "beliefs": ["--seeds", "2"],
+    "cart": ["--seeds", "2"],
+    "fair": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
+    "fair-reactor": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
+    "faults": ["--seeds", "2"],
+    "helicopter": ["--seeds", "2"],
+    "late": ["--seeds", "2"],
+    "map": ["--set", "axes.sampling_period=[0.1,0.2]", "--set", "axes.delay=[0.0,0.2]"],
+    "reactor": ["--seeds", "2"],
+    "unequal-delays": ["--seeds", "2"],
+    "unknown-input": ["--seeds", "2"],
+    "variable-sampling": ["--seeds", "2"],
+}
+TUNING = {"--budget": "2", "--train": "1000:1008", "--judge": "2000:2008"}
+SEARCH = {"--seeds": "8", "--max-seeds": "16", "--within": "0.5"}
+FIRST, MORE = "8", "64"  # seeds of a run, and of one that says how many: exact answers are held against 64 or more
+
+
+class Step(NamedTuple):
+    """What a page had its reader do, and what came of it."""
+
+    what: str
+    code: int
+    out: str
+    err: str
+
+
+def walked(name, folder):
+    """Every step of a page, one after the other: a line of shell, or a block of Python."""
+    for page in RUN:  # a page may name a file of another, which its reader then has
+        for block in fenced(page):
+            if page != name and block.title and f"`{block.title}`" in RUN[name]:
+                (folder / block.title).write_text(block.text)
+    for number, block in enumerate(fenced(name)):
+        path = folder / (block.title or f"block-{number}.py")
+        if block.title or block.language == "python":
+            path.write_text(block.text)
+        if block.reason is None and block.language == "python":
+            yield step(path.name, started(path.name, cwd=folder))
+        elif block.reason is None and block.language == "sh":
+            for line in lines(block.text):
+                yield step(line, of_a_shell(line, folder))
+
+
+def of_a_shell(line, folder):
+    """What a line does, where it is one of pcbench in its short form."""
+    words = shlex.split(line)
+    if words[0] == "pcbench":
+        return call(*shortened(words[1:]), cwd=folder)
+    return subprocess.run(["bash", "-ec", line], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def step(what, done):
+    return Step(what, done.returncode, done.stdout, done.stderr)
+
+
+def shortened(words):
+    """The words of a command that does the same in less time."""
+    if words[0] == "tune":
+        on_runs = not {"--exact", "--log"} & set(words)
+        return with_options(words, TUNING if on_runs else {"--budget": "2"})
+    if words[0] == "suffices":
+        return with_options(words, SEARCH)
+    if words[0] != "run" or "--exact" in words:
+        return words
+    if words[1] in STUDIES:
+        at = words.index("--seeds") if "--seeds" in words else len(words)
+        return [*words[:at], *words[at + 2 :], *STUDIES[words[1]]]
+    less = {"--max-seeds": "128"} if "--until-se" in words else {}
+    less |= {"--workers": "2"} if "--workers" in words else {}
+    return with_options(words, less | {"--seeds": MORE if "--seeds" in words else FIRST})
+
+
+def with_options(words, options):
+    """The same words with other values of these options, which are added where they are missing."""
+    for name, value in options.items():
+        at = words.index(name) if name in words else len(words)
+        words = [*words[:at], name, value, *words[at + 2 :]]
+    return words
