@@ -10,6 +10,12 @@ from typing import NamedTuple
 from commands import call, started
 from documents import RUN, fenced, lines
 
+
+def axes(**values):
+    """Options that leave these values of a study's axes."""
+    return [word for name, some in values.items() for word in ("--set", f"axes.{name}={some}".replace(" ", ""))]
+
+
 STUDIES = {  # what makes a study that pcbench brings along short, every scenario and observer of it kept
     "all": ["--seeds", "2"],
     "beliefs": ["--seeds", "2"],
@@ -17,12 +23,12 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
     "fair": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
     "fair-reactor": ["--seeds", "2", "--set", "tune.budget=2", "--set", "tune.training=4"],
     "faults": ["--seeds", "2"],
-    "helicopter": ["--seeds", "2"],
+    "helicopter": ["--seeds", "2", *axes(sampling_period=[0.2], delay=[0.03], noise_std=[2e-2], drift=[0.0, 0.3])],
     "late": ["--seeds", "2"],
-    "map": ["--set", "axes.sampling_period=[0.1,0.2]", "--set", "axes.delay=[0.0,0.2]"],
+    "map": axes(sampling_period=[0.1, 0.2], delay=[0.0, 0.2]),
     "reactor": ["--seeds", "2"],
     "unequal-delays": ["--seeds", "2"],
-    "unknown-input": ["--seeds", "2"],
+    "unknown-input": ["--seeds", "2", *axes(sampling_period=[0.02], delay=[0.02], noise_std=[1e-3], drift=[0.0, 0.05])],
     "variable-sampling": ["--seeds", "2"],
 }
 TUNING = {"--budget": "2", "--train": "1000:1008", "--judge": "2000:2008"}
