@@ -1,6 +1,7 @@
 """The Python face of pcbench: `run`, `exact`, `trace` and `design`."""
 
 import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from pcbench.planning import alone, cost, drafts, padding, samples_of
 from pcbench.plants import signals_of
 from pcbench.scenarios.sources import units
 from pcbench.study import read
+from pcbench.study.own_scenarios import plain
 from pcbench.study.read import Described, grid_of, one_cell
 from pcbench.synthesis.certificate import Design, is_certified
 
@@ -33,8 +35,8 @@ def run(
     *,
     seeds: int | None = None,
     first_seed: int | None = None,
-    observers: str | list[str] | None = None,
-    axes: dict[str, list[Any]] | None = None,
+    observers: str | Sequence[str] | None = None,
+    axes: Mapping[str, Any] | None = None,
     options: dict[str, dict[str, Any]] | None = None,
     root_seed: int | None = None,
     method: str | None = None,
@@ -60,6 +62,7 @@ def run(
     or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
     a time; by default a quarter of the machine's). `progress` hears how far it is (`machine.progress`), `say` of damaged files
     and of loops that do not settle; without it the latter are Python's warnings.
+    Arrays, tuples, ranges and NumPy's numbers are as good as lists and numbers.
     A study's `tuning` is done first: `gains.versions`; of several the result has a table `fair`. Raises UserError, one
     sentence, for whatever the user can mend.
     """
@@ -70,12 +73,12 @@ def run(
         how = run_study.How(
             fresh=fresh,
             until_se=until_se,
-            max_seeds=max_seeds,
-            devices=devices,
+            max_seeds=plain(max_seeds),
+            devices=plain(devices),
             dask=dask,
-            workers=workers,
-            block=block,
-            memory=memory,
+            workers=plain(workers),
+            block=plain(block),
+            memory=plain(memory),
             progress=progress,
             say=say or (lambda sentence: None),
         ).checked()
@@ -93,8 +96,8 @@ def run(
 def exact(
     study: Described,
     *,
-    observers: str | list[str] | None = None,
-    axes: dict[str, list[Any]] | None = None,
+    observers: str | Sequence[str] | None = None,
+    axes: Mapping[str, Any] | None = None,
     options: dict[str, dict[str, Any]] | None = None,
     root_seed: int | None = None,
     overrides: list[str] | None = None,
@@ -121,7 +124,7 @@ def exact(
 
 def trace(
     scenario: Described,
-    observers: str | list[str],
+    observers: str | Sequence[str],
     *,
     seed: int = 0,
     overrides: list[str] | None = None,
@@ -179,7 +182,7 @@ def trace(
 
 
 def costs(
-    study: Described, *, observers: str | list[str] | None = None, overrides: list[str] | None = None
+    study: Described, *, observers: str | Sequence[str] | None = None, overrides: list[str] | None = None
 ) -> "pd.DataFrame":
     """Return what observers cost in every cell of a study: a row each, with `sample`, `tick` and `memory`.
 

@@ -1,8 +1,12 @@
 """What one study may ask of a machine: more is refused at once, not after hours or when memory runs out.
 
 A run has at most TICKS ticks and SAMPLES samples of a channel, of which at most IN_FLIGHT are on their way at a time and at
-most OVERTAKING newer ones arrive before one. A study has at most CELLS cells in a scenario, of CELL_TICKS ticks in all.
+most OVERTAKING newer ones arrive before one. A study has at most CELLS cells in a scenario, of
+CELL_TICKS ticks in all, and at most LABELS labels of observers
+and SCENARIOS scenarios.
 """
+
+from collections.abc import Collection
 
 from pcbench.errors import UserError
 from pcbench.simulation.schedule import per_lane, sampling
@@ -12,6 +16,8 @@ TICKS = 1_000_000
 SAMPLES = 100_000
 IN_FLIGHT = 10_000
 OVERTAKING = 1_000
+LABELS = 1_000
+SCENARIOS = 500
 CELLS = 10_000
 CELL_TICKS = 100_000_000  # each takes at least 50 bytes before anything runs
 
@@ -53,6 +59,20 @@ def require_few_samples(clocks: list[Clock], ticks: int, dt: float, where: str) 
             f"{where}: got samples that up to {most:,} newer ones may overtake, expected at most {OVERTAKING:,}; take a "
             "smaller delay_jitter, delays that differ less, or sample less often."
         )
+
+
+def require_few_labels(labels: Collection[str], where: str) -> None:
+    """Raise UserError where a study names too many observers, with their options, at a time."""
+    if len(labels) > LABELS:
+        raise UserError(
+            f"{where}: got {len(labels):,} observers and options of observers, expected at most {LABELS:,}; divide the study."
+        )
+
+
+def require_few_scenarios(many: int, where: str) -> None:
+    """Raise UserError where a study has too many scenarios at a time."""
+    if many > SCENARIOS:
+        raise UserError(f"{where}: got {many:,} scenarios, expected at most {SCENARIOS:,}; divide the study.")
 
 
 def require_few_cells(cells: int, ticks: int, where: str) -> None:

@@ -66,11 +66,13 @@ class Lti(BaseModel):
         description="a signal's name for all inputs, or one for each, with commas; or a wave, values, rows, a CSV file",
     )
     unknown_input: Input | None = Field(None, description="likewise, of what pushes by E; default: sine")
-    unknown_std: list[Number] | None = Field(None, description="[r] its typical size; default: ones")
-    x0: list[Number] | None = Field(None, description="[n] default: ones")
-    xhat0: list[Number] | None = Field(None, description="[n] default: zeros")
-    prior_std: list[Size] | None = Field(None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1")
-    settle_band: list[Size] | None = Field(
+    unknown_std: Number | list[Number] | None = Field(None, description="[r] its typical size; default: ones")
+    x0: Number | list[Number] | None = Field(None, description="[n] default: ones")
+    xhat0: Number | list[Number] | None = Field(None, description="[n] default: zeros")
+    prior_std: Size | list[Size] | None = Field(
+        None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1"
+    )
+    settle_band: Size | list[Size] | None = Field(
         None, description="[n] default: 5 % of prior_std and unknown_std; [n + r] with E"
     )
     bound: Positive = Field(1e6, description="a run has diverged when an |e| leaves it")

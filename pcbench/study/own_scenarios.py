@@ -11,11 +11,9 @@ names; paths in it are relative to that file. Read, it is data: a dataset needs 
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pcbench.errors import UserError, short, shown
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import own, own_entries
+from pcbench.study import limits, own, own_entries
 from pcbench.study.references import SCENARIO, Load, Named
 
 
@@ -28,6 +26,7 @@ def tabled(raw: dict[str, Any], where: str, folder: Path | None, load: Load) -> 
     names: list[Any] = []
     if not isinstance(given, dict | list):  # the model says what is wrong
         given = []
+    limits.require_few_scenarios(len(given), where)
     for name, table in given.items() if isinstance(given, dict) else [(each, {}) for each in given]:
         here = f"{where}: scenarios.{short(str(name))}"
         if isinstance(name, str) and name in tables and not table:  # it has been read
@@ -92,9 +91,9 @@ def _data(entry: dict[str, Any], module: str) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return arrays and tuples as the lists that a study holds."""
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
+    """Return arrays, tuples and ranges as the lists that a study holds, and NumPy's numbers as Python's."""
+    if hasattr(value, "tolist"):  # of NumPy, JAX, pandas
+        return plain(value.tolist())
     if isinstance(value, dict):
         return {key: plain(each) for key, each in value.items()}
-    return [plain(each) for each in value] if isinstance(value, tuple | list) else value
+    return [plain(each) for each in value] if isinstance(value, tuple | list | range) else value

@@ -13,7 +13,7 @@ from pcbench.study import STUDIES, Choices, Study, own, recorded_delays, undersc
 from pcbench.study import axes as axis
 from pcbench.study.labels import labelled
 from pcbench.study.lti_inputs import located
-from pcbench.study.own_scenarios import tabled
+from pcbench.study.own_scenarios import plain, tabled
 from pcbench.study.references import Load, absolute, looked_up
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
@@ -29,7 +29,7 @@ def raw_of(what: Described, overrides: list[str], load: Load) -> dict[str, Any]:
     if isinstance(what, Study):
         raw = deepcopy(what.model_dump(exclude_none=True))
     elif not isinstance(what, str | Path):
-        raw = deepcopy(dict(what))
+        raw = deepcopy(plain(dict(what)))
     elif (name := str(what)) in STUDIES:
         raw = STUDIES[name].model_dump(exclude_none=True)
     elif name in SCENARIOS:

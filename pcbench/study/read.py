@@ -19,6 +19,7 @@ from pcbench.study import (
     checked_options,
     fits,
     labels_of,
+    limits,
     loops,
     own_entries,
     scenarios_of,
@@ -26,6 +27,7 @@ from pcbench.study import (
 )
 from pcbench.study.cells import Cell, Grid, cells
 from pcbench.study.own import Own
+from pcbench.study.own_scenarios import plain
 from pcbench.study.raw import Described, named, raw_of, where_of
 from pcbench.study.references import Load, Named, named_in
 from pcbench.study.scenario_table import ScenarioTable
@@ -56,6 +58,14 @@ def described(raw: dict[str, Any], where: str, load: Load) -> Study:
         study = Study.model_validate(raw)
     except ValidationError as error:
         raise sentence(where, error, KEYS) from None
+    limits.require_few_labels(
+        {
+            *(study.observers or ()),
+            *study.options,
+            *(o for _, t in _tables(study) for o in (*(t.observers or ()), *(t.options or ()))),
+        },
+        where,
+    )
     for each in named_in(raw):
         study._own[each.key] = load(each, f"{where}: {each.key if each.kind == 'observer' else each.kind}")
     known = scenarios_of(study, where)
@@ -129,7 +139,7 @@ def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> 
     """Return a checked study with its cells from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
     raw = raw_of(study, overrides, from_here)
     where = where_of(study, raw)
-    raw |= {key: value for key, value in changes.items() if value is not None}
+    raw |= {key: plain(value) for key, value in changes.items() if value is not None}
     return grid(raw, where, from_here)
 
 
@@ -160,9 +170,10 @@ def _observers(study: Study, names: list[str], where: str) -> None:
     """Raise UserError where a list of observers is empty, or holds an unknown name or one twice."""
     if not names:
         raise UserError(f"{where}: got an empty list, expected at least one of {', '.join(OBSERVERS)}.")
+    known = set(labels_of(study))
     for name in names:
-        if name not in labels_of(study):
-            raise unknown(where, "observer", name, labels_of(study))
+        if name not in known:
+            raise unknown(where, "observer", name, known)
     _unique(names, where)
 
 
@@ -176,6 +187,6 @@ def require_signals(study: Study, names: list[str] | None, where: str) -> None:
 
 
 def _unique(names: list[str], where: str) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            raise UserError(f"{where}: got '{name}' twice, expected each once; remove one.")
+    if len(set(names)) < len(names):
+        twice = next(name for i, name in enumerate(names) if name in names[:i])
+        raise UserError(f"{where}: got '{twice}' twice, expected each once; remove one.")

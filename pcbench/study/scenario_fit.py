@@ -30,6 +30,11 @@ SIZES = {
 EACH = {"n": "state", "s": "unknown", "q": "output", "n + s": "state and unknown"}
 
 
+def each(given: float | list[float], many: int) -> list[float]:
+    """Return a list of numbers as it is, and one number as that of all."""
+    return given if isinstance(given, list) else [float(given)] * many
+
+
 def control(s: Scenario, entry: Entry, where: str) -> dict[str, Any]:
     """The controller's options, checked."""
     name = s.loop.controller

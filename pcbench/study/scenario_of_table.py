@@ -39,6 +39,7 @@ def scenario_of(table: ScenarioTable, name: str, where: str, own: Mapping[str, O
     entry, model = entry_of(s), entry_of(s).nominal(numbers_of(s))
     many = {"n": len(model.A), "s": len(signals_of(s)) - len(states_of(s)), "q": len(model.C)}
     many["n + s"] = many["n"] + many["s"]
+    given |= {key: fit.each(given[key], many[size]) for key, (size, _) in fit.SIZES.items() if key in given}
     s = s.having(**{key: tuple(given[key]) for key in (*fit.SIZES, "delay_swing", "headline") if key in given})
     s = _filled(s, given, many) if table.base is None else s
     s = _measured(s, given, many["q"], where)

@@ -18,7 +18,10 @@ Input = Annotated[Any, BeforeValidator(read)]
 
 
 class ScenarioTable(BaseModel):
-    """A scenario of a user's own. n states, s unknowns beside them, q outputs; what is left out is the base's, or a default."""
+    """A scenario of a user's own. n states, s unknowns beside them, q outputs; what is left out is the base's, or a default.
+
+    One number in place of a list holds for all of them.
+    """
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
     base: str | None = Field(None, description="a published scenario, of which the other keys change fields")
@@ -32,10 +35,12 @@ class ScenarioTable(BaseModel):
     dt: Positive | None = Field(None, description="s, the tick; default 0.001")
     horizon: Positive | None = Field(None, description="s; default 10")
     # what is true of the plant and told to no observer
-    x0: list[Number] | None = Field(None, description="[n] x(0)")
+    x0: Number | list[Number] | None = Field(None, description="[n] x(0)")
     drift: Number | None = Field(None, description="scale of the plant's parameter drift")
     parameters: dict[str, Any] | None = Field(None, description="the plant's, where they differ from its own")
-    process_std: list[Size] | None = Field(None, description="[n] of the noise added to each state at every tick")
+    process_std: Size | list[Size] | None = Field(
+        None, description="[n] of the noise added to each state at every tick"
+    )
     unknown_input: Input | None = Field(None, description="of what pushes: as `input` says it")
     # what drives the plant
     input: Input | None = Field(
@@ -91,21 +96,29 @@ class ScenarioTable(BaseModel):
     )
     continuous: Switch | None = Field(None, description="measured at every stage of the integration, without noise")
     # what designers and observers assume
-    xhat0: list[Number] | None = Field(None, description="[n] xhat(0); default: zeros")
-    prior_std: list[Size] | None = Field(None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1")
+    xhat0: Number | list[Number] | None = Field(None, description="[n] xhat(0); default: zeros")
+    prior_std: Size | list[Size] | None = Field(
+        None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1"
+    )
     model: dict[str, Any] | None = Field(None, description="the plant's parameters as observers know them")
     drift_intensity: Size | None = Field(None, description="1/s, process noise through the input where it drifts")
-    unknown0: list[Number] | None = Field(None, description="[s] what observers take for the unknowns at the start")
-    unknown_std: list[Positive] | None = Field(None, description="[s] typical size of the unknowns; default: ones")
-    assumed_noise_std: list[Size] | None = Field(None, description="[q] for channels without noise")
-    assumed_process_std: list[Size] | None = Field(None, description="[n] for plants without process noise")
+    unknown0: Number | list[Number] | None = Field(
+        None, description="[s] what observers take for the unknowns at the start"
+    )
+    unknown_std: Positive | list[Positive] | None = Field(
+        None, description="[s] typical size of the unknowns; default: ones"
+    )
+    assumed_noise_std: Size | list[Size] | None = Field(None, description="[q] for channels without noise")
+    assumed_process_std: Size | list[Size] | None = Field(None, description="[n] for plants without process noise")
     assumed_noise_scale: Number | None = Field(
         None, description="the noise of a sample is believed to be so many times larger than it is"
     )
     assumed_delay_error: Number | None = Field(None, description="s, samples are believed to be so much older")
-    start_box: list[Size] | None = Field(None, description="[n] a random start draws xhat(0) this close to x(0)")
+    start_box: Size | list[Size] | None = Field(None, description="[n] a random start draws xhat(0) this close to x(0)")
     # what runs are judged by
-    settle_band: list[Size] | None = Field(None, description="[n + s] |e| of a settled run; default: 5 % of the prior")
+    settle_band: Size | list[Size] | None = Field(
+        None, description="[n + s] |e| of a settled run; default: 5 % of the prior"
+    )
     bound: Positive | list[Positive] | None = Field(None, description="a run has diverged when an |e| leaves it")
     tail: Size | None = Field(None, description="s, where the tail starts; default: 30 % of the horizon")
     signals: list[str] | None = Field(None, description='[n] names of states with units, such as "angle [rad]"')

@@ -18,6 +18,7 @@ from pcbench.machine.progress import SILENT, Progress
 from pcbench.statistics import sufficing
 from pcbench.study import cells, observers_of
 from pcbench.study.cells import Grid
+from pcbench.study.own_scenarios import plain
 from pcbench.study.raw import Described, raw_of, where_of
 from pcbench.study.read import described, from_here
 from pcbench.sufficing import growing
@@ -61,7 +62,7 @@ def suffices(
     observers = [observers] if isinstance(observers, str) else observers
     raw = raw_of(study, overrides or [], from_here)
     where = where_of(study, raw)
-    raw |= {key: value for key, value in {"seeds": seeds, "observers": observers}.items() if value is not None}
+    raw |= {key: plain(value) for key, value in {"seeds": seeds, "observers": observers}.items() if value is not None}
     with process.float64(), ExitStack() as stack:
         q = question(described(raw, where, from_here), where, over, metric, signal, below)
         scale = scale_of(q.axis, q.scenario, between, within)
