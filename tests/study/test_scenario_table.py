@@ -66,7 +66,7 @@ def test_its_name_is_the_studys_unless_it_has_one():
         ),
         (WHITE | {"plant": "csth"}, "scenario.x0: got 2 numbers, expected 3, one for each state of csth"),
         (WHITE | {"x0": [1.0]}, "scenario.x0: got 1 numbers, expected 2, one for each state of cart"),
-        (WHITE | {"x0": 1.0}, "scenario.x0: got 1.0, expected a valid list"),
+        (WHITE | {"x0": "1"}, "scenario.x0: got '1', expected"),
         (WHITE | {"x0": [1.0, "a"]}, r"scenario.x0\[1\]: got 'a', expected a valid number"),
         (WHITE | {"process_std": [0.1]}, "scenario.process_std: got 1 numbers, expected 2"),
         (
