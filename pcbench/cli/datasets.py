@@ -5,7 +5,9 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Folder, Quiet, console, out, setup
+from pcbench.cli.shared import AsJson, Folder, Quiet, console, out, require_effect, setup
+
+SAMPLE = 4  # blocks that are computed again
 
 
 def status(
@@ -55,9 +57,11 @@ def merge(
 
 def verify(
     folder: Folder,
-    sample: Annotated[int, typer.Option(min=0, help="blocks to compute again, and cells with exact numbers")] = 4,
+    sample: Annotated[
+        int | None, typer.Option(min=0, help="blocks to compute again, and cells with exact numbers [default: 4]")
+    ] = None,
     every: Annotated[bool, typer.Option("--all", help="compute every block again")] = False,
-    seed: Annotated[int, typer.Option(min=0, help="draws the blocks")] = 0,
+    seed: Annotated[int | None, typer.Option(min=0, help="draws the blocks [default: 0]")] = None,
     exact: Annotated[
         bool, typer.Option("--exact", help="compare simulated means with their exact values, in standard errors")
     ] = False,
@@ -73,6 +77,17 @@ def verify(
 
     Example: pcbench verify results/quick --sample 8
     """
+    drawn = {"--sample": sample, "--seed": seed}
+    if exact:
+        require_effect(
+            drawn | {"--all": every},
+            "with --exact",
+            "blocks to compute again, or a comparison with exact values; leave one out",
+        )
+    if every:
+        require_effect(drawn, "with --all", "every block, or some; leave one out")
+    if not exact:
+        require_effect({"--figure": figure}, "without --exact", "both; add --exact, or leave it out")
     setup()
     if exact:
         return _against_exact(folder, figure, quiet, as_json)
@@ -81,7 +96,7 @@ def verify(
     from pcbench.dataset import verify
 
     with bar(quiet or as_json) as progress:
-        found = verify.verify(folder, None if every else sample, seed, progress)
+        found = verify.verify(folder, None if every else SAMPLE if sample is None else sample, seed or 0, progress)
     if as_json:
         print(json.dumps(found._asdict(), indent=2))
     elif not quiet:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Set, console, write
+from pcbench.cli.shared import AsJson, Set, console, require_effect, write
 
 
 def list_(
@@ -67,6 +67,7 @@ def show(
     if as_toml and as_json:
         raise UserError("show: got --toml and --json, expected one of them; leave one out.")
     if with_costs:
+        require_effect({"--toml": as_toml}, "with --costs", "a study file, or what its observers cost; leave one out")
         _costs(scenario, changes, as_json)
         return
     found = read.scenario_of(scenario, changes)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import RANKS, Folder, Metric, Quiet, Signals, chosen, out, setup
+from pcbench.cli.shared import RANKS, Folder, Metric, Quiet, Signals, chosen, out, require_effect, setup
 from pcbench.cli.stopping import stoppable
 from pcbench.errors import UserError
 
@@ -13,10 +13,10 @@ def report(
     folder: Folder,
     file: Annotated[str | None, out("HTML file to write [default: report.html in the folder]")] = None,
     figures: Annotated[str | None, typer.Option(help="folder for the pictures as files, in place of the page")] = None,
-    kinds: Annotated[str, typer.Option(help="of --figures, with commas: svg, pdf, png")] = "svg,pdf,png",
-    width: Annotated[float, typer.Option(help="of --figures: inches of a column")] = 3.75,
-    size: Annotated[float, typer.Option(help="of --figures: points of text")] = 9.0,
-    font: Annotated[str, typer.Option(help="of --figures: its family")] = "DejaVu Sans",
+    kinds: Annotated[str | None, typer.Option(help="of --figures, with commas [default: svg,pdf,png]")] = None,
+    width: Annotated[float | None, typer.Option(help="of --figures: inches of a column [default: 3.75]")] = None,
+    size: Annotated[float | None, typer.Option(help="of --figures: points of text [default: 9]")] = None,
+    font: Annotated[str | None, typer.Option(help="of --figures: its family [default: DejaVu Sans]")] = None,
     metric: Metric = RANKS,
     signal: Signals = None,
     cell: Annotated[
@@ -34,6 +34,9 @@ def report(
 
     Example: pcbench report results/quick --metric tail_rmse --signal velocity
     """
+    of_figures = {"--kinds": kinds, "--width": width, "--size": size, "--font": font}
+    if figures is None:
+        require_effect(of_figures, "without --figures", "both; add --figures, or leave it out")
     setup()
     from pcbench import statistics
     from pcbench.cli.screen.progress import bar
@@ -56,8 +59,11 @@ def report(
             from pcbench.dataset.result import opened
             from pcbench.report import figures as pictures
 
-            known = pictures.kinds_of(kinds)
-            paper = Paper(width, size, font).checked()
+            known = pictures.kinds_of("svg,pdf,png" if kinds is None else kinds)
+            given = {"width": width, "size": size, "font": font}
+            paper = (
+                Paper(3.75, 9.0, "DejaVu Sans")._replace(**{k: v for k, v in given.items() if v is not None}).checked()
+            )
             made = pictures.write(opened(folder), figures, progress, shown._replace(paper=paper), known)
             where, said = figures, f"{len(made)} figures as {', '.join(k.upper() for k in known)} in {figures}"
         else:

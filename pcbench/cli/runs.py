@@ -8,7 +8,21 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import RANKS, AsJson, Metric, Quiet, Set, Signals, chosen, console, names, out, say, setup
+from pcbench.cli.shared import (
+    RANKS,
+    AsJson,
+    Metric,
+    Quiet,
+    Set,
+    Signals,
+    chosen,
+    console,
+    names,
+    out,
+    require_effect,
+    say,
+    setup,
+)
 from pcbench.cli.stopping import stoppable
 
 
@@ -53,6 +67,14 @@ def run(
     Example: pcbench run quick --seeds 512 --out first-look
     """
     began = perf_counter()
+    if exact:
+        drawn = {"--seeds": seeds, "--first-seed": first_seed, "--until-se": until_se, "--max-seeds": max_seeds}
+        require_effect(
+            drawn | {"--block": block}, "with --exact", "exact values without seeds, or simulated runs; leave one out"
+        )
+    if quiet or as_json:
+        shown, beside = {"--costs": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
+        require_effect(shown, beside, "it where tables are printed; leave one out")
     setup()
     from pcbench.simulation.foreseen import foreseen
 
