@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import LinAlgWarning, solve_discrete_lyapunov
 
 from pcbench.dynamics.linear import Matrix
+from pcbench.dynamics.observability import rank
 from pcbench.synthesis import error_bounds, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
@@ -37,8 +38,10 @@ class CurrentGain(NamedTuple):
 
 
 def closed_form(Phi: Matrix, C: Matrix) -> Matrix:
-    """Return argmin over L of ||(I - L C) Phi||: L = Phi c (c'c)^-1, c = (C Phi)'."""
+    """Return argmin over L of ||(I - L C) Phi||: L = Phi c (c'c)^-1, c = (C Phi)'; of many the least, if outputs repeat."""
     c = (C @ Phi).T
+    if rank(c) < len(C):
+        return np.asarray(Phi @ np.linalg.pinv(c.T), float)
     return np.asarray(np.linalg.solve(c.T @ c, c.T @ Phi.T).T, float)
 
 

@@ -7,9 +7,10 @@
     h2        the least covariance, and
     hinf      the least energy gain, from noise to the estimate at a sample's arrival: `robust`
 
-The first three are found at the (mean) sampling period; where a range or a rate is asked for, what they found is proven over
-it by one P of its own. What noise does is said of all in the same way: `noise_rms` [n], exact at the mean period, is the
-stationary rms of the estimate's error at a sample's arrival which measurement noise alone leaves.
+The first three are found at the (mean) sampling period, in units of 1000^k (k whole) near the size of x(0), as the solution
+of (23) depends on the units. If a range or a rate is asked for, one P of its own proves over it what they found. All report
+the effect of noise in the same way: `noise_rms` [n], exact at the mean period, is the stationary rms of the estimate's error
+at a sample's arrival which measurement noise alone leaves.
 """
 
 from typing import Any
@@ -43,16 +44,23 @@ def find(
     ahead = linear.over(doubled, late)
     mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
     error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
+    S, s = units(setting)
+    into, C1, R1 = np.outer(1 / S, S), C * S / s[:, None], R / np.outer(s, s)
     if given is None and method in ROBUST:
         size = _size(setting, Phi, Q, R)
         task = robust.RobustTask(maps or mean, C, R, ahead / _prior(setting)[:, None], size)
         found, certificate = robust.design(task, method, decay, where)  # type: ignore[arg-type]
         L = np.asarray(found.L, float)
     else:
-        L, certificate = at_the_mean(method, given, Phi, Q, C, R, mean.seconds, where)
+        start = None if given is None else given / S[:, None] * s
+        L, certificate = at_the_mean(method, start, Phi * into, Q / np.outer(S, S), C1, R1, mean.seconds, where)
         if maps is not None or decay:
-            certificate = _over(L, C, maps or mean, decay or 0.0, where)
-    X = ahead @ covariance(error_bounds.errors(L, C, Phi), L @ R @ L.T) @ ahead.T
+            wide = maps or mean
+            certificate = _over(L, C1, wide._replace(Phi=wide.Phi * into), decay or 0.0, where)
+        L, P = S[:, None] * L / s, np.asarray(certificate.numbers["P"]) / np.outer(S, S)
+        certificate = certificate._replace(numbers=dict(certificate.numbers) | {"P": P})
+    L1 = L / S[:, None] * s
+    X = ahead @ (covariance(error_bounds.errors(L1, C1, Phi * into), L1 @ R1 @ L1.T) * np.outer(S, S)) @ ahead.T
     numbers: dict[str, Any] = {"L": L, "noise_rms": np.sqrt(np.diag(X))}
     return L, certificate._replace(numbers=dict(certificate.numbers) | numbers)
 
@@ -116,6 +124,13 @@ def _size(setting: Setting, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     X = error_bounds.covariance(keep @ Phi, keep @ Q @ keep.T + L @ R @ L.T)
     size = np.sqrt(np.diag(X))
     return np.where(size > 1e-12 * prior, size, prior) if np.isfinite(size).all() else prior
+
+
+def units(setting: Setting) -> tuple[Matrix, Matrix]:
+    """Return units of 1000^k (k whole) for the states [n], near the size of x(0), and for the outputs [q] of such states."""
+    states = 1000.0 ** np.round(np.log10(_prior(setting)) / 3)
+    outputs = np.linalg.norm(setting.model.C * states, axis=1)
+    return states, 1000.0 ** np.round(np.log10(np.where(outputs > 0, outputs, 1.0)) / 3)
 
 
 def _prior(setting: Setting) -> Matrix:

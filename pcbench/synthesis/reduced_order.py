@@ -4,7 +4,9 @@ With z = T x = [y; w], C inv(T) = [I 0], and e^{A T} partitioned after y and w, 
 
     J(T) = [[F, -I], [Ki A12, I]],   F = A22 - Kp A12            (PCO: F alone)
 
-from sample to sample. Source: Li, Wang, Tian, PI-PCO, (10) to (17) and (26); J is ours, the paper looks at F only.
+from sample to sample. With more unmeasured states than outputs (n > 2 l) J has the eigenvalue 1, whatever Kp and Ki are:
+Ki A12 [n-l, n-l] has a rank of at most l < n-l, so there is a v with Ki A12 v = 0, and J [v; (F - I) v] = [v; (F - I) v].
+So no PI-PCO is stable there. Source: Li, Wang, Tian, PI-PCO, (10) to (17) and (26); J is ours, the paper looks at F only.
 """
 
 from typing import Any, NamedTuple
@@ -76,6 +78,11 @@ def design(plant: Partition, given: list[Matrix], integral: bool, rate: float, w
     """Prove the gains that are given ([Kp] or [Kp, Ki]), or find them by the LMI and prove those, at a `rate` [1/s]."""
     error_bounds.require_slower(rate, plant.seconds, where)
     k, l = plant.A22.shape[1], plant.outputs
+    if integral and k > l:
+        raise UserError(
+            f"{where}: got {k + l} states and {l} independent output{'s' * (l > 1)}, expected at most {2 * l} states: with "
+            "more, the error's map has the eigenvalue 1 for all gains Kp and Ki. Use pco, or measure another output."
+        )
     zero, corners = np.zeros((k, l)), _corners(plant, rate)
     A12, A22, seconds = corners
 
