@@ -3,7 +3,8 @@
     E e' P^-1 e / n = tr(P^-1 (S + m m')) / n,   E e_i^2 / P_ii = (S_ii + m_i^2) / P_ii
 
 with m and S mean and covariance of e, P what is believed; both are 1 of a true P. Of a normal error the share within k sigma
-follows. States that are known count in neither, as in runs (`simulation.consistency`).
+follows. States that are known count in neither, and a singular P has its pseudo-inverse and its rank, as in runs
+(`simulation.consistency`).
 Source: Bar-Shalom, Li, Kirubarajan 2001, section 5.4.
 """
 
@@ -11,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pcbench.simulation.consistency import KNOWN
+from pcbench.simulation.consistency import KNOWN, RANK
 from pcbench.statistics.consistency import SIGMAS
 from pcbench.statistics.distributions import normal_below
 from pcbench.statistics.moments import Values
@@ -29,9 +30,9 @@ class Believed(NamedTuple):
 class Squares(NamedTuple):
     """Expected normalised squares, by realisation."""
 
-    whole: Values  # [1, S] over the number of states that count
+    whole: Values  # [1, S] over the rank of P among the states that count
     signal: Values  # [n, S], NaN of a state that is known
-    states: Values  # [1, S] how many count
+    states: Values  # [1, S] that rank
 
 
 def squares(b: Believed) -> Squares:
@@ -41,10 +42,19 @@ def squares(b: Believed) -> Squares:
     for s in range(b.P.shape[-1]):
         counts = _counts(b)[:, s]
         mine = np.ix_(counts, counts)
-        many.append(counts.sum())
-        found = np.trace(np.linalg.solve(b.P[..., s][mine], second[..., s][mine])) if counts.any() else np.nan
-        whole.append(found / max(counts.sum(), 1))
+        trace, rank = _normalised(b.P[..., s][mine], second[..., s][mine])
+        many.append(rank)
+        whole.append(trace / rank if rank else np.nan)
     return Squares(np.array([whole]), _diagonal(second) / _variances(b), np.array([many], float))
+
+
+def _normalised(P: Values, second: Values) -> tuple[float, int]:
+    """Return the trace of P^+ S, and the rank of P."""
+    std = np.sqrt(np.diag(P))
+    size, V = np.linalg.eigh(P / np.outer(std, std))
+    spans = size > RANK * size.max(initial=0.0)
+    along = np.einsum("ij,ik,kj->j", V, second / np.outer(std, std), V)
+    return float(np.sum(along[spans] / size[spans])), int(spans.sum())
 
 
 def inside(b: Believed) -> list[Values]:

@@ -5,7 +5,9 @@
 
 Where P is true and errors are Gaussian, n times the first is chi-square with n degrees of freedom, the second with one, and the
 sum with as many as there were numbers. A state whose standard deviation is believed to be below 1e-9 of its prior's is known
-for every purpose, and counts in neither of the first two.
+for every purpose, and counts in neither of the first two. If P is singular, as when all states depend on one unknown number,
+the first takes the pseudo-inverse of P and divides by the rank: the number of eigenvalues of the correlation matrix above 1e-11
+of the largest one, which rounding does not reach.
 Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 5.4.
 """
 
@@ -20,14 +22,15 @@ from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.problem import Layout, Problem, State, present
 
 KNOWN = 1e-9  # part of the prior's standard deviation
+RANK = 1e-11  # part of a correlation matrix's largest eigenvalue
 
 
 class Squares(NamedTuple):
     """Normalised squares of one run's error."""
 
-    whole: Array  # over the number of states that count
+    whole: Array  # over the rank of P among the states that count
     signal: Array  # [n], NaN of a state that does not count
-    states: Array  # how many count
+    states: Array  # that rank
     innovation: Surprise | None = None  # sums over the run, of an observer that says what it expects of samples
 
 
@@ -73,6 +76,10 @@ def normalised(e: Array, P: Array, prior: Array) -> Squares:
     std = jnp.sqrt(jnp.where(counts, variance, 1.0))
     e = jnp.where(counts, e / std, 0.0)
     correlation = jnp.where(counts[:, None] & counts[None, :], P / (std[:, None] * std[None, :]), jnp.eye(n))
-    many = jnp.sum(counts).astype(float)
-    whole = e @ jnp.linalg.solve(correlation, e) / many
-    return Squares(whole, jnp.where(counts, e * e, jnp.nan), many)
+    size, V = jnp.linalg.eigh(correlation)
+    spans = size > RANK * size[-1]
+    left = jnp.sum(jnp.where(spans, jnp.square(V.T @ e) / jnp.where(spans, size, 1.0), 0.0))
+    full = jnp.all(spans)
+    square = jnp.where(full, e @ jnp.linalg.solve(jnp.where(full, correlation, jnp.eye(n)), e), left)
+    rank = (jnp.sum(counts) - jnp.sum(~spans)).astype(float)
+    return Squares(square / rank, jnp.where(counts, e * e, jnp.nan), rank)

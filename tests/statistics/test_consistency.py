@@ -7,6 +7,7 @@ from honest import STUDY as HONEST
 
 import pcbench
 from pcbench.errors import UserError
+from pcbench.moments import believed
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation.consistency import normalised
 from pcbench.statistics.consistency import INSIDE, Band, band, inside, verdict
@@ -32,6 +33,20 @@ def test_normalised_squares_are_those_of_the_inverse_and_leave_out_what_is_known
     assert less.states == 2
     assert less.whole == pytest.approx(e[[0, 2]] @ np.linalg.solve(P[two], e[[0, 2]]) / 2, rel=1e-12)
     assert np.isnan(less.signal).tolist() == [False, True, False]
+
+
+def test_normalised_squares_of_a_singular_covariance_are_those_of_its_pseudo_inverse():
+    """Three states that depend on two unknown numbers; rounding of 1e-14 leaves the rank as it is."""
+    G, w = np.array([[2.0, 0.0], [0.5, 1.0], [-1.0, 0.3]]), np.array([0.7, -1.1])
+    rounding = 1e-14 * np.diag([1.0, -1.0, 1.0])
+    known = w @ w / 2
+    assert G @ w @ np.linalg.pinv(G @ G.T) @ (G @ w) / 2 == pytest.approx(known, rel=1e-12)
+    found = normalised(jnp.asarray(G @ w), jnp.asarray(G @ G.T + rounding), jnp.ones(3))
+    assert (found.states, found.whole) == (2, pytest.approx(known, rel=1e-10))
+    true = believed.Believed(np.zeros((3, 1)), (G @ G.T)[..., None], (G @ G.T + rounding)[..., None], np.ones(3))
+    exact = believed.squares(true)
+    assert exact.states == 2
+    np.testing.assert_allclose([*exact.whole[0], *exact.signal[:, 0]], 1.0, rtol=1e-10)
 
 
 def share_of(covariance, word):
