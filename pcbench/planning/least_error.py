@@ -15,13 +15,14 @@ from pcbench.synthesis.certificate import Setting
 
 
 def bound(cell: Cell, known: Setting, ask: once.Once = once.anew) -> NDArray[np.float64] | None:
-    """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and noise on every output."""
+    """The Bayesian bound over the tail; it exists for the true linear model, a known schedule and normal noise and starts."""
     s = cell.scenario
     other = differs(numbers_of(s), cell.parameters)
     wrong = nonlinear(s) or s.truth.drift or other or s.truth.unknown_input or s.loop.command_std
     wrong = wrong or len(s.belief.unknown_std) > 0  # what is not known of the plant is looked for
     normal = all(s.sampling.noise_std) and not s.sampling.outlier_probability and not s.sampling.noise_tail
     normal = normal and not any(s.sampling.resolution)
+    normal = normal and not (cell.choices.random_start and s.belief.start_box)  # runs draw a uniform start
     exact = not wrong and normal
     clocks = cell.times.clocks
     if not exact or cell.times.random:

@@ -68,10 +68,10 @@ def root(squares: Estimate) -> Estimate:
 
 
 def reached(bound: Values, pooled: Estimate) -> Estimate:
-    """Return bound [K] / pooled rms; NaN where the rms (or an end of its interval) is zero."""
+    """Return bound [K] / pooled rms; NaN if the rms (or an end of its interval) or the bound is zero."""
 
     def over(rms: Values) -> Values:
-        return np.where(rms > 0, bound / np.where(rms > 0, rms, 1.0), np.nan)
+        return np.where((rms > 0) & (bound > 0), bound / np.where(rms > 0, rms, 1.0), np.nan)
 
     value = over(pooled.mean)
     se = value * pooled.se / np.where(pooled.mean > 0, pooled.mean, 1.0)

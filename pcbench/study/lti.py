@@ -70,10 +70,10 @@ class Lti(BaseModel):
     x0: Number | list[Number] | None = Field(None, description="[n] default: ones")
     xhat0: Number | list[Number] | None = Field(None, description="[n] default: zeros")
     prior_std: Size | list[Size] | None = Field(
-        None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, or 1"
+        None, description="[n] of x(0) about xhat(0); default: |x0 - xhat0|, and 1 of a state in which they are equal"
     )
     settle_band: Size | list[Size] | None = Field(
-        None, description="[n] default: 5 % of prior_std and unknown_std; [n + r] with E"
+        None, description="[n] default: 5 % of prior_std (of its default if it is 0) and unknown_std; [n + r] with E"
     )
     bound: Positive = Field(1e6, description="a run has diverged when an |e| leaves it")
     horizon: Positive = Field(10.0, description="[s]")
@@ -127,7 +127,7 @@ class Lti(BaseModel):
             raise UserError(
                 f"{where}.unknown_std: got {shown(size)}, expected sizes greater than 0; write how large the input is."
             )
-        band = [0.05 * p for p in [*prior, *size]]
+        band = [0.05 * p for p in [*(p or default for p, default in zip(prior, apart, strict=True)), *size]]
         tail = 0.3 * self.horizon if self.tail is None else self.tail
         tick = self.dt or self.tick or 1e-3
         ticks = limits.ticks_of(self.horizon, tick, where)

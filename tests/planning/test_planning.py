@@ -10,6 +10,7 @@ from pcbench.errors import UserError
 from pcbench.observers import entry_of
 from pcbench.scenarios import INTERVAL, SCENARIOS
 from pcbench.study.cells import cell_of
+from pcbench.study.schema import Choices
 
 
 def cell(name, parameters=None, **changes):
@@ -63,6 +64,17 @@ BOUNDLESS = {
 def test_there_is_no_bound_where_observers_cannot_know_what_moves_the_plant(what):
     name, parameters, changes = BOUNDLESS[what]
     assert bound(name, parameters, **changes) is None
+
+
+def test_a_start_drawn_from_a_box_has_no_bound():
+    """The runs' starts are uniform, so a bound for normal ones is none; a start that is not drawn leaves the bound as it is."""
+    boxed = SCENARIOS["cart/white"].having(start_box=(0.5, 0.5))
+    found = {}
+    for drawn in (True, False):
+        one = cell_of(boxed, choices=Choices(random_start=drawn))
+        found[drawn] = planning.draft(one, {"open-loop": entry_of("open-loop").options()}).bound
+    assert found[True] is None
+    np.testing.assert_array_equal(found[False], bound("cart/white"))
 
 
 def test_there_is_a_bound_where_a_parameter_is_what_observers_believe():

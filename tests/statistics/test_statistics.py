@@ -101,6 +101,11 @@ def test_efficiency_of_an_observer_at_the_bound_is_one():
     assert worse["ci_low"] < worse["mean"] < worse["ci_high"]
 
 
+def test_efficiency_against_a_bound_of_zero_is_none():
+    """Beside it the errors of the best observer are rounding, and of any other their size says nothing."""
+    assert np.isnan(statistics.efficiency(np.array([1e-17, 2e-17]), 0.0)["mean"])
+
+
 def test_paired_test_equals_scipy():
     got, want = statistics.compare(A, B, GOOD, GOOD), stats.ttest_rel(A, B)
     assert got["p_value"] == pytest.approx(want.pvalue)

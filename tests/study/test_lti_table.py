@@ -36,6 +36,8 @@ def test_the_prior_is_how_far_apart_the_starts_are_and_the_band_a_twentieth_of_i
     s = scenario(x0=[3.0, -2.0], xhat0=[1.0, -2.0])
     assert s.belief.prior_std == (2.0, 1.0), "1 where they are the same"
     assert s.scoring.settle_band == pytest.approx((0.1, 0.05))
+    known = scenario(x0=[3.0, -2.0], xhat0=[1.0, -2.0], prior_std=[0.0, 0.0])
+    assert known.scoring.settle_band == pytest.approx((0.1, 0.05)), "an error that is rounding is in its band"
     pushed = scenario(E=[[0.0], [1.0]], unknown_std=[4.0], prior_std=[2.0, 6.0])
     assert pushed.scoring.settle_band == pytest.approx((0.1, 0.3, 0.2))
     assert (pushed.truth.unknown_input, pushed.scoring.headline) == ("sine", ("x1", "input"))
