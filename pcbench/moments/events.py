@@ -35,8 +35,8 @@ class Moving(NamedTuple):
 
     runs: State  # [1 + P, ..., C] the run without noise, and runs with noise
     flight: Float[Array, "1+P rows f C"]  # packets on the network by number: what was measured, what was noted
-    P: Float[Array, "D D C"]  # covariance
-    apart: Float[Array, "P D C"]  # where linear maps put the runs with noise, less the run without
+    P: Float[Array, "D D C"]  # covariance without the start
+    apart: Float[Array, "P+s D C"]  # where linear maps put runs with noise, less the run without; effects of the start
     unlike: Any = ()  # [C] of modes: by how much those that met differed in what noise does not reach
 
 
@@ -149,7 +149,6 @@ def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> M
     jumped = jax.vmap(lambda state, packet: by.over(partial(jump, by.layout))(k, state, packet, rest))(m.runs, packets)
     runs = jax.tree.map(partial(_mixed, by.chance), jumped, m.runs)
     step = vectors(form, jumped) - vectors(form, m.runs)
-    spread = product(step[0][:, None], step[0][None]) * (by.chance * (1 - by.chance))[None, None]
     G = M[:, A : A + q] * by.std[None]
 
     def rows(P: Array) -> Array:
@@ -159,10 +158,12 @@ def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> M
             found = found + product(M[:, A:], jnp.sum(jnp.where(here[:, :, None], packets, 0.0), 0))
         return jnp.concatenate([found, P[A:]])
 
-    moved = _mixed(by.chance, _each(rows, m.apart), m.apart)
+    after = _each(rows, m.apart)
+    spread = squared(jnp.moveaxis(jnp.concatenate([step[:1], (after - m.apart)[len(scaled) :, :A]]), 0, 1))
     pushed = jnp.sum(M[None, :, A : A + q] * scaled[:, None], 2) * by.chance[None, None]
-    P = _mixed(by.chance, both(rows, m.P), m.P).at[:A, :A].add(by.chance[None, None] * squared(G) + spread)
-    return m._replace(runs=runs, P=P, apart=moved.at[:, :A].add(pushed))
+    added = by.chance[None, None] * (squared(G) + (1 - by.chance)[None, None] * spread)
+    P = _mixed(by.chance, both(rows, m.P), m.P).at[:A, :A].add(added)
+    return m._replace(runs=runs, P=P, apart=_mixed(by.chance, after, m.apart).at[: len(scaled), :A].add(pushed))
 
 
 def _mixed(chance: Array, after: Array, before: Array) -> Array:

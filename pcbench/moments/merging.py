@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
+from pcbench.moments.covariance import squared
 from pcbench.moments.modes import Mode
 from pcbench.moments.vector import Form, vectors
 
@@ -39,13 +40,14 @@ def merged(form: Form, mix: Mix, k: Array, m: Any) -> Any:
 
 
 def _merged(form: Form, mix: Mix, here: Array, m: Any) -> Any:
-    z = vectors(form, m.runs)[0]
+    z, noisy = vectors(form, m.runs)[0], m.flight.shape[0] - 1  # with noise
     if form.flight:
         z = jnp.concatenate([z, m.flight[0].reshape(-1, z.shape[-1])])
+    z = jnp.concatenate([z[None], m.apart[noisy:]])
     mean, P = _mean(mix, here, z), jnp.zeros_like(m.P)
     for source, weight in zip(mix.source, mix.weight, strict=True):
-        apart = z[:, source] - mean
-        P = P + _on(weight, P) * (m.P[..., source] + apart[:, None] * apart[None])
+        apart = jnp.moveaxis(z[..., source] - mean, 0, 1)
+        P = P + _on(weight, P) * (m.P[..., source] + squared(apart))
     leaves, tree = jax.tree.flatten(m.runs)
     unlike = [_unlike(mix, a) for a, moves in zip(leaves, form.moving, strict=True) if not moves]
     runs = [

@@ -1,9 +1,11 @@
 """A batch of cells from tick 0 to its end: the compiled program of exact moments.
 
 The loop is that of `simulation.loop`: at an event samples are taken and packets arrive, then plant and observers flow to the
-next (`stretch`). What goes along is the run without noise, a run with noise (`affine`), and the covariance of all that noise
-reaches. A tick's matrix is the same at every tick, or found where it changes, or looked at tick by tick: it is taken anew only
-where one product with it differs from the last tick's.
+next (`stretch`). What goes along is the run without noise, a run with noise (`affine`), the effect of each random number of the
+start, and the covariance of the effects of all other noise. The start may be much larger than the errors that it leaves, and
+goes by itself: a difference of effects on the state and on the estimate keeps its digits, one of their squares does not. A
+tick's matrix is the same at every tick, or found where it changes, or looked at tick by tick: it is taken anew only where one
+product with it differs from the last tick's.
 """
 
 from functools import partial
@@ -16,7 +18,6 @@ from jax import Array, lax
 from pcbench.moments import last_tick
 from pcbench.moments import sums as sums_of
 from pcbench.moments.carried import Carried, Found, Shape
-from pcbench.moments.covariance import squared
 from pcbench.moments.events import Means, Moving, happen, sense, taken
 from pcbench.moments.given import SCALES, Given
 from pcbench.moments.start import begin
@@ -73,9 +74,11 @@ def _begin(by: Means, shape: Shape, given: Given) -> tuple[Carried, Ways]:
     places, f, A = layout.ring + 1, first.shape[0], B.shape[0]
     D = A + places * f * form.flight
     flight = jnp.zeros((1 + many, places, f, cells))
-    apart = jnp.zeros((many, D, cells)).at[:, :A].set(jnp.sum(B[None] * drawn[:, None], 2))
+    random = [at for at in range(2 * n) if (layout.random_start if at < n else layout.scattered)]
+    shifts = jnp.concatenate([jnp.sum(B[None] * drawn[:, None], 2), jnp.moveaxis(B[:, random], 1, 0)])
+    apart = jnp.zeros((len(shifts), D, cells)).at[:, :A].set(shifts)
     unlike = jnp.zeros(cells) if by.mix else ()
-    m = Moving(runs, flight, jnp.zeros((D, D, cells)).at[:A, :A].set(squared(B)), apart, unlike)
+    m = Moving(runs, flight, jnp.zeros((D, D, cells)), apart, unlike)
     m = taken(by, zero, m, jnp.broadcast_to((jnp.arange(f) >= q)[None, :, None], (places, f, cells)))
     for place in range(given.plan.early.shape[0]):
         there = jnp.any(given.plan.early[place] >= 0, 0)
@@ -93,7 +96,7 @@ def _begin(by: Means, shape: Shape, given: Given) -> tuple[Carried, Ways]:
     else:
         tick = Tick(jnp.zeros((A + shown, A + len(none), cells)), jnp.full((A + shown, cells), jnp.nan))
     targets = seen.off.shape[0] if layout.controller else None
-    go = ways(by, shape, given, tick, seen, changes)
+    go = ways(by, shape, given, tick, seen, changes, len(shifts))
     kept = sums_of.nothing(len(seen.errors), targets, cells), rows(go, len(seen.errors))
     last = last_tick.nothing(by, mean, len(seen.errors)) if layout.consistency else ()
     return Carried(m, tick, *kept, last), go

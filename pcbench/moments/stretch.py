@@ -15,7 +15,7 @@ from jax import Array, lax
 from pcbench.moments import last_tick, side_by_side
 from pcbench.moments import sums as sums_of
 from pcbench.moments.carried import COVARIANCE, Carried, Recorded, Shape
-from pcbench.moments.covariance import product
+from pcbench.moments.covariance import product, squared
 from pcbench.moments.events import Means
 from pcbench.moments.given import Given
 from pcbench.moments.powers import Powers, after, covariances, later, powers, seen_of
@@ -29,7 +29,7 @@ class Shown(NamedTuple):
     """What J ticks show."""
 
     seen: Any  # Seen [J, 1 + P, ..., C], or as entries
-    moved: Any  # [J, P, V, C] where linear maps put the runs with noise, less the run without; (): powers say it
+    moved: Any  # [J, P + s, V, C] where linear maps put what is `apart` (events.Moving); (): powers say it
 
 
 class Ways(NamedTuple):
@@ -51,19 +51,19 @@ class Ways(NamedTuple):
         return self.shape.every >= self.many
 
 
-def ways(by: Means, shape: Shape, given: Given, tick: Tick, seen: Seen, changes: Array | None) -> Ways:
-    """Return how a batch goes; `seen` has the shapes of what one run shows at a tick."""
+def ways(by: Means, shape: Shape, given: Given, tick: Tick, seen: Seen, changes: Array | None, vectors: int) -> Ways:
+    """Return how a batch goes; `seen` has the shapes of what one run shows at a tick, `vectors` go by linear maps."""
     joint = shape.recorded == COVARIANCE or by.layout.consistency or any(len(each) for each in seen[1:])
     steady = isinstance(tick.shown, tuple)
-    apart = len(given.plan.at) * TICKS <= len(given.arrivals)  # events, by the room that there is for them
-    many = TICKS if steady and apart and not by.layout.consistency else 1
+    sparse = len(given.plan.at) * TICKS <= len(given.arrivals)  # events, by the room that there is for them
+    many = TICKS if steady and sparse and not by.layout.consistency else 1
     cells, size = shape.cells, sum(len(each) for each in seen)
     both, entry_by_entry = 1 + given.ticks.shape[1], shape.written and many > 1
     alone = jax.tree.map(lambda a: jnp.zeros((many, both, *a.shape)), seen)
     room = side_by_side.room(seen, many, both) if entry_by_entry else alone
     parted = side_by_side.of_problem(given.problem, shape.own, both) if entry_by_entry else ()
     known = powers(tick.matrix, _reached(given, tick), many, joint) if steady else None
-    moved = () if steady and not given.ticks.shape[2] else jnp.zeros((many, both - 1, size, cells))
+    moved = () if steady and not given.ticks.shape[2] else jnp.zeros((many, vectors, size, cells))
     return Ways(
         by=by,
         shape=shape,
@@ -119,15 +119,15 @@ def _along(go: Ways, start: Array, stop: Array, c: Carried) -> Carried:
 def _some(go: Ways, k: Array, until: Array, c: Carried) -> Carried:
     """Estimate, control and flow: up to J ticks of all cells, and what is kept of them."""
     m, by, p = c.moving, go.by, go.given.problem
-    start = m.runs, m.apart, c.tick, go.room
+    start, both = (m.runs, m.apart, c.tick, go.room), 1 + go.given.ticks.shape[1]
     runs, apart, tick, shown = lax.fori_loop(k, until, lambda i, at: _tick(go, i, i - k, at), start)
     known = powers(tick.matrix, _reached(go.given, tick), 1, go.joint) if go.known is None else go.known
-    runs_of_cells = 1 + go.given.ticks.shape[1], go.shape.cells
-    seen = side_by_side.of_ticks(shown.seen, *runs_of_cells) if go.parted else shown.seen
+    seen = side_by_side.of_ticks(shown.seen, both, go.shape.cells) if go.parted else shown.seen
     moved = shown.moved
     if isinstance(moved, tuple):
         moved, apart = seen_of(known, apart), later(known, until - k, apart)
-    read = Read(seen, covariances(known, m.P, go.joint), moved)
+    covariance = covariances(known, m.P, go.joint) + _second(moved[:, both - 1 :], go.joint)
+    read = Read(seen, covariance, moved[:, : both - 1])
     at, (tail, end) = k + jnp.arange(go.many), (p.windows[0, 1], p.windows[-1, 1])
     counts = (at < until) & (at < end)
     return Carried(
@@ -158,8 +158,15 @@ def _tick(go: Ways, k: Array, place: Array, at: Any) -> Any:
         return runs, apart, tick, shown
     A = _reached(go.given, tick)
     moved = jax.vmap(lambda d: product(tick.matrix[:, :A], d[:A, None])[:, 0])(apart)
-    moved = moved + jnp.sum(tick.matrix[None, :, A:] * w[:, None, :, None], 2)
+    moved = moved.at[: len(w)].add(jnp.sum(tick.matrix[None, :, A:] * w[:, None, :, None], 2))
     return runs, apart.at[:, :A].set(moved[:, :A]), tick, shown._replace(moved=_put(place, shown.moved, moved[:, A:]))
+
+
+def _second(start: Array, joint: bool) -> Array:
+    """What the start [J, s, V, C] adds to covariances [J, V, V, C], or to variances [J, V, 1, C]."""
+    if not joint:
+        return jnp.sum(start * start, 1)[:, :, None]
+    return jax.vmap(lambda each: squared(jnp.moveaxis(each, 0, 1)))(start)
 
 
 def _put(place: Array, room: Array, a: Array) -> Array:
