@@ -3,8 +3,8 @@
     xhat <- xhat + K (y - C xhat(t_m)),   K = M P_m C' (C P_m C' + r)^-1,   P <- P - K C P_m M'
 
 xhat(t_m) and P_m are what was estimated when the sample was taken, and M P_m the covariance of the error then and now; M
-is the product of all that has happened to the error between. Here M P_m is carried as the covariance with a copy that no
-other sample corrects (`parts/clones`), which is exact for any number of samples on their way; printed is one at a time.
+is the product of all that has happened to the error between. Here M P_m is carried as the covariance with a copy that its
+own sample alone corrects (`parts/clones`), which is exact for any number of samples on their way; printed is one at a time.
 
 Source: Larsen, Andersen, Ravn, Poulsen 1998. Keeps a copy for each sample on its way; costs `kf-cloning`'s memory here,
 of print n x n each.

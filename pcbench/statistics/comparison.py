@@ -3,8 +3,8 @@
 p-values are of the paired t-test on common draws (Student's interval of the mean difference excludes 0 where p < .05), with
 Holm's correction where many are made. Source: Holm, Scand. J. Stat. 6 (1979), 65-70. It bounds the probability of any false
 alarm in a family whatever the tests' dependence. A test's false alarms are at most 5 % (`test_coverage`) from 64 runs on
-where both observers' errors are distributed alike, from 256 on where their difference has skewness 1.3; not claimed for
-fewer: 5.7 % of 64 runs, 6.5 % of 16. Where the runs do not vary (no noise) there is no test: p is NaN.
+where both observers' errors are distributed alike. Where their difference has skewness 1.3 they are 5.14 % of 256 runs,
+5.7 % of 64, 6.5 % of 16. Where the runs do not vary (no noise) there is no test: p is NaN.
 """
 
 from typing import NamedTuple

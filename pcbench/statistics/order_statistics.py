@@ -18,7 +18,7 @@ Hettmansperger and Sheather, Confidence intervals based on interpolated order st
 Where no order statistic lies beyond xi with that probability the interval is open on that side and its end is NaN: an end
 of the median needs 6 runs, of p25 and p75 3 on the near side (p25: above) and 13 on the far one, of p05 and p95 2 and 72. The
 closed end of such an interval still errs with 2.5 %.
-Not claimed: exactness, which step 3 has for its own shape only; for other densities each end errs with 2 to 3 % (tests).
+Not claimed: exactness, which step 3 has for its own shape only; for other densities each end errs with 2 to 3.1 %.
 Ties (a settling time at the horizon) make N larger, and the interval cover more, unless the distribution function takes
 the very value q on a step: there an end errs by up to P(N = r) more.
 """
