@@ -73,19 +73,30 @@ def settles(grid: Grid) -> str:
 
 
 def perfect_start(grid: Grid) -> str:
-    """True model, true start, no noise: no error of the observers that claim so, in the first cell of each scenario."""
+    """True model, true start, no noise: no error of the observers that claim so, in the first cell of each scenario.
+
+    An error of one of pcbench's own observers is no mistake of the study: it is said.
+    """
     asked: list[str] = []
+    inexact: list[str] = []
     for cell in _first(grid):
         claims = [label for label in cell.options if claims_it(cell, label)]
         if not claims:
             continue
         for p in planned(quiet(short(cell))):  # all observers: the program is that of `runs`
             for label, e in in_parts(p, recorded(p, noise=False)).items():
-                if label in claims:
+                if label in claims and label in cell.own:
                     require_none(e, f"perfect start: got, from {label} in {cell.scenario.name},", cell)
+                elif label in claims and not (e <= ROUNDING).all():
+                    inexact.append(f"{label} in {cell.scenario.name} ({np.max(e):.2g} of the largest state)")
         asked.append(f"{cell.scenario.name}: {', '.join(claims)}")
     if not asked:
         raise Skipped("no observer here claims one, or an unknown input pushes the plant")
+    if inexact:
+        raise Noted(
+            f"without noise, from the true start, an error remains of {', '.join(inexact)}: these observers are pcbench's and "
+            "approximate this plant, of fast modes or curved; take a shorter tick, or other observers"
+        )
     return f"no error in {'; '.join(asked)}"
 
 

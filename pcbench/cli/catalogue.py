@@ -7,17 +7,18 @@ from typing import Any
 from pydantic import BaseModel
 
 from pcbench import controllers, observers, plants
+from pcbench.cli.scenario_fields import not_at_default
 from pcbench.controllers import CONTROLLERS
 from pcbench.dataset.columns import AXIS_UNITS, MEANING
 from pcbench.errors import unknown
 from pcbench.observers import OBSERVERS
 from pcbench.observers.parts.options import TUNABLE, extra
-from pcbench.plants import PLANTS, entry_of, parameters_of
+from pcbench.plants import PLANTS, parameters_in, parameters_of
 from pcbench.plants import signals_of as signals_in
 from pcbench.scenarios import INTERVAL, SCENARIOS, Scenario
 from pcbench.statistics import POOLED, RUN_METRICS
-from pcbench.study import STUDIES, Choices, own, own_entries, read
-from pcbench.study.axes import AXES
+from pcbench.study import STUDIES, Choices, Study, observers_of, own, own_entries, read
+from pcbench.study.axes import AXES, axes_of
 
 TAKES = {
     "any schedule": "of any age, in any order, from clocks of their own",
@@ -110,8 +111,8 @@ def scenario(name: str) -> Description:
     return sheet(SCENARIOS[name])
 
 
-def sheet(s: Scenario) -> Description:
-    """Return any scenario likewise."""
+def sheet(s: Scenario, study: Study | None = None) -> Description:
+    """Return any scenario likewise, with every field that is not as usual; of a `study` with its observers and axes."""
     signals = signals_in(s)
     bounds = (s.scoring.bound,) * len(signals) if isinstance(s.scoring.bound, float) else s.scoring.bound
     return {
@@ -119,7 +120,8 @@ def sheet(s: Scenario) -> Description:
         "source": s.source,
         "plant": s.plant,
         "loop": f"closed by {s.loop.controller}" if s.loop.controller else "open",
-        "observers": list(s.observers),
+        "observers": list(s.observers) if study is None else observers_of(study, s.name),
+        **({"axes_of_the_study": dict(study.axes)} if study is not None and study.axes else {}),
         "sampling_period": list(s.sampling.sampling_period),
         "delay": ["one interval" if d == INTERVAL else d for d in s.sampling.delay],
         "noise_std": list(s.sampling.noise_std),
@@ -130,7 +132,8 @@ def sheet(s: Scenario) -> Description:
             {"name": n, "unit": u, "settled_within": band, "diverged_beyond": bound}
             for (n, u), band, bound in zip(signals, s.scoring.settle_band, bounds, strict=True)
         ],
-        "axes": [*AXES, *(f"plant.{p}" for p in parameters_of(entry_of(s)))],
+        **not_at_default(s),
+        "axes": [*axes_of(s), *(f"plant.{p}" for p in parameters_in(s))],
     }
 
 

@@ -62,7 +62,7 @@ def show(
     from pcbench.cli.catalogue import sheet
     from pcbench.cli.screen import listing
     from pcbench.errors import UserError
-    from pcbench.study import read, scenario_toml
+    from pcbench.study import observers_of, read, scenario_toml
 
     if as_toml and as_json:
         raise UserError("show: got --toml and --json, expected one of them; leave one out.")
@@ -70,14 +70,18 @@ def show(
         require_effect({"--toml": as_toml}, "with --costs", "a study file, or what its observers cost; leave one out")
         _costs(scenario, changes, as_json)
         return
-    found = read.scenario_of(scenario, changes)
+    study = read.outline(scenario, changes or [])
+    found = read.scenario_in(study, scenario)
     if as_toml:
-        write(scenario_toml.as_study(found))
+        mine = found._replace(observers=tuple(observers_of(study, found.name)))
+        write(scenario_toml.as_study(mine, study.axes))
     elif as_json:
-        print(json.dumps({found.name: sheet(found)}, indent=2))
+        print(json.dumps({found.name: sheet(found, study)}, indent=2))
     else:
-        listing.whole(found.name, sheet(found), console())
+        listing.whole(found.name, sheet(found, study), console())
         end = f"As a study of your own, every field of it: pcbench show {scenario} --toml > mine.toml"
+        if found.plant == "lti" or found.own:
+            end = f"It is a study of your own: edit {scenario}, then pcbench run {scenario}"
         console().print(end, highlight=False, markup=False, soft_wrap=True)
 
 

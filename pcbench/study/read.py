@@ -160,9 +160,13 @@ def one_cell(what: Described, observers: list[str], overrides: list[str]) -> tup
 
 def scenario_of(what: str, overrides: list[str] | None = None) -> Scenario:
     """Return the one scenario of a name or a TOML file; raise UserError where there are more."""
-    study = outline(what, overrides or [])
+    return scenario_in(outline(what, overrides or []), what)
+
+
+def scenario_in(study: Study, where: str) -> Scenario:
+    """Return the one scenario of a study; raise UserError where there are more."""
     if len(study.scenarios) > 1:
-        raise UserError(f"{what}: got {len(study.scenarios)} scenarios, expected one here; name a scenario.")
+        raise UserError(f"{where}: got {len(study.scenarios)} scenarios, expected one here; name a scenario.")
     return scenarios_of(study)[study.scenarios[0]]
 
 

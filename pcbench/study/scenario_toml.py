@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from pcbench.errors import UserError
-from pcbench.scenarios import INTERVAL, Scenario
+from pcbench.scenarios import INTERVAL, NOTHING, Scenario
 from pcbench.scenarios.scenario import RECORDS
 from pcbench.scenarios.sources import Source, Wave
 from pcbench.study.scenario_table import ScenarioTable
@@ -21,8 +21,8 @@ TITLES = {
 FIRST = ("summary", "source", "plant", "observers", "dt", "horizon")
 
 
-def as_study(s: Scenario) -> str:
-    """Return a study of one scenario as TOML: run, it gives the numbers of `s`. What is at its default is a comment.
+def as_study(s: Scenario, axes: Mapping[str, Any] = NOTHING) -> str:
+    """Return a study of one scenario, over `axes`, as TOML that gives the numbers of `s`. Defaults are comments.
 
     Raises UserError for a linear plant of a study's own, whose table [lti] says what it is.
     """
@@ -41,6 +41,8 @@ def as_study(s: Scenario) -> str:
             f"[scenario.options.{key_of(label)}]",
             *(f"{key_of(key)} = {said(value)}" for key, value in given.items()),
         ]
+    if axes:
+        lines += ["", "[axes]", *(f"{key_of(name)} = {said(values)}" for name, values in axes.items())]
     return "\n".join(lines) + "\n"
 
 

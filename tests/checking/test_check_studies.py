@@ -174,3 +174,9 @@ def test_each_kind_is_asked_what_it_should_be(folder):
     found = checking.check("four.py:watch", "fall.toml")
     assert found.findings[-1].check == "closed loop"
     assert {f.verdict for f in found.findings} == {"passes"}
+
+
+def test_an_inexact_observer_of_pcbench_is_said_and_is_no_mistake_of_the_study(monkeypatch):
+    monkeypatch.setattr(of_studies, "ROUNDING", -1.0)  # of which every observer has more
+    with pytest.raises(Noted, match=r"an error remains of dkf in lti \(.* of the largest state\).*take a shorter tick"):
+        asked("perfect start", free(["dkf"]))

@@ -9,8 +9,9 @@ from commands import call
 
 import pcbench
 from pcbench.cli.catalogue import scenario
+from pcbench.cli.commands import app
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import cells, read, scenario_toml
+from pcbench.study import cells, observers_of, read, scenario_toml
 from pcbench.study.cells import cell_of, identity
 
 
@@ -73,3 +74,59 @@ def test_what_is_no_scenario_is_one_sentence(words, sentence):
     said = call("show", *words)
     assert said.returncode == 2
     assert sentence in said.stderr
+
+
+def shown(capsys, *words):
+    app(["show", *map(str, words)], standalone_mode=False)
+    return capsys.readouterr().out
+
+
+FAULTS = {"delay_jitter": 0.2, "loss": 0.1, "process_std": [0.0, 0.05], "stamp_drift": 20.0, "delay": 0.15}
+OWN = (
+    """name = "a"
+observers = ["dkf", "kfbo"]
+[lti]
+A = [[0.0, 1.0], ["-k", -2.0]]
+B = [[0.0], [3.0]]
+C = [[1.0, 0.0]]
+tick = 0.01
+sampling_period = 0.1
+noise_std = 0.1
+x0 = [1.0, 0.0]
+horizon = 5.0
+"""
+    + "".join(f"{key} = {value}\n" for key, value in FAULTS.items())
+    + "[lti.parameters]\nk = 2.0\n[axes]\nloss = [0.1, 0.2]\n"
+)
+
+
+def test_show_names_every_field_that_is_not_as_usual(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    (tmp_path / "own.toml").write_text(OWN)
+    text = shown(capsys, tmp_path / "own.toml")
+    for key, value in FAULTS.items():
+        assert (
+            f"{key.replace('_', ' ')}: {', '.join(f'{v:g}' for v in value) if isinstance(value, list) else f'{value:g}'}\n"
+            in text
+        )
+    assert "observers: dkf, kfbo\n" in text
+    assert "axes of the study: loss 0.1, 0.2\n" in text
+    assert "plant.k" in text
+
+
+def test_what_show_says_to_type_is_accepted(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    (tmp_path / "own.toml").write_text(OWN)
+    assert shown(capsys, tmp_path / "own.toml").rstrip().endswith(f"then pcbench run {tmp_path}/own.toml")
+    for name in ("cart/white", "late"):
+        assert f"pcbench show {name} --toml" in shown(capsys, name)
+        assert shown(capsys, name, "--toml").startswith("name = ")
+
+
+@pytest.mark.parametrize("name", ["late", "reactor/batch"])
+def test_a_study_is_printed_with_its_observers_and_axes(name, capsys):
+    study = read.load(name)
+    again = read.parse(tomllib.loads(shown(capsys, name, "--toml")), "mine.toml")
+    (printed,), (own,) = again.scenarios, study.scenarios
+    assert observers_of(again, printed) == observers_of(study, own)
+    assert again.axes == study.axes
