@@ -43,7 +43,7 @@ def check(target: str, scenario: str | None = None, options: Mapping[str, Any] |
                     f"{WHERE} --scenario: got '{short(scenario)}' for a {kind}, expected none: it is tried on itself; leave it "
                     "out."
                 )
-            read.raw_of(target, [], read.from_here)  # a file that is not there is no finding
+            read.raw_of(target, [], read.FROM_HERE)  # a file that is not there is no finding
             found = study.findings(target, [f"{key}={said(value)}" for key, value in given.items()])
             return Checked(kind, label, "", found)
         if kind == "plant":

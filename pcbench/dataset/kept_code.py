@@ -12,7 +12,7 @@ from pcbench.dataset import store
 from pcbench.errors import UserError, short
 from pcbench.study import Study, own, own_controllers, own_entries, own_observers, own_plants
 from pcbench.study.own import Own
-from pcbench.study.references import SCENARIO, Load, Named
+from pcbench.study.references import SCENARIO, Gate, Named
 
 
 def keep(target: store.Target, study: Study) -> None:
@@ -37,8 +37,8 @@ def copy(target: store.Target, into: store.Target) -> None:
             store.put(into, name, text)
 
 
-def loader(target: store.Target, there: dict[str, Any], run: bool) -> Load:
-    """Return what finds what is the user's own in the study whose text is `there`: by its code where it is to be `run`.
+def gate(target: store.Target, there: dict[str, Any], run: bool) -> Gate:
+    """Return what the study whose text is `there` may reach: no file, and code only where it is to be `run`.
 
     Without it observers and controllers have the options that the text says they had, and plants the facts. Scenarios are
     refused in either case: the study of a dataset has their tables.
@@ -65,7 +65,7 @@ def loader(target: store.Target, there: dict[str, Any], run: bool) -> Load:
             return own_entries.load(named.kind, named.reference, where)
         return own_entries.of(named.kind, own.Code(path.name, name, _files(target, path), path.parent.name), where)
 
-    return load
+    return Gate(load, files=False)
 
 
 def _absent(named: Named, code: own.Code, resolved: dict[str, Any]) -> Own:

@@ -82,7 +82,7 @@ def opened(target: store.Target, run: bool = False) -> Owned:
             f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
         )
     there = _read(target, said)
-    study, every = read.grid(_said(there), f"{target.name}/{TEXT}", kept_code.loader(target, there, run))
+    study, every = read.grid(_said(there), f"{target.name}/{TEXT}", kept_code.gate(target, there, run))
     return Owned(study, numbered(every, there["resolved"]["cells"]), said.decode())
 
 
@@ -126,8 +126,8 @@ def renew(target: store.Target, owned: Owned) -> None:
 
 
 def _study(target: store.Target, there: dict[str, Any]) -> Study:
-    where, load = f"{target.name}/{TEXT}", kept_code.loader(target, there, False)
-    return read.described(_said(there) | {"seeds": 1}, where, load)
+    where, gate = f"{target.name}/{TEXT}", kept_code.gate(target, there, False)
+    return read.described(_said(there) | {"seeds": 1}, where, gate)
 
 
 def _said(there: dict[str, Any]) -> dict[str, Any]:

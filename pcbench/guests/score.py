@@ -86,7 +86,7 @@ def grown(target: store.Target, name: str) -> Grid:
         raise UserError(f"--name: got '{name}', which the study has as an observer of its own; give another name.")
     raw["use"] = taken | {name: REFERENCE}
     raw["observers"] = labels if name in labels else [*labels, name]
-    return read.grid(raw, f"{target.name}/{ownership.TEXT}", kept_code.loader(target, there, True))
+    return read.grid(raw, f"{target.name}/{ownership.TEXT}", kept_code.gate(target, there, True))
 
 
 def _named(name: str) -> None:

@@ -1,8 +1,8 @@
 """A study's own linear plant, `[lti]`: matrices with the experiment on them, checked and turned into a scenario."""
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field
 
 from pcbench.errors import UserError, shown
 from pcbench.plants.lti import Numbers
@@ -10,7 +10,7 @@ from pcbench.scenarios import NOTHING, Belief, Loop, Sampling, Scenario, Scoring
 from pcbench.scenarios.signals import SIGNALS, SINGLE
 from pcbench.scenarios.sources import Sources, units
 from pcbench.study import axes, limits
-from pcbench.study.lti_inputs import read, sources
+from pcbench.study.lti_inputs import sources
 from pcbench.study.lti_noise import Intensity, process_noise
 from pcbench.study.lti_plant import Differing, differing, known, told
 from pcbench.study.lti_shapes import (
@@ -26,8 +26,6 @@ from pcbench.study.lti_shapes import (
     signals,
     vector,
 )
-
-Input = Annotated[Any, BeforeValidator(read)]
 
 
 class Lti(BaseModel):
@@ -61,11 +59,11 @@ class Lti(BaseModel):
     assumed_process_std: PerState | None = Field(
         None, description="what designers assume in place of the process noise that there is"
     )
-    input: Input = Field(
+    input: Any = Field(
         "sine",
         description="a signal's name for all inputs, or one for each, with commas; or a wave, values, rows, a CSV file",
     )
-    unknown_input: Input | None = Field(None, description="likewise, of what pushes by E; default: sine")
+    unknown_input: Any | None = Field(None, description="likewise, of what pushes by E; default: sine")
     unknown_std: Number | list[Number] | None = Field(None, description="[r] its typical size; default: ones")
     x0: Number | list[Number] | None = Field(None, description="[n] default: ones")
     xhat0: Number | list[Number] | None = Field(None, description="[n] default: zeros")

@@ -21,18 +21,30 @@ ROWS = 200_000  # of a table
 REPEATING = [name for name in SHAPES if name != "step"]
 
 
-def located(lti: dict[str, Any], folder: Path | None) -> dict[str, Any]:
-    """Return an `[lti]` table whose CSV files are found from the study's folder; None: from where one is."""
-    found = {key: lti[key] for key in ("input", "unknown_input") if _is_csv(lti.get(key))}
-    return lti | {key: str((folder or Path()) / text.strip()) for key, text in found.items()}
+def files_in(table: dict[str, Any]) -> list[str]:
+    """Return the keys of a table that name a CSV file."""
+    return [key for key in ("input", "unknown_input") if _is_csv(table.get(key))]
 
 
-def read(given: Any) -> Any:
-    """Return an input as a study holds it: in place of a CSV file its rows; raise ValueError where it cannot be read."""
-    if not _is_csv(given):
-        return given
+def filled(table: dict[str, Any], where: str, folder: Path | None) -> dict[str, Any]:
+    """Return a table with the rows of the CSV files that it names, found from the study's folder; None: from where one is.
+
+    Raises UserError for a file that cannot be read.
+    """
+    return table | {key: _rows((folder or Path()) / table[key].strip(), f"{where}.{key}") for key in files_in(table)}
+
+
+def _rows(path: Path, where: str) -> list[list[float]]:
     try:
-        with Path(given.strip()).open(newline="", encoding="utf-8-sig") as file:
+        return _read(path)
+    except ValueError as error:
+        raise UserError(f"{where}: got {shown(str(path))}, expected {error}.") from None
+
+
+def _read(path: Path) -> list[list[float]]:
+    """Return the rows of a CSV file; raise ValueError, which says what was expected, where it cannot be read."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
             head, *rows = [row for row in csv.reader(file) if row]
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "it is no table with a head"

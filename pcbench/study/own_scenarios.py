@@ -14,13 +14,13 @@ from typing import Any
 from pcbench.errors import UserError, short, shown
 from pcbench.scenarios import SCENARIOS
 from pcbench.study import limits, own, own_entries
-from pcbench.study.references import SCENARIO, Load, Named
+from pcbench.study.references import SCENARIO, Gate, Named
 
 
-def tabled(raw: dict[str, Any], where: str, folder: Path | None, load: Load) -> dict[str, Any]:
+def tabled(raw: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> dict[str, Any]:
     """Return a raw study whose own scenarios are tables by name; raise UserError for one that cannot be read.
 
-    `load` is the gate to the user's own code.
+    `gate` is what the study may reach.
     """
     given, tables = raw.get("scenarios"), dict(raw["tables"]) if isinstance(raw.get("tables"), dict) else {}
     names: list[Any] = []
@@ -34,27 +34,27 @@ def tabled(raw: dict[str, Any], where: str, folder: Path | None, load: Load) -> 
             continue
         if not isinstance(table, dict):
             raise UserError(f"{here}: got {shown(table)}, expected a table; write [scenarios.{name}].")
-        called, found = _one(name, table, here, folder, load) if isinstance(name, str) else (name, None)
+        called, found = _one(name, table, here, folder, gate) if isinstance(name, str) else (name, None)
         if found is not None and called in tables:
             raise UserError(f"{here}: got two scenarios called '{called}', expected one; write [scenarios.ANOTHER].")
         tables |= {} if found is None else {called: found}
         names.append(called)
     scenario = raw.get("scenario")
     if isinstance(scenario, dict) and _names_one(scenario.get("base")):
-        raw = raw | {"scenario": _based(scenario, f"{where}: scenario", folder, load)}
+        raw = raw | {"scenario": _based(scenario, f"{where}: scenario", folder, gate)}
     return raw | ({"scenarios": names} if given else {}) | ({"tables": tables} if tables else {})
 
 
 def _one(
-    name: str, table: dict[str, Any], where: str, folder: Path | None, load: Load
+    name: str, table: dict[str, Any], where: str, folder: Path | None, gate: Gate
 ) -> tuple[str, dict[str, Any] | None]:
     """The name of one scenario with its table; no table where it is a published one."""
     if isinstance(use := table.get("use"), str):
         table = {k: v for k, v in table.items() if k != "use"} | {"base": use}
     if _names_one(name):
-        return name.rpartition(":")[2], _based({"base": name} | table, where, folder, load)
+        return name.rpartition(":")[2], _based({"base": name} | table, where, folder, gate)
     if _names_one(table.get("base")):
-        return name, _based(table, where, folder, load)
+        return name, _based(table, where, folder, gate)
     return name, table or None
 
 
@@ -65,13 +65,13 @@ def _names_one(text: Any) -> bool:
     return own.is_reference(text) or text in own_entries.installed("scenario")
 
 
-def _based(table: dict[str, Any], where: str, folder: Path | None, load: Load) -> dict[str, Any]:
+def _based(table: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> dict[str, Any]:
     """A table with what its `base`, of a user's own, says beneath it."""
     found = own_entries.installed(SCENARIO).get(table["base"])
     reference = found.reference if found else table["base"]
     own.split(reference, where)
     reference = reference if folder is None else own.beside(reference, folder)
-    below = _data(load(Named(SCENARIO, reference, reference), where).entry, own.split(reference, where)[0])
+    below = _data(gate.code(Named(SCENARIO, reference, reference), where).entry, own.split(reference, where)[0])
     return below | {k: v for k, v in table.items() if k != "base"}
 
 

@@ -9,21 +9,20 @@ from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS, parameters_of
 from pcbench.scenarios import SCENARIOS
-from pcbench.study import STUDIES, Choices, Study, own, recorded_delays, underscored
+from pcbench.study import STUDIES, Choices, Study, lti_inputs, own, recorded_delays, underscored
 from pcbench.study import axes as axis
 from pcbench.study.labels import labelled
-from pcbench.study.lti_inputs import located
 from pcbench.study.own_scenarios import plain, tabled
-from pcbench.study.references import Load, absolute, looked_up
+from pcbench.study.references import Gate, absolute, looked_up
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
 NOT_TOML = (ValueError, RecursionError)  # what tomllib raises, also for numbers too long and lists too deep
 
 
-def raw_of(what: Described, overrides: list[str], load: Load) -> dict[str, Any]:
+def raw_of(what: Described, overrides: list[str], gate: Gate) -> dict[str, Any]:
     """Return a study as a dict, with `key=value` overrides put in and _ for - in its keys; its values are not checked.
 
-    `load` is the gate to the code of scenarios that it names.
+    `gate` is what the study may reach beside its own text.
     """
     folder: Path | None = None
     if isinstance(what, Study):
@@ -42,7 +41,7 @@ def raw_of(what: Described, overrides: list[str], load: Load) -> dict[str, Any]:
         raise unknown("study", "study, scenario or TOML file", name, [*STUDIES, *SCENARIOS])
     for text in overrides:
         override(raw, text)
-    return named(raw, where_of(what, raw), folder, load)
+    return named(raw, where_of(what, raw), folder, gate)
 
 
 def where_of(what: Described, raw: dict[str, Any]) -> str:
@@ -50,7 +49,7 @@ def where_of(what: Described, raw: dict[str, Any]) -> str:
     return str(what) if isinstance(what, str | Path) else str(raw.get("name", "study"))
 
 
-def named(raw: dict[str, Any], where: str, folder: Path | None, load: Load) -> dict[str, Any]:
+def named(raw: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> dict[str, Any]:
     """Return a raw study with _ for - in its keys, the table axes.plant as axes, and a single value of an axis as a list."""
     axes = raw.get("axes")
     if isinstance(axes, dict) and isinstance(axes.get("plant"), dict):  # `plant.lam = [...]` is a table to TOML
@@ -59,25 +58,36 @@ def named(raw: dict[str, Any], where: str, folder: Path | None, load: Load) -> d
             if key in axes:
                 raise UserError(f"{where}: axes: got {key} twice, expected each axis once; remove one.")
         raw = raw | {"axes": {k: v for k, v in axes.items() if k != "plant"} | nested}
-    raw = labelled(tabled(underscored(raw, where), where, folder, load), where)
+    raw = labelled(tabled(underscored(raw, where), where, folder, gate), where)
     raw = looked_up(raw) if folder is None else absolute(looked_up(raw), folder)
     for table in ("lti", "scenario", "tune", "controller"):
         if isinstance(raw.get(table), dict):
             raw[table] = underscored(raw[table], f"{where}: {table}")
     for name in raw.get("tables", ()) if isinstance(raw.get("tables"), dict) else ():
         if isinstance(raw["tables"][name], dict):
-            mine = located(underscored(raw["tables"][name], f"{where}: scenarios.{name}"), folder)
-            raw["tables"][name] = recorded_delays.resolved(mine, f"{where}: scenarios.{name}", folder, _tick(mine))
+            here = f"{where}: scenarios.{name}"
+            raw["tables"][name] = _opened(underscored(raw["tables"][name], here), here, folder, gate)
     for table in ("lti", "scenario"):
         if isinstance(raw.get(table), dict):
-            raw[table] = located(raw[table], folder)
-            raw[table] = recorded_delays.resolved(raw[table], f"{where}: {table}", folder, _tick(raw[table]))
+            raw[table] = _opened(raw[table], f"{where}: {table}", folder, gate)
     if isinstance(raw.get("axes"), dict):
         raw["axes"] = {
             k: v if isinstance(v, list) else [v]
             for k, v in underscored(raw["axes"], f"{where}: axes", "plant.").items()
         }
     return raw
+
+
+def _opened(table: dict[str, Any], where: str, folder: Path | None, gate: Gate) -> dict[str, Any]:
+    """A scenario's table with the numbers of the files that it names; raise UserError where the gate is closed to files."""
+    if not gate.files:
+        for key in (*lti_inputs.files_in(table), *(["delay"] if recorded_delays.names_log(table) else [])):
+            raise UserError(
+                f"{where}.{key}: got '{short(table[key])}', expected numbers: the study of a dataset names no file; run the "
+                "study again from its own file into a new folder."
+            )
+    table = lti_inputs.filled(table, where, folder)
+    return recorded_delays.resolved(table, where, folder, _tick(table))
 
 
 def _tick(table: dict[str, Any]) -> float:

@@ -29,28 +29,31 @@ from pcbench.study.cells import Cell, Grid, cells
 from pcbench.study.own import Own
 from pcbench.study.own_scenarios import plain
 from pcbench.study.raw import Described, named, raw_of, where_of
-from pcbench.study.references import Load, Named, named_in
+from pcbench.study.references import Gate, Named, named_in
 from pcbench.study.scenario_table import ScenarioTable
 
 
-def from_here(named: Named, where: str) -> Own:
-    """Run the code that a study names, a path taken from the working folder: the gate of a study that the user gives."""
+def _from_here(named: Named, where: str) -> Own:
+    """Run the code that a study names, a path taken from the working folder."""
     return own_entries.load(named.kind, named.reference, where)
+
+
+FROM_HERE = Gate(_from_here, files=True)  # of a study that the user gives
 
 
 def load(what: str, overrides: list[str] | None = None) -> Study:
     """Return a checked study from a built-in name, a scenario's name or a TOML file, with `key=value` overrides put in."""
-    return parse(raw_of(what, overrides or [], from_here), what)
+    return parse(raw_of(what, overrides or [], FROM_HERE), what)
 
 
-def described(raw: dict[str, Any], where: str, load: Load) -> Study:
+def described(raw: dict[str, Any], where: str, gate: Gate) -> Study:
     """Return the study that `raw` describes; its names and options are checked, its cells are not made.
 
-    `load` is the gate to the user's own code.
+    `gate` is what the study may reach beside its own text.
 
     Raises UserError naming the place in it that is wrong.
     """
-    raw = named(raw, where, None, load)
+    raw = named(raw, where, None, gate)
     own = _own(raw)
     if own and not raw.get("scenarios"):
         raw = raw | {"scenarios": own}
@@ -67,7 +70,7 @@ def described(raw: dict[str, Any], where: str, load: Load) -> Study:
         where,
     )
     for each in named_in(raw):
-        study._own[each.key] = load(each, f"{where}: {each.key if each.kind == 'observer' else each.kind}")
+        study._own[each.key] = gate.code(each, f"{where}: {each.key if each.kind == 'observer' else each.kind}")
     known = scenarios_of(study, where)
     for name in study.scenarios:
         if name not in known:
@@ -89,7 +92,7 @@ def described(raw: dict[str, Any], where: str, load: Load) -> Study:
 
 def outline(what: str, overrides: list[str]) -> Study:
     """Return the study that the user names, as `described`; its code is run, its cells are not made."""
-    return described(raw_of(what, overrides, from_here), what, from_here)
+    return described(raw_of(what, overrides, FROM_HERE), what, FROM_HERE)
 
 
 def _own(raw: dict[str, Any]) -> list[str]:
@@ -111,9 +114,9 @@ def _tables(study: Study) -> Iterator[tuple[str, ScenarioTable]]:
     yield from ((f"scenarios.{name}", table) for name, table in (study.tables or {}).items())
 
 
-def grid(raw: dict[str, Any], where: str, load: Load) -> Grid:
+def grid(raw: dict[str, Any], where: str, gate: Gate) -> Grid:
     """Return the study that `raw` describes with its cells; raise UserError naming the place in it that is wrong."""
-    study, every = described(raw, where, load), []
+    study, every = described(raw, where, gate), []
     for name in study.scenarios:
         mine = cells(study, name, where)
         for observer in mine[0].options:
@@ -132,15 +135,15 @@ def unstable(found: Grid) -> list[str]:
 
 def parse(raw: dict[str, Any], where: str) -> Study:
     """Return the checked study that `raw` describes; raise UserError naming the place in it that is wrong."""
-    return grid(raw, where, from_here).study
+    return grid(raw, where, FROM_HERE).study
 
 
 def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Grid:
     """Return a checked study with its cells from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
-    raw = raw_of(study, overrides, from_here)
+    raw = raw_of(study, overrides, FROM_HERE)
     where = where_of(study, raw)
     raw |= {key: plain(value) for key, value in changes.items() if value is not None}
-    return grid(raw, where, from_here)
+    return grid(raw, where, FROM_HERE)
 
 
 def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Study:

@@ -33,10 +33,10 @@ Ticks = NDArray[np.float64]
 
 def resolved(table: dict[str, Any], where: str, folder: Path | None, tick: float) -> dict[str, Any]:
     """Return a study's table with the delays of the log that it names; as it is where it names none."""
-    asked = table.get("delay")
-    turns = isinstance(asked, str) and asked.startswith(IN_TURN)
-    if not (isinstance(asked, str) and (turns or asked.startswith(FROM))):
+    if not names_log(table):
         return table
+    asked: str = table["delay"]
+    turns = asked.startswith(IN_TURN)
     for key in (*TAKEN, *(INSTANTS if turns else ())):
         if table.get(key):
             raise UserError(
@@ -60,6 +60,12 @@ def resolved(table: dict[str, Any], where: str, folder: Path | None, tick: float
     order = np.lexsort((sampled, channel))
     order = order[~np.isnan(late[order])]
     return {**table, **drawn(late[order], channel[order], tick), "loss": float(np.isnan(late).mean())}
+
+
+def names_log(table: dict[str, Any]) -> bool:
+    """Say whether the delay of a table is that of a log."""
+    asked = table.get("delay")
+    return isinstance(asked, str) and asked.startswith((FROM, IN_TURN))
 
 
 def horizon_of(table: dict[str, Any]) -> float:

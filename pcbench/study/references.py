@@ -23,7 +23,11 @@ class Named(NamedTuple):
     reference: str
 
 
-Load = Callable[[Named, str], Own]  # the gate: (what a study names, where) -> the user's own object, or a refusal
+class Gate(NamedTuple):
+    """What a study may reach beside its own text. Whoever reads a study hands one in; there is no default."""
+
+    code: Callable[[Named, str], Own]  # (what is named, where) -> the user's own object; raises UserError for a refusal
+    files: bool  # whether it may name tables of inputs and logs, which are opened
 
 
 def named_in(study: dict[str, Any]) -> list[Named]:

@@ -2,11 +2,10 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, Strict
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Strict
 
 from pcbench.errors import printable
 from pcbench.study import axes
-from pcbench.study.lti_inputs import read
 
 Number = Annotated[float, Strict(), Field(ge=-axes.LARGEST, le=axes.LARGEST)]  # Strict: no text, no true or false
 Positive = Annotated[Number, Field(ge=axes.SMALLEST)]
@@ -14,7 +13,6 @@ Size = Annotated[Number, Field(ge=0)]
 Switch = Annotated[bool, Strict()]
 PerChannel = Number | list[Number]
 Words = Annotated[str, AfterValidator(printable)]
-Input = Annotated[Any, BeforeValidator(read)]
 
 
 class ScenarioTable(BaseModel):
@@ -41,9 +39,9 @@ class ScenarioTable(BaseModel):
     process_std: Size | list[Size] | None = Field(
         None, description="[n] of the noise added to each state at every tick"
     )
-    unknown_input: Input | None = Field(None, description="of what pushes: as `input` says it")
+    unknown_input: Any | None = Field(None, description="of what pushes: as `input` says it")
     # what drives the plant
-    input: Input | None = Field(
+    input: Any | None = Field(
         None,
         description="a signal's name, or one for each input, with commas; or a wave, values, rows, a CSV file; default: sine",
     )

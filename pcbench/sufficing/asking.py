@@ -20,7 +20,7 @@ from pcbench.study import cells, observers_of
 from pcbench.study.cells import Grid
 from pcbench.study.own_scenarios import plain
 from pcbench.study.raw import Described, raw_of, where_of
-from pcbench.study.read import described, from_here
+from pcbench.study.read import FROM_HERE, described
 from pcbench.sufficing import growing
 from pcbench.sufficing.axis import scale_of
 from pcbench.sufficing.question import Question, notes, question
@@ -60,11 +60,11 @@ def suffices(
     can mend.
     """
     observers = [observers] if isinstance(observers, str) else observers
-    raw = raw_of(study, overrides or [], from_here)
+    raw = raw_of(study, overrides or [], FROM_HERE)
     where = where_of(study, raw)
     raw |= {key: plain(value) for key, value in {"seeds": seeds, "observers": observers}.items() if value is not None}
     with process.float64(), ExitStack() as stack:
-        q = question(described(raw, where, from_here), where, over, metric, signal, below)
+        q = question(described(raw, where, FROM_HERE), where, over, metric, signal, below)
         scale = scale_of(q.axis, q.scenario, between, within)
         most = _budget(max_seeds, q.study.seeds)
         temporary = None if out is not None else stack.enter_context(tempfile.TemporaryDirectory(prefix="pcbench-"))

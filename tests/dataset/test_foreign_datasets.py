@@ -1,4 +1,4 @@
-"""A dataset from somebody else: commands that read it run no code, wherever its study names some."""
+"""A dataset from somebody else: commands that read it run no code and open no file, wherever its study names some."""
 
 import re
 import shutil
@@ -110,6 +110,43 @@ def test_reading_a_dataset_runs_no_code_that_its_study_names(here, place, refere
         if "scenarios" in place or place == "base of scenario":
             assert "expected a table" in sentence, name
         shutil.rmtree(here / "merged", ignore_errors=True)
+
+
+LTI = {"A": [[-1.0]], "B": [[1.0]], "C": [[1.0]], "sampling_period": 0.1, "delay": 0.1, "noise_std": 0.1}
+FILES = {  # where a file of numbers may stand in a study: what puts a name there
+    "input of lti": lambda s: s.update(lti=LTI | {"input": "private.csv"}),
+    "unknown input of lti": lambda s: s.update(lti=LTI | {"unknown-input": " PRIVATE.CSV", "E": [[1.0]]}),
+    "delay of lti": lambda s: s.update(lti=LTI | {"delay": "from:private"}),
+    "input of scenario": lambda s: s.update(scenario={"name": "mine", "base": "cart/slow", "input": "../private.csv"}),
+    "delay of scenario": lambda s: s.update(scenario={"name": "mine", "base": "cart/slow", "delay": "in-turn:private"}),
+    "input of tables": lambda s: in_tables(s, input="private.csv"),
+    "unknown input of tables": lambda s: in_tables(s, unknown_input="private.csv"),
+    "delay of tables": lambda s: in_tables(s, delay="from:private.csv"),
+    "a table of scenarios": lambda s: s.update(scenarios={"mine": {"base": "cart/slow", "input": "private.csv"}}),
+}
+
+
+@pytest.mark.parametrize("place", FILES)
+def test_reading_a_dataset_opens_no_file_that_its_study_names(here, place, monkeypatch):
+    from pcbench.logs import reading
+    from pcbench.study import lti_inputs
+
+    opened = []
+    monkeypatch.setattr(reading, "opened", lambda *given: opened.append(given))
+    monkeypatch.setattr(lti_inputs, "_read", lambda path: opened.append(path))
+    edited(here, FILES[place])
+    for name, words in READS.items():
+        sentence = sentence_of(name, words)
+        assert re.match(r"ds2?/study.toml: .*(put|delay): got '.*private.*', expected numbers", sentence, re.I), name
+    assert opened == []
+
+
+def test_a_model_of_a_study_opens_no_file(tmp_path):
+    """Not by its validators, which know of no gate."""
+    from pcbench.study.lti import Lti
+
+    (tmp_path / "private.csv").write_text("t,u1\n0,42\n")
+    assert Lti(**LTI, input=str(tmp_path / "private.csv")).input == str(tmp_path / "private.csv")
 
 
 def test_an_installed_scenario_is_not_imported_for_a_dataset(here, monkeypatch):

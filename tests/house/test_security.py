@@ -21,7 +21,7 @@ RUNS = {  # calls that run code of others, and where they may stand
     "eval": (),
     "__import__": (),
     "module_of": ("study/own_entries", "checking/kinds", "guests/worker"),  # what the user names in a command
-    "from_here": (
+    "_from_here": (
         "study/read",
     ),  # the gate of a study that the user gives is handed in by name, and called nowhere else
 }

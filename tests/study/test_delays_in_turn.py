@@ -75,7 +75,7 @@ def test_several_logs_are_several_scenarios(tmp_path):
     for name, seed in (("lab", 1), ("field", 2)):
         recorded(tmp_path / name, seed=seed)
     tables = {name: {"base": "cart/gaussian", "delay": f"in-turn:{tmp_path / name}"} for name in ("lab", "field")}
-    grid = read.grid({"name": "two", "scenarios": tables, "observers": ["dkf"]}, "two", read.from_here)
+    grid = read.grid({"name": "two", "scenarios": tables, "observers": ["dkf"]}, "two", read.FROM_HERE)
     lab, field = (cell.times.clocks[0] for cell in grid.cells)
     assert lab.turns != field.turns
     assert lab.profile != field.profile
@@ -83,7 +83,7 @@ def test_several_logs_are_several_scenarios(tmp_path):
 
 def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
     axes = {"axes": {"delay_turns": [[0.0, 0.05, "lost"], [0.0]]}}
-    grid = read.grid(MOTOR | {"observers": ["dkf"]} | axes, "motor", read.from_here)
+    grid = read.grid(MOTOR | {"observers": ["dkf"]} | axes, "motor", read.FROM_HERE)
     assert [cell.values["delay_turns"] for cell in grid.cells] == ["0, 0.05, lost", "0"]
     late = [s.arrives - s.taken for s in samples_of(grid.cells[0])][:4]
     assert [v if v < NEVER else None for v in late] == [10, 15, None, 10]
@@ -106,7 +106,7 @@ def test_delays_in_turn_are_an_axis_which_tables_show_as_text(tmp_path):
 def test_what_does_not_fit_is_one_sentence(tmp_path, more, sentence):
     recorded(tmp_path / "flight")
     with pytest.raises(UserError) as caught:
-        read.grid(study(tmp_path / "flight", **more) | {"observers": ["dkf"]}, "motor", read.from_here)
+        read.grid(study(tmp_path / "flight", **more) | {"observers": ["dkf"]}, "motor", read.FROM_HERE)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -151,11 +151,11 @@ def test_an_axis_that_cannot_be_is_one_sentence(value, sentence):
         read.grid(
             MOTOR | {"observers": ["dkf"], "axes": {"delay_turns": [value] if isinstance(value, list) else value}},
             "m",
-            read.from_here,
+            read.FROM_HERE,
         )
     assert sentence in str(caught.value)
 
 
 def test_a_log_as_a_value_of_an_axis_is_told_where_it_belongs():
     with pytest.raises(UserError, match=r"axes\.delay\[0\]: got 'in-turn:flight', expected no log among"):
-        read.grid(MOTOR | {"observers": ["dkf"], "axes": {"delay": ["in-turn:flight"]}}, "m", read.from_here)
+        read.grid(MOTOR | {"observers": ["dkf"], "axes": {"delay": ["in-turn:flight"]}}, "m", read.FROM_HERE)

@@ -10,7 +10,7 @@ from pcbench.errors import DesignError, UserError
 from pcbench.planning import once
 from pcbench.scenarios import SCENARIOS
 from pcbench.study.raw import raw_of
-from pcbench.study.read import described, from_here
+from pcbench.study.read import FROM_HERE, described
 from pcbench.sufficing import growing
 from pcbench.sufficing.axis import axis_of, scale_of
 from pcbench.sufficing.question import notes, question
@@ -119,8 +119,8 @@ def test_an_observer_without_gains_at_some_values_is_left_out_there(tmp_path, mo
 
 
 def asked_of(study, over):
-    raw = raw_of(study, [], from_here)
-    return question(described(raw, "x", from_here), "x", over, "rmse", None, 0.1)
+    raw = raw_of(study, [], FROM_HERE)
+    return question(described(raw, "x", FROM_HERE), "x", over, "rmse", None, 0.1)
 
 
 def test_an_observer_that_cannot_be_run_over_the_axis_is_left_out_and_says_so():
