@@ -5,6 +5,7 @@ moments are at ticks 0 .. N, of long horizons at every so many that `POINTS` are
 """
 
 import itertools
+import re
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from pcbench.dataset.exact import Exact
 
 NAME, FOLDER = "exact.parquet", "moments"
-
+OVER_TIME = re.compile(rf"{FOLDER}/scenario=[^/]+/cell=\d+\.parquet")
 OF = b"pcbench.of"  # the key in its metadata: of which study it is
 POINTS = 1000
 WRITERS = 4  # files under way at a time: a cell's takes 1 ms to make and 5 to reach the disk
@@ -40,7 +41,7 @@ def made(target: store.Target, owned: Owned, say: Callable[[str], None], progres
     if there is not None and not owned.fresh and (there.schema.metadata or {}).get(OF) == mark:
         return False
     ownership.begin(target, owned)
-    for name in [n for n in store.names(target) if n == NAME or n.startswith(FOLDER)]:
+    for name in [n for n in store.names(target) if n == NAME or OVER_TIME.fullmatch(n)]:
         store.remove(target, name)
     from pcbench.dataset.exact import Exact  # takes half a second, with pandas, which a study of runs does not wait for
 

@@ -3,6 +3,7 @@
 A file stands as code/DIGEST/FILE, with the files beside it that it imports. A result is read without any of it.
 """
 
+import re
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -14,6 +15,8 @@ from pcbench.study import Study, own, own_controllers, own_entries, own_observer
 from pcbench.study.own import Own
 from pcbench.study.references import SCENARIO, Gate, Named
 
+COPY = re.compile(rf"{own.FOLDER}/[0-9a-f]{{{own.DIGITS}}}/[^/]+\.py")
+
 
 def keep(target: store.Target, study: Study) -> None:
     """Copy the files of a study's own observers into a target, where they do not stand yet."""
@@ -24,15 +27,21 @@ def keep(target: store.Target, study: Study) -> None:
                 store.put(target, path, text)
 
 
-def remove(target: store.Target) -> None:
-    """Remove what a target has of its users' code."""
-    for name in store.names(target, own.FOLDER):
-        store.remove(target, name)
+def copies(target: store.Target) -> list[str]:
+    """Return the names of the copies of users' code in a target; raise UserError for another file among them."""
+    names = store.names(target, own.FOLDER)
+    for name in names:
+        if not COPY.fullmatch(name):
+            raise UserError(
+                f"{target.name}: holds other files ({name}), expected only copies of users' code in {own.FOLDER}/; give "
+                "another folder with --out, or move them away."
+            )
+    return names
 
 
 def copy(target: store.Target, into: store.Target) -> None:
     """Copy what one dataset has of its users' code into another."""
-    for name in store.names(target, own.FOLDER):
+    for name in copies(target):
         if (text := store.text(target, name)) is not None:
             store.put(into, name, text)
 

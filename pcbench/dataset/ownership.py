@@ -20,6 +20,7 @@ from pcbench.study.raw import NOT_TOML
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
 BESIDE = ("tuning/", "training/", "draws/")  # tuned gains, and draws for guests: made before its own runs begin
+EXACT = ("exact.parquet", "moments/")  # exact numbers, and how they go over time
 KEPT = ("options", "scenarios", "observers", "cells")  # under [resolved]
 NOT_TOML_EITHER = (*NOT_TOML, KeyError, TypeError, AttributeError)
 SHOWN = 3  # differences that a refusal names
@@ -45,16 +46,14 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
     if fresh and (blocks or said is not None):
         if said is not None and not blocks:
             _read(target, said)
+            _require_ours(target, (TEXT, *CLOSING, *EXACT, "code/"))
+        kept_code.copies(target)
         return Owned(study, every, to_toml(study, every), True)
     if blocks and (said is None or not _readable(said)):
         every = repair.cells_of_blocks(target, grid, blocks)
         return Owned(study, every, to_toml(study, every))
     if said is None:
-        others = [name for name in store.names(target) if not name.startswith(BESIDE)]
-        if others:
-            raise UserError(
-                f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
-            )
+        _require_ours(target)
         return Owned(study, every, to_toml(study, every))
     there = _read(target, said)
     every = numbered(every, there["resolved"]["cells"])
@@ -69,6 +68,15 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
     if changed:  # nothing was finished there
         every = grid.cells
     return Owned(study, every, to_toml(study, every))
+
+
+def _require_ours(target: store.Target, ours: tuple[str, ...] = ()) -> None:
+    """Raise UserError where a target without blocks holds other files than `ours` and what stands beside runs."""
+    for name in store.names(target):
+        if not name.startswith((*BESIDE, *ours)):
+            raise UserError(
+                f"{target.name}: holds other files ({name}), expected a new or empty folder; give another one with --out."
+            )
 
 
 def opened(target: store.Target, run: bool = False) -> Owned:
@@ -114,7 +122,8 @@ def begin(target: store.Target, owned: Owned) -> None:
         for name in store.names(target, "runs"):
             if block_files.block_of(name):
                 store.remove(target, name)
-        kept_code.remove(target)
+        for name in kept_code.copies(target):
+            store.remove(target, name)
     renew(target, owned)
     kept_code.keep(target, owned.study)
 

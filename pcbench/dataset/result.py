@@ -178,7 +178,7 @@ class Result:
 
         checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
         kind = ds.ParquetFileFormat(default_fragment_scan_options=checked)
-        files = [f"{self._target.root}/{name}" for name in store.names(self._target, "runs")]
+        files = [f"{self._target.root}/{block.name}" for block in block_files.present(self._target)]
         base = f"{self._target.root}/runs"
         return ds.dataset(files, filesystem=self._target.fs, format=kind, partitioning="hive", partition_base_dir=base)
 

@@ -5,6 +5,7 @@ the old file, or the new one, or none, and a killed writer leaves at most its ow
 away. An object store (any URI that pyarrow knows: s3://, gs://, abfs://, hdfs://): a file is checked in memory and put in
 one piece, so it appears whole or not at all as far as the store keeps that promise (S3, GCS and Azure do); two writers of one
 name write the same bytes. Nothing is locked anywhere: what is done is what is there.
+No symbolic link is followed below a folder.
 """
 
 import itertools
@@ -29,6 +30,7 @@ from pcbench.errors import UserError
 
 PARTIAL = ".partial"
 UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
+NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # some systems have none
 FORGOTTEN = 86400.0  # [s] an unfinished file of another machine is cleared away after so long
 _COUNT = itertools.count()
 
@@ -93,9 +95,10 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
             with target.fs.open_output_stream(path) as stream:
                 stream.write(content)
             return
-        beside = f"{target.root}/.{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
+        _require_no_link(target, name, parents=True)
+        beside, handle = _partial(target.root)
         try:
-            with open(beside, "wb") as f:
+            with open(handle, "wb") as f:
                 f.write(content)
                 f.flush()
                 os.fsync(f.fileno())
@@ -107,6 +110,31 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
         finally:
             with suppress(OSError):
                 os.unlink(beside)
+
+
+def _partial(root: str) -> tuple[str, int]:
+    """A new file in a folder, and the handle by which it is open: never one that is there, nor what a link points at."""
+    while True:
+        path = f"{root}/.{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
+        with suppress(FileExistsError):
+            return path, create(path)
+
+
+def create(path: str | Path) -> int:
+    """Make a file and return the handle to write it; raise FileExistsError where there is one, or a link."""
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_FOLLOW, 0o666)
+
+
+def _require_no_link(target: Target, name: str, parents: bool = False) -> None:
+    """Raise UserError where a name below a folder goes through a symbolic link; with `parents` its last part may be one."""
+    parts = name.split("/") if target.local else []
+    for count in range(1, len(parts) + (not parents)):
+        each = "/".join(parts[:count])
+        if os.path.islink(f"{target.root}/{each}"):
+            raise UserError(
+                f"{target.name}/{each}: is a symbolic link, which is not followed below a dataset's folder; remove it, or put "
+                "there what it points at."
+            )
 
 
 def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:
@@ -135,7 +163,8 @@ def document(target: Target, name: str) -> dict[str, Any] | None:
 
 
 def get(target: Target, name: str) -> pa.Buffer | None:
-    """Return what stands under a name; None where nothing does."""
+    """Return what stands under a name; None where nothing does. Raises UserError for a link."""
+    _require_no_link(target, name)
     with said(f"{target.name}/{name}", "read"):
         if target.fs.get_file_info(f"{target.root}/{name}").type != pafs.FileType.File:
             return None
@@ -150,7 +179,10 @@ def text(target: Target, name: str) -> bytes | None:
 
 
 def names(target: Target, under: str = "") -> list[str]:
-    """Return the names of all files below a folder of the target, sorted; those hidden by a dot or _ are left out."""
+    """Return the names of all files below a folder of the target, sorted; those hidden by a dot or _ are left out.
+
+    A link counts as a file: what it points at is not looked into.
+    """
     return sorted(sizes(target, under))
 
 
@@ -158,13 +190,32 @@ def sizes(target: Target, under: str = "") -> dict[str, int]:
     """Return the sizes [bytes] of those files."""
     with said(target.name, "read"):
         base = f"{target.root}/{under}" if under else target.root
-        found = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
-        each = {i.path[len(target.root) + 1 :]: int(i.size or 0) for i in found if i.is_file}
+        if target.local:
+            _require_no_link(target, under)
+            each = {path[len(target.root) + 1 :]: size for path, size in _files(base)}
+        else:
+            found = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
+            each = {i.path[len(target.root) + 1 :]: int(i.size or 0) for i in found if i.is_file}
         return {name: size for name, size in each.items() if not any(part[0] in "._" for part in name.split("/"))}
 
 
+def _files(folder: str) -> Iterator[tuple[str, int]]:
+    """Yield the paths and sizes of all files below a folder, and of links, which are not followed."""
+    try:
+        entries = list(os.scandir(folder))
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    for entry in entries:
+        if entry.is_dir(follow_symlinks=False):
+            yield from _files(entry.path)
+        else:
+            with suppress(FileNotFoundError):
+                yield entry.path, entry.stat(follow_symlinks=False).st_size
+
+
 def footer(target: Target, name: str) -> pq.FileMetaData | None:
-    """Return a Parquet file's metadata, without its rows; None where they cannot be read."""
+    """Return a Parquet file's metadata, without its rows; None where they cannot be read. Raises UserError for a link."""
+    _require_no_link(target, name)
     try:
         with target.fs.open_input_file(f"{target.root}/{name}") as file:
             return pq.read_metadata(file)
@@ -173,9 +224,10 @@ def footer(target: Target, name: str) -> pq.FileMetaData | None:
 
 
 def remove(target: Target, name: str) -> None:
-    """Remove a file, if it is there."""
+    """Remove a file, or a link, if it is there; raise UserError where a folder on the way to it is a link."""
+    _require_no_link(target, name, parents=True)
     with said(f"{target.name}/{name}"), suppress(FileNotFoundError):
-        target.fs.delete_file(f"{target.root}/{name}")
+        os.unlink(f"{target.root}/{name}") if target.local else target.fs.delete_file(f"{target.root}/{name}")
 
 
 def make(target: Target) -> None:

@@ -11,6 +11,7 @@ cells gains are tuned in the first and run in all. Observers without a design of
 fewer versions. The study returned has explicit options only, so any machine can run, verify and merge it.
 """
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from pcbench.dataset.ownership import BESIDE, TEXT
 from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.gains import expected, named, parameters, tune
+from pcbench.gains.history import FOUND, HISTORY
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.study import Study, given, observers_of, scenarios_of
@@ -151,7 +153,8 @@ def _ours(study: Study, out: str | Path | None, fresh: bool) -> None:
             f"{target.name}: holds the results of another study, expected {study.name}'s; give a new folder with --out, or "
             "start over with --fresh."
         )
-    for name in [name for name in names if fresh and name.startswith(BESIDE[0])]:
+    ours = re.compile(rf"{BESIDE[0]}(.+/)?({re.escape(HISTORY)}|{re.escape(FOUND)})")
+    for name in [name for name in names if fresh and ours.fullmatch(name)]:
         store.remove(target, name)
 
 

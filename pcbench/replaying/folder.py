@@ -1,5 +1,6 @@
 """What a replay leaves in a folder: estimates tick by tick, written as they come, and what is known of each observer."""
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -40,17 +41,19 @@ class Draft(NamedTuple):
 @contextmanager
 def draft(folder: Path) -> Iterator[Draft]:
     """Make a replay's files beside their names: `finish` gives them these, and what was stopped before leaves nothing."""
-    writers: list[pq.ParquetWriter] = []
+    writers: list[Any] = []  # of the table, and of the file under it
     part, new = folder / f".{ESTIMATES}.part", not folder.exists()
 
     def write(found: pa.Table) -> None:
         if not writers:
-            writers.append(pq.ParquetWriter(part, found.schema, compression="snappy", use_dictionary=False))
+            part.unlink(missing_ok=True)  # of a process that was killed
+            sink = os.fdopen(store.create(part), "wb")
+            writers.extend([pq.ParquetWriter(sink, found.schema, compression="snappy", use_dictionary=False), sink])
         writers[0].write_table(found, row_group_size=len(found))
 
     def close() -> None:
         while writers:
-            writers.pop().close()
+            writers.pop(0).close()
 
     try:
         folder.mkdir(parents=True, exist_ok=True)
