@@ -14,6 +14,7 @@ import pytest
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
+os.makedirs(os.environ["PCBENCH_CACHE"], mode=0o700, exist_ok=True)  # jax would make it as the umask says
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 jax.config.update("jax_compilation_cache_dir", os.environ["PCBENCH_CACHE"] + "/jax")

@@ -21,7 +21,7 @@ def setup() -> None:
     threads.one()
     jax.config.update("jax_enable_x64", True)
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        jax.config.update("jax_compilation_cache_dir", str(folder() / "programs"))
+        jax.config.update("jax_compilation_cache_dir", str(folder("programs")))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 
 

@@ -41,9 +41,9 @@ _AHEAD: list[Early] = []
 
 def folder() -> Path | None:
     """Return where programs are kept; None where they are not."""
-    where = kept.folder() / "programs"
+    where = kept.folder("programs", "whole")
     told = {name: getattr(jax.config, f"jax_{name}") for name in ("enable_compilation_cache", "compilation_cache_dir")}
-    return where / "whole" if told == {"enable_compilation_cache": True, "compilation_cache_dir": str(where)} else None
+    return where if told == {"enable_compilation_cache": True, "compilation_cache_dir": str(where.parent)} else None
 
 
 def asked(layout: Any, problem: Any, device: Any, options: Any) -> str | None:

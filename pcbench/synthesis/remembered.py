@@ -25,7 +25,7 @@ def remembered(kind: Any, name: str, problem: tuple[np.ndarray, ...], solve: Cal
     bits = b"".join(np.ascontiguousarray(a, float).tobytes() + str(np.shape(a)).encode() for a in problem)
     said = f"{name} {_solvers()}".encode()
     key = hashlib.sha256(bits + said + _source(kind.__module__) + _source(solvers.__name__)).hexdigest()[:32]
-    path = folder() / "gains" / f"{name}-{key}.json"
+    path = folder("gains") / f"{name}-{key}.json"
     try:
         stored = json.loads(path.read_text())
         return kind(**{k: np.array(v) if isinstance(v, list) else v for k, v in stored.items()})
