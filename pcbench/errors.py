@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from reprlib import Repr
 from typing import Any
 
+SETTING = re.compile(r"(region|scheme|allow_bucket_creation|allow_bucket_deletion)=[\w-]*")  # that an address may show
 LONGEST = 100  # characters of a value that a sentence quotes
 LIBRARIES = tuple({os.path.realpath(sysconfig.get_path(name)) for name in ("stdlib", "purelib", "platlib")})
 OURS = os.path.dirname(os.path.realpath(__file__))
@@ -58,6 +59,19 @@ def missing(module: str) -> str:
 def short(text: str) -> str:
     """Return a text that a sentence may quote: what is too long loses its middle."""
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 23]}...{text[-20:]}"
+
+
+def shown_address(text: str) -> str:
+    """Return an address as a sentence or a file may show it.
+
+    Everything between the scheme and the last `@` is left out, and of its query all but a few harmless settings.
+    """
+    scheme, mark, rest = text.partition("://")
+    if not mark:
+        return text
+    place, _, query = rest.rpartition("@")[2].partition("#")[0].partition("?")
+    settings = [each for each in query.split("&") if SETTING.fullmatch(each)]
+    return f"{scheme}://{place}" + (f"?{'&'.join(settings)}" if settings else "")
 
 
 def said(error: Any) -> str:

@@ -14,7 +14,7 @@ from queue import SimpleQueue
 from threading import Lock
 from typing import Any
 
-from pcbench.errors import UserError
+from pcbench.errors import UserError, shown_address
 from pcbench.machine import process
 from pcbench.machine.memory import allowed
 from pcbench.simulation import batch
@@ -96,8 +96,8 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
         ) from None
     except (OSError, ValueError, TypeError) as error:
         raise UserError(
-            f"--dask: got {address!r}, which cannot be reached ({type(error).__name__}); expected 'local', or the address of a "
-            "running scheduler such as tcp://10.0.0.1:8786."
+            f"--dask: got {shown_address(address)!r}, which cannot be reached ({type(error).__name__}); expected 'local', or the "
+            "address of a running scheduler such as tcp://10.0.0.1:8786."
         ) from None
 
     def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:

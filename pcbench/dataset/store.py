@@ -25,12 +25,11 @@ import pyarrow as pa
 import pyarrow.fs as pafs
 import pyarrow.parquet as pq
 
-from pcbench.dataset import parquet
-from pcbench.errors import UserError
+from pcbench.dataset import local_files, parquet
+from pcbench.errors import UserError, shown_address
 
 PARTIAL = ".partial"
 UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
-NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # some systems have none
 FORGOTTEN = 86400.0  # [s] an unfinished file of another machine is cleared away after so long
 _COUNT = itertools.count()
 
@@ -76,12 +75,11 @@ def _printable(root: str) -> None:
 def _reached(out: str) -> Target:
     try:
         fs, root = pafs.FileSystem.from_uri(str(out))
-        return Target(fs, root.rstrip("/"), re.sub("//[^/@]*@", "//", out), out)
+        return Target(fs, root.rstrip("/"), shown_address(out), out)
     except (pa.ArrowException, ValueError, OSError, ImportError) as error:
-        name = re.sub("//[^/@]*@", "//", out)
-        raise UserError(
-            f"{name}: is no place that can be reached ({_reason(error)}); expected a path or a URI."
-        ) from None
+        name = shown_address(out)
+        reason = f" ({_reason(error)})" if name == out else ""  # which may quote what is not to be shown
+        raise UserError(f"{name}: is no place that can be reached{reason}; expected a path or a URI.") from None
 
 
 def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = True) -> None:
@@ -103,10 +101,10 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
                 f.flush()
                 os.fsync(f.fileno())
             if not os.path.isdir(os.path.dirname(path)):
-                _folders(target.root, name)
+                local_files.make_folders(target.root, name)
             os.replace(beside, path)
             if lasting:
-                _sync_folder(Path(path).parent)
+                local_files.sync_folder(Path(path).parent)
         finally:
             with suppress(OSError):
                 os.unlink(beside)
@@ -117,24 +115,16 @@ def _partial(root: str) -> tuple[str, int]:
     while True:
         path = f"{root}/.{socket.gethostname()}-{os.getpid()}-{next(_COUNT)}{PARTIAL}"
         with suppress(FileExistsError):
-            return path, create(path)
-
-
-def create(path: str | Path) -> int:
-    """Make a file and return the handle to write it; raise FileExistsError where there is one, or a link."""
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | NO_FOLLOW, 0o666)
+            return path, local_files.create(path)
 
 
 def _require_no_link(target: Target, name: str, parents: bool = False) -> None:
     """Raise UserError where a name below a folder goes through a symbolic link; with `parents` its last part may be one."""
-    parts = name.split("/") if target.local else []
-    for count in range(1, len(parts) + (not parents)):
-        each = "/".join(parts[:count])
-        if os.path.islink(f"{target.root}/{each}"):
-            raise UserError(
-                f"{target.name}/{each}: is a symbolic link, which is not followed below a dataset's folder; remove it, or put "
-                "there what it points at."
-            )
+    for each in local_files.links(target.root, name.rpartition("/")[0] if parents else name) if target.local else []:
+        raise UserError(
+            f"{target.name}/{each}: is a symbolic link, which is not followed below a dataset's folder; remove it, or put "
+            "there what it points at."
+        )
 
 
 def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) -> None:
@@ -145,7 +135,7 @@ def put_table(target: Target, name: str, table: pa.Table, lasting: bool = True) 
 def last(target: Target, folders: Iterable[str]) -> None:
     """Let the names of all files in some folders below the target outlast a power cut."""
     for folder in folders if target.local else ():
-        _sync_folder(Path(target.root) / folder)
+        local_files.sync_folder(Path(target.root) / folder)
 
 
 def put_json(target: Target, name: str, content: dict[str, Any]) -> None:
@@ -192,25 +182,11 @@ def sizes(target: Target, under: str = "") -> dict[str, int]:
         base = f"{target.root}/{under}" if under else target.root
         if target.local:
             _require_no_link(target, under)
-            each = {path[len(target.root) + 1 :]: size for path, size in _files(base)}
+            each = {path[len(target.root) + 1 :]: size for path, size in local_files.files(base)}
         else:
             found = target.fs.get_file_info(pafs.FileSelector(base, recursive=True, allow_not_found=True))
             each = {i.path[len(target.root) + 1 :]: int(i.size or 0) for i in found if i.is_file}
         return {name: size for name, size in each.items() if not any(part[0] in "._" for part in name.split("/"))}
-
-
-def _files(folder: str) -> Iterator[tuple[str, int]]:
-    """Yield the paths and sizes of all files below a folder, and of links, which are not followed."""
-    try:
-        entries = list(os.scandir(folder))
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    for entry in entries:
-        if entry.is_dir(follow_symlinks=False):
-            yield from _files(entry.path)
-        else:
-            with suppress(FileNotFoundError):
-                yield entry.path, entry.stat(follow_symlinks=False).st_size
 
 
 def footer(target: Target, name: str) -> pq.FileMetaData | None:
@@ -281,22 +257,3 @@ def said(where: str, done: str = "written") -> Iterator[None]:
 
 def _reason(error: BaseException) -> str:
     return str(getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()[0].rstrip(".")
-
-
-def _folders(root: str, name: str) -> None:
-    """Make the folders that a name asks for below the root; a root that has been removed is not made again."""
-    folder = Path(root)
-    for part in Path(name).parent.parts:
-        folder /= part
-        if not folder.is_dir():
-            folder.mkdir(exist_ok=True)
-            _sync_folder(folder.parent)
-
-
-def _sync_folder(folder: Path) -> None:
-    with suppress(OSError):  # not every file system lets a folder be opened
-        handle = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)

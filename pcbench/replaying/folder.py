@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pcbench.dataset import store, together
+from pcbench.dataset import local_files, store, together
 from pcbench.dataset.columns import SCHEMA
 from pcbench.errors import UserError
 
@@ -47,7 +47,7 @@ def draft(folder: Path) -> Iterator[Draft]:
     def write(found: pa.Table) -> None:
         if not writers:
             part.unlink(missing_ok=True)  # of a process that was killed
-            sink = os.fdopen(store.create(part), "wb")
+            sink = os.fdopen(local_files.create(part), "wb")
             writers.extend([pq.ParquetWriter(sink, found.schema, compression="snappy", use_dictionary=False), sink])
         writers[0].write_table(found, row_group_size=len(found))
 
