@@ -3,11 +3,11 @@
 import contextlib
 import json
 import sys
-import tomllib
 from typing import Annotated, Any
 
 import typer
 
+from pcbench import toml_text
 from pcbench.cli.shared import AsJson, console, setup
 from pcbench.errors import UserError, short
 
@@ -63,6 +63,6 @@ def _option(text: str) -> tuple[str, Any]:
     if not equals or not name.strip():
         raise UserError(f"check --set: got '{short(text)}', expected KEY=VALUE such as share=0.2; write it so.")
     try:
-        return name.strip(), tomllib.loads(f"value = {value}")["value"]
-    except tomllib.TOMLDecodeError:
+        return name.strip(), toml_text.parse(f"value = {value}")["value"]
+    except ValueError:
         return name.strip(), value.strip()

@@ -1,11 +1,11 @@
 """The command that finds gains and proves them."""
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from pcbench import toml_text
 from pcbench.cli.shared import AsJson, Set, console, out, setup
 from pcbench.errors import UserError
 
@@ -84,7 +84,7 @@ def _values(text: str) -> tuple[str, list[Any]]:
     if not equals or not option.strip() or not given.strip():
         raise UserError(f"--sweep: got '{text}', expected OPTION=A,B,... such as decay=0.2,0.5,1.")
     try:
-        values = tomllib.loads(f"values = [{given}]")["values"]
-    except tomllib.TOMLDecodeError:
+        values = toml_text.parse(f"values = [{given}]")["values"]
+    except ValueError:
         values = [each.strip() for each in given.split(",")]
     return option.strip(), values

@@ -96,7 +96,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
         ) from None
     except (OSError, ValueError, TypeError) as error:
         raise UserError(
-            f"--dask: got {shown_address(address)!r}, which cannot be reached ({type(error).__name__}); expected 'local', or the "
+            f"--dask: got {shown_address(address)!r}, which is not reached ({type(error).__name__}); expected 'local' or the "
             "address of a running scheduler such as tcp://10.0.0.1:8786."
         ) from None
 

@@ -4,10 +4,10 @@ A study may grow: more seeds, more values of its axes, more scenarios, more obse
 Cells keep their numbers; new ones follow. Where the study's text is lost or damaged, the blocks say whose they are (`repair`).
 """
 
-import tomllib
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from pcbench import toml_text
 from pcbench.dataset import block_files, kept_code, repair, store
 from pcbench.dataset.changes import changes
 from pcbench.dataset.seeds import Seeds, common, counted
@@ -15,14 +15,13 @@ from pcbench.errors import UserError
 from pcbench.study import Study, read
 from pcbench.study.as_toml import to_toml
 from pcbench.study.cells import Cell, Grid, channels_apart, numbered
-from pcbench.study.raw import NOT_TOML
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
 BESIDE = ("tuning/", "training/", "draws/")  # tuned gains, and draws for guests: made before its own runs begin
 EXACT = ("exact.parquet", "moments/")  # exact numbers, and how they go over time
 KEPT = ("options", "scenarios", "observers", "cells")  # under [resolved]
-NOT_TOML_EITHER = (*NOT_TOML, KeyError, TypeError, AttributeError)
+NOT_TOML_EITHER = (ValueError, KeyError, TypeError, AttributeError)
 SHOWN = 3  # differences that a refusal names
 
 
@@ -45,7 +44,7 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
     blocks = block_files.present(target)
     if fresh and (blocks or said is not None):
         if said is not None and not blocks:
-            _read(target, said)
+            read_text(target, said)
             _require_ours(target, (TEXT, *CLOSING, *EXACT, "code/"))
         kept_code.copies(target)
         return Owned(study, every, to_toml(study, every), True)
@@ -55,10 +54,10 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
     if said is None:
         _require_ours(target)
         return Owned(study, every, to_toml(study, every))
-    there = _read(target, said)
+    there = read_text(target, said)
     every = numbered(every, there["resolved"]["cells"])
     _only_what_stands(there, blocks)
-    changed = [*changes(there, tomllib.loads(to_toml(study, every))), *_reshaped(target, there, study)]
+    changed = [*changes(there, toml_text.parse(to_toml(study, every))), *_reshaped(target, there, study)]
     if changed and blocks:
         more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
         raise UserError(
@@ -89,7 +88,7 @@ def opened(target: store.Target, run: bool = False) -> Owned:
         raise UserError(
             f"{target.name}: holds no study.toml, expected a folder that pcbench run has made; name that one."
         )
-    there = _read(target, said)
+    there = read_text(target, said)
     study, every = read.grid(_said(there), f"{target.name}/{TEXT}", kept_code.gate(target, there, run))
     return Owned(study, numbered(every, there["resolved"]["cells"]), said.decode())
 
@@ -101,7 +100,7 @@ def digests(owned: Owned) -> dict[tuple[str, int], str]:
 
 def differences(a: Owned, b: Owned) -> list[str]:
     """Return what differs between two studies besides their seeds and the order of their cells, a phrase each."""
-    old, new = (tomllib.loads(each.text) for each in (a, b))
+    old, new = (toml_text.parse(each.text) for each in (a, b))
     for each in (old, new):
         each.update(first_seed=0, seeds=1)
         each["resolved"]["cells"] = {s: sorted(found) for s, found in each["resolved"]["cells"].items()}
@@ -110,7 +109,7 @@ def differences(a: Owned, b: Owned) -> list[str]:
 
 def numbers_in(owned: Owned) -> dict[str, list[str]]:
     """Return by scenario the digests of the cells in order of number, as a study's text says."""
-    return dict(tomllib.loads(owned.text)["resolved"]["cells"])
+    return dict(toml_text.parse(owned.text)["resolved"]["cells"])
 
 
 def begin(target: store.Target, owned: Owned) -> None:
@@ -166,7 +165,7 @@ def _readable(said: bytes) -> bool:
     return True
 
 
-def _read(target: store.Target, said: bytes) -> dict[str, Any]:
+def read_text(target: store.Target, said: bytes) -> dict[str, Any]:
     """Return what a study's text says; raise UserError where it is damaged."""
     try:
         return _parts(said)
@@ -184,7 +183,7 @@ def _read(target: store.Target, said: bytes) -> dict[str, Any]:
 
 def _parts(said: bytes) -> dict[str, Any]:
     """What a study's text says; raise one of NOT_TOML_EITHER where that is not what is written."""
-    there = tomllib.loads(said.decode())
+    there = toml_text.parse(said)
     resolved = there["resolved"]
     numbers = isinstance(there["seeds"], int) and isinstance(there["first_seed"], int)
     parts = all(isinstance(v, dict) for k in KEPT[:2] for v in resolved[k].values())

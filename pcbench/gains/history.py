@@ -1,6 +1,5 @@
 """The points of a tuning so far, in a Parquet file: all that is needed to go on; and what it has found."""
 
-import tomllib
 from collections.abc import Callable
 from math import isfinite
 from time import monotonic
@@ -10,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import tomli_w
 
+from pcbench import toml_text
 from pcbench.dataset import parquet, store
 from pcbench.dataset.seeds import Seeds, counted
 from pcbench.errors import UserError
@@ -143,7 +143,7 @@ def finished(target: store.Target, whole: str, about: str) -> dict[str, Any] | N
     """
     content = store.text(target, FOUND)
     try:
-        study = tomllib.loads((content or b"").decode())
+        study = toml_text.parse(content or b"")
         said = study.pop("resolved")["tuning"]
         if said.pop("about") != whole:
             return None

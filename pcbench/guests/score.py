@@ -3,7 +3,6 @@
 That an estimate uses nothing that had not arrived cannot be seen in it: this is trusted, and said.
 """
 
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +75,7 @@ def grown(target: store.Target, name: str) -> Grid:
         raise UserError(
             f"{target.name}: holds no study, expected a folder that pcbench draws has written; name that one."
         )
-    there = tomllib.loads(said.decode())
+    there = ownership.read_text(target, said)
     raw = {k: v for k, v in there.items() if k != "resolved"}
     taken = dict(raw.get("use", {}))
     labels = list(

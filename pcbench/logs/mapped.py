@@ -16,7 +16,6 @@ Channels stand in the order of the TOML. `time_unit` is of stamps that are plain
 """
 
 import heapq
-import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -24,6 +23,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from pcbench import toml_text
 from pcbench.errors import UserError, said
 from pcbench.logs import bags, flight, matlab, mcaps, wide
 from pcbench.logs.log import Batch, Floats, Log, Rows, Table
@@ -112,9 +112,11 @@ def opened(path: Path, delay: float | None = None) -> Log:
 
 def _read(path: Path) -> Mapping:
     try:
-        found = Mapping.model_validate(tomllib.loads(path.read_text()))
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        given = toml_text.parse(path.read_bytes())
+    except (OSError, ValueError) as error:
         raise UserError(f"{path}: {said(error)}; expected TOML such as pcbench guide logs shows; mend it.") from None
+    try:
+        found = Mapping.model_validate(given)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))

@@ -1,10 +1,10 @@
 """A study as it is written: a dict from a name, a TOML file or Python, with changes put in. Its values are not checked yet."""
 
-import tomllib
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+from pcbench import toml_text
 from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS, parameters_of
@@ -16,7 +16,6 @@ from pcbench.study.own_scenarios import plain, tabled
 from pcbench.study.references import Gate, absolute, looked_up
 
 Described = str | Path | dict[str, Any] | Study  # a built-in name, a TOML file, or what one holds
-NOT_TOML = (ValueError, RecursionError)  # what tomllib raises, also for numbers too long and lists too deep
 
 
 def raw_of(what: Described, overrides: list[str], gate: Gate) -> dict[str, Any]:
@@ -105,9 +104,9 @@ def override(raw: dict[str, Any], change: str) -> None:
     if not equals or not all(path):
         raise UserError(f"--set {short(change)}: expected KEY=VALUE, such as axes.noise_std=0.1 or options.kfbo.R=0.3.")
     try:
-        found = tomllib.loads(f"value = {text}")
+        found = toml_text.parse(f"value = {text}")
         value = found["value"] if len(found) == 1 else text.strip()
-    except NOT_TOML:
+    except ValueError:
         value = text.strip()
     if path[0] == "axes" and len(path) > 1 and not isinstance(value, list):
         value = [value]
@@ -151,8 +150,8 @@ def _read(path: Path) -> dict[str, Any]:
             f"{short(str(path))}: cannot be read ({reason}); expected a TOML file that describes a study."
         ) from None
     try:
-        raw = tomllib.loads(text)
-    except NOT_TOML as error:
+        raw = toml_text.parse(text)
+    except ValueError as error:
         raise UserError(
             f"{path}: got what is not valid TOML ({short(str(error))}), expected a study; mend that line."
         ) from None

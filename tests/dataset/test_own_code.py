@@ -10,6 +10,7 @@ import pytest
 from small_study import tables
 
 import pcbench
+from pcbench.cli.commands import app
 from pcbench.dataset import merge, store, verify
 from pcbench.dataset.compare import compare
 from pcbench.report import page
@@ -75,6 +76,13 @@ def test_it_keeps_the_code_and_runs_none_of_it_to_be_read(here, out):
     assert (here / "mark").exists(), "as a study file it is"
     copy.unlink()
     assert set(pcbench.opened(out).stats.observer) == {"nudge", "kfbo"}
+
+
+def test_exact_values_are_refused_where_no_code_is_to_be_run(here, out):
+    forget(here)
+    with pytest.raises(pcbench.UserError, match=r"--sample 0, which runs no code .* needs that of nudge"):
+        app(["verify", "out", "--sample", "0", "--exact", "--quiet"], standalone_mode=False)
+    assert not (here / "mark").exists()
 
 
 def test_it_comes_out_again_by_the_copy(here, out):

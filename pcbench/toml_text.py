@@ -1,0 +1,23 @@
+"""Text of TOML as values, from whoever wrote it: whatever is wrong with it is a ValueError with one sentence."""
+
+import tomllib
+from typing import Any
+
+DEEPEST = (
+    64  # tables and lists inside one another: no study has so many, and Python runs out of its stack at some thousand
+)
+
+
+def parse(text: str | bytes) -> dict[str, Any]:
+    """Return what a TOML text holds, with or without a byte-order mark; raise ValueError for what is not valid, or too deep."""
+    try:
+        found = tomllib.loads(text.decode("utf-8-sig") if isinstance(text, bytes) else text)
+    except RecursionError:
+        raise ValueError(f"tables and lists are nested deeper than {DEEPEST}") from None
+    level: list[Any] = [found]
+    for _ in range(DEEPEST):
+        level = [inner for each in level for inner in (each.values() if isinstance(each, dict) else each)]
+        level = [each for each in level if isinstance(each, dict | list)]
+    if level:
+        raise ValueError(f"tables and lists are nested deeper than {DEEPEST}")
+    return found
