@@ -90,7 +90,7 @@ def verify(
         require_effect({"--figure": figure}, "without --exact", "both; add --exact, or leave it out")
     setup()
     if exact:
-        return _against_exact(folder, sample != 0 or every, figure, quiet, as_json)
+        return _against_exact(folder, figure, quiet, as_json)
     from pcbench.cli.screen import folder as screen
     from pcbench.cli.screen.progress import bar
     from pcbench.dataset import verify
@@ -105,13 +105,13 @@ def verify(
         raise typer.Exit(1)
 
 
-def _against_exact(folder: str, run: bool, figure: str | None, quiet: bool, as_json: bool) -> None:
+def _against_exact(folder: str, figure: str | None, quiet: bool, as_json: bool) -> None:
     """Compare simulated means with exact values, draw the figure that is asked for, and say what came of it."""
     from pcbench.cli.screen import folder as screen
     from pcbench.cli.screen.json import readable
     from pcbench.dataset import against_exact
 
-    found = against_exact.check(folder, run)
+    found = against_exact.check(folder)
     if figure is not None:
         from pcbench import plots
 

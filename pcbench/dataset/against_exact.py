@@ -60,18 +60,10 @@ class Checked(NamedTuple):
         return said + f"{len(self.wrong):,} are farther off than chance allows (|z| < {self.limit:.2f})."
 
 
-def check(out: str | Path, run: bool = True) -> Checked:
-    """Compare the simulated means of a dataset with their exact values; raise UserError where it has no runs enough.
-
-    Users' code in the dataset is needed for that; where it is not to be `run`, a dataset that has any is refused.
-    """
+def check(out: str | Path) -> Checked:
+    """Compare the simulated means of a dataset with their exact values; raise UserError where it has no runs enough."""
     target = store.target(out)
-    owned = ownership.opened(target, run=run)
-    if owned.study._own and not run:
-        raise UserError(
-            f"{target.name}: got --sample 0, which runs no code of a dataset, beside --exact, which needs that of "
-            f"{', '.join(owned.study._own)}; leave out one of them."
-        )
+    owned = ownership.opened(target, run=True)
     if not block_files.present(target):
         raise UserError(
             f"{target.name}: has no runs to be compared with exact values; run the study with method = 'runs'."

@@ -78,9 +78,9 @@ def test_it_keeps_the_code_and_runs_none_of_it_to_be_read(here, out):
     assert set(pcbench.opened(out).stats.observer) == {"nudge", "kfbo"}
 
 
-def test_exact_values_are_refused_where_no_code_is_to_be_run(here, out):
+def test_exact_values_with_a_sample_of_none_are_refused_and_run_no_code(here, out):
     forget(here)
-    with pytest.raises(pcbench.UserError, match=r"--sample 0, which runs no code .* needs that of nudge"):
+    with pytest.raises(pcbench.UserError, match="--sample: got it with --exact"):
         app(["verify", "out", "--sample", "0", "--exact", "--quiet"], standalone_mode=False)
     assert not (here / "mark").exists()
 
