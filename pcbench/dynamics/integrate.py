@@ -12,6 +12,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Float, Int
 
+from pcbench.dynamics.room import within_room
+
 Field = Callable[[Array, Any], Any]  # (t [s], x) -> dx/dt; x an array, or a pytree of arrays
 
 
@@ -47,7 +49,7 @@ def transition(field: Field, t: Array, n: int, h: Array, substeps: int = 1) -> F
 def after(powers: Float[Array, "levels R n n"], age: Int[Array, ""], x: Float[Array, "n ..."]) -> Float[Array, "n ..."]:
     """X carried over `age` ticks of a linear flow without input: e^{A age} x.
 
-    `age` must lie in 0 .. R^levels - 1; no check is made here.
+    `age` must lie in 0 .. R^levels - 1; only an exported observer checks it.
     """
     for E in _chosen(powers, age):
         x = E @ x
@@ -69,5 +71,6 @@ def covariance_after(
 def _chosen(powers: Array, age: Array) -> list[Array]:
     """One entry of each level's table, by the digits of `age`; taken together."""
     levels, R, *shape = powers.shape
+    age = within_room(age, age < R**levels)
     digits = [level * R + age // R**level % R for level in range(levels)]
     return list(jnp.take(powers.reshape(levels * R, *shape), jnp.stack(digits), axis=0, mode="clip"))

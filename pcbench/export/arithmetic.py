@@ -23,6 +23,7 @@ CALLED = set(
 )
 MACRO = {"max": "LARGER", "min": "SMALLER", "sign": "SIGN"}
 SAME = {"copy", "copy_p", "stop_gradient"}
+CONVERTS = {"convert_element_type"}
 FOLDS = dict(zip(primitives.FOLDS, ("+", "LARGER", "SMALLER", "*", "&", "|"), strict=True))
 UNSIGNED = {"int32_t": "uint32_t", "int64_t": "uint64_t"}
 MOST = 8  # a whole power up to here is written as a product
@@ -45,8 +46,20 @@ def _power(params: dict[str, Any], a: list[str]) -> str:
     return f"R(1.0) / ({text})" if y < 0 else text
 
 
-def _converted(kind: str, a: list[str]) -> str:
-    return f"{a[0]} != 0" if kind == "bool" else f"({kind}){a[0]}"
+def _converted(kind: str, a: list[str], source: str) -> str:
+    """A number as another kind: of a float as an integer the nearest that there is, 0 of NaN, as in jax."""
+    if kind == "bool":
+        return f"{a[0]} != 0"
+    if source != "real" or kind == "real":
+        return f"({kind}){a[0]}"
+    least, most = (
+        (f"{kind[:-2].upper()}_MIN", f"{kind[:-2].upper()}_MAX")
+        if kind[0] == "i"
+        else ("0", f"{kind[:-2].upper()}_MAX")
+    )
+    bits = int("".join(filter(str.isdigit, kind))) - (kind[0] == "i")
+    low = f"(-R({2.0**bits!r}))" if kind[0] == "i" else "R(0.0)"
+    return f"{a[0]} != {a[0]} ? 0 : {a[0]} <= {low} ? {least} : {a[0]} >= R({2.0**bits!r}) ? {most} : ({kind}){a[0]}"
 
 
 def _chosen(a: list[str]) -> str:
@@ -75,7 +88,6 @@ OTHERS: dict[str, Callable[[dict[str, Any], str, list[str]], str]] = {
     "rsqrt": lambda params, kind, a: f"R(1.0) / F(sqrt)({a[0]})",
     "logistic": lambda params, kind, a: f"R(1.0) / (R(1.0) + F(exp)(-{a[0]}))",
     "integer_pow": lambda params, kind, a: _power(params, a),
-    "convert_element_type": lambda params, kind, a: _converted(kind, a),
     "is_finite": lambda params, kind, a: f"isfinite({a[0]}) != 0",
     "clamp": lambda params, kind, a: f"CLAMPED({a[0]}, {a[1]}, {a[2]})",
     "select_n": lambda params, kind, a: _chosen(a),
@@ -89,7 +101,7 @@ OTHERS: dict[str, Callable[[dict[str, Any], str, list[str]], str]] = {
 
 def is_elementwise(name: str) -> bool:
     """Say whether C has an operation on each number alone."""
-    return name in INFIX or name in CALLED or name in MACRO or name in OTHERS or name in SAME
+    return name in INFIX or name in CALLED or name in MACRO or name in OTHERS or name in SAME or name in CONVERTS
 
 
 def elementwise(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
@@ -108,7 +120,10 @@ def elementwise(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
             out[i] = np.asarray(eqn.primitive.bind(*map(_as_it_is, mine, eqn.invars), **eqn.params))[()]
         else:
             texts = [written(x) for x in mine]
-            text = _by_name(name, eqn.params, kind, texts) or OTHERS[name](eqn.params, kind, texts)
+            if name == "convert_element_type":
+                text = _converted(kind, texts, kind_of(eqn.invars[0].aval.dtype))
+            else:
+                text = _by_name(name, eqn.params, kind, texts) or OTHERS[name](eqn.params, kind, texts)
             out[i] = w.let(kind, text, counted)
     return out
 

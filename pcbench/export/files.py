@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -14,14 +14,19 @@ import numpy as np
 
 from pcbench.dataset import store, together
 from pcbench.errors import UserError
-from pcbench.export import functions, library, numbers, replay, vector
+from pcbench.export import functions, library, numbers, recorded, vector
+from pcbench.export import replay as replaying
 from pcbench.export.library import About
+from pcbench.export.vector import Vector
 from pcbench.machine import process
 from pcbench.planning import alone, controller, drafts, padding, setting
 from pcbench.plants import signals_of
-from pcbench.simulation.problem import present
+from pcbench.protocols import Observer
+from pcbench.replaying.replay import asked, replay
+from pcbench.study.cells import Cell
 from pcbench.study.raw import Described
 from pcbench.study.read import one_cell
+from pcbench.synthesis.certificate import Certificate, Setting
 
 COMPILERS = ("cc", "gcc", "clang")
 FLAGS = ("-std=c99", "-O2")
@@ -47,8 +52,36 @@ class Exported(NamedTuple):
     scale: np.ndarray  # [s] the largest that each signal is in the run
 
 
-def exported(study: Described, observer: str, seed: int = 0, overrides: list[str] | None = None) -> Exported:
-    """Return an observer of a study of one cell as files; raise UserError where it cannot be written in C."""
+class Chosen(NamedTuple):
+    """An observer with its numbers, and the run to test it by."""
+
+    cell: Cell
+    label: str
+    observer: Observer
+    gains: Any
+    xhat0: Any
+    setting: Setting
+    certificate: Certificate
+    rows: int  # of past inputs
+    ring: int  # packets that may be on their way
+    run: Vector
+
+
+def exported(
+    study: Described,
+    observer: str,
+    seed: int = 0,
+    overrides: list[str] | None = None,
+    *,
+    log: str | Path | None = None,
+    delay: float | None = None,
+    start: float | None = None,
+) -> Exported:
+    """Return an observer of a study of one cell as files; raise UserError where it cannot be written in C.
+
+    With a `log` it has the room that this recording needs, and the run to test it by is the replay of the recording, with
+    `delay` and `start` [s] as in `replaying.replay`; else it is run `seed` of the study.
+    """
     with process.float64():
         asked, cell = one_cell(study, [observer], overrides or [])
         if cell.scenario.sampling.continuous:
@@ -61,50 +94,101 @@ def exported(study: Described, observer: str, seed: int = 0, overrides: list[str
                 f"{observer}: init needs random numbers (erf_inv, random_bits), which cannot be written in C here, expected "
                 "an observer that draws none; export another one."
             )
+        if log is not None:
+            return _exported(_recorded(log, study, observer, delay, start, overrides or []))
         (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
-        return _exported(p, asked.root_seed, seed)
+        return _exported(_simulated(p, asked.root_seed, seed))
 
 
-def _exported(p: padding.Plan, root_seed: int, seed: int) -> Exported:
-    ((name, o),), label = p.layout.observers, p.labels[0]
-    rows, problem = _rows(p), jax.tree.map(jnp.asarray, p.problem._replace(schedule=()))
-    gains = problem.gains[name]
-    m, q = setting(p.cell).model.B.shape[1], len(problem.noise_std)
-    still = problem._replace(inputs=jnp.zeros((1, m)))
-    note = jax.eval_shape(lambda: o.note(gains, o.init(gains, problem.xhat0), present(still, jnp.asarray(0), False)))
-    noted = note.shape[0]
-    shapes = functions.Shapes(len(problem.x0), m, q, noted, rows)
-    s = functions.source(library.identifier(label), o, gains, problem.xhat0, shapes)
-    v, signals = vector.vector(p, root_seed, seed, rows), signals_of(p.cell.scenario)[: s.estimates]
+def _simulated(p: padding.Plan, root_seed: int, seed: int) -> Chosen:
+    ((name, o),), label, known = p.layout.observers, p.labels[0], setting(p.cell)
+    rows = _rows(p.cell, label, known)
+    return Chosen(
+        cell=p.cell,
+        label=label,
+        observer=o,
+        gains=p.problem.gains[name],
+        xhat0=p.problem.xhat0,
+        setting=known,
+        certificate=p.certificates[label],
+        rows=rows,
+        ring=p.layout.ring,
+        run=vector.vector(p, root_seed, seed, rows),
+    )
+
+
+def _recorded(
+    log: str | Path, study: Described, observer: str, delay: float | None, start: float | None, overrides: list[str]
+) -> Chosen:
+    a = asked(log, study, [observer], delay=delay, start=start, overrides=overrides)
+    label = next(iter(a.cell.options))
+    p, run = recorded.recorded(a, a.cell.entry(label).observer.sampled is not None)
+    found = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
+    expected = found.filter(regex=rf"^{re.escape(label)}\.").to_numpy()
+    rows = max(_rows(a.cell, label, p.setting), p.back)
+    return Chosen(
+        cell=a.cell,
+        label=label,
+        observer=a.cell.entry(label).observer,
+        gains=p.problem.gains[label],
+        xhat0=p.problem.xhat0,
+        setting=p.setting,
+        certificate=p.certificates[label],
+        rows=rows,
+        ring=p.layout.ring,
+        run=run._replace(
+            before=np.zeros((rows, p.m)), truth=run.truth[:, : expected.shape[1]], expected=expected, of="a replay"
+        ),
+    )
+
+
+def _exported(c: Chosen) -> Exported:
+    o, gains, xhat0 = c.observer, *jax.tree.map(jnp.asarray, (c.gains, c.xhat0))
+    m, q = c.setting.model.B.shape[1], len(c.setting.noise_std)
+    zero = jnp.asarray(0)
+    now = functions.present(
+        jnp.asarray(0.0), zero, jnp.asarray(c.setting.dt), *map(jnp.zeros, (m, (1, m))), decided=False
+    )
+    noted = jax.eval_shape(lambda: o.note(gains, o.init(gains, xhat0), now)).shape[0]
+    s = functions.source(library.identifier(c.label), o, gains, xhat0, functions.Shapes(m, q, noted, c.rows))
+    signals = signals_of(c.cell.scenario)[: s.estimates]
     about = About(
-        label=library.identifier(label),
-        observer=label,
-        scenario=p.cell.scenario.name,
-        dt=p.cell.scenario.dt,
+        label=library.identifier(c.label),
+        observer=c.label,
+        scenario=c.cell.scenario.name,
+        dt=c.cell.scenario.dt,
         signals=signals,
         inputs=m,
         outputs=q,
-        rows=rows,
+        rows=c.rows,
+        oldest=_oldest(c, s),
     )
-    found = numbers.described(about, p, gains)
+    found = numbers.described(about, c.setting, c.certificate, c.cell.told[c.label], gains)
     files: dict[str, str | bytes] = {
         f"{about.label}.h": library.header(about, s),
         f"{about.label}.c": library.code(about, s),
         f"{about.label}_gains.h": library.gains(about, s, gains),
-        "vector.h": replay.header(about, v, noted, p.layout.ring),
-        "main.c": replay.main(about, s, noted),
+        "vector.h": replaying.header(about, c.run, noted, c.ring),
+        "main.c": replaying.main(about, s, noted),
         "gains.json": numbers.as_json(found),
         "gains.mat": numbers.as_mat(found),
     }
-    return Exported(about, files, np.abs(v.expected).max(0))
+    return Exported(about, files, np.abs(c.run.expected).max(0))
 
 
-def _rows(p: padding.Plan) -> int:
+def _rows(cell: Cell, label: str, known: Setting) -> int:
     """How many past inputs an observer may ask for: those since the oldest sample that it may still use."""
-    ticks, entry = p.cell.times.ticks, p.cell.entry(p.labels[0])
+    ticks, entry = cell.times.ticks, cell.entry(label)
     if not entry.loops:  # it looks back further than a loop keeps its inputs
         return ticks + 1
-    return min(controller.oldest(p.cell, setting(p.cell).overtaking, ticks) + 2, ticks + 1)
+    return min(controller.oldest(cell, known.overtaking, ticks) + 2, ticks + 1)
+
+
+def _oldest(c: Chosen, s: functions.Source) -> int:
+    """The age in ticks up to which a measurement that no newer one overtook is used, if they come as they are expected."""
+    if s.jump_looks_back == "in a loop":  # to the measurement before it, and on
+        return min(c.setting.latest, c.rows)
+    return min(c.rows, c.setting.ticks) if s.jump_looks_back == "once" else c.setting.ticks
 
 
 def require_place(out: str | Path) -> None:
@@ -152,6 +236,10 @@ def replayed(found: Exported, single: bool = False, arguments: tuple[str, ...] =
             line = (done.stderr.strip().splitlines() or ["no reason"])[0]
             raise UserError(f"{cc}: refused {files[0]} ({line}), expected it to compile as C99; look at that line.")
         ran = subprocess.run([f"{folder}/replay", *arguments], capture_output=True, text=True, timeout=PATIENCE)
+        if ran.returncode:
+            raise UserError(
+                f"{found.about.observer}: {ran.stderr.strip()}, expected room for the whole run; export it again."
+            )
         return ran.stdout
 
 

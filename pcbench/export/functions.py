@@ -5,13 +5,14 @@ reads what was applied so many ticks ago: 0 before tick 0 unless `now` was begun
 """
 
 from collections.abc import Callable, Iterable
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from pcbench.dynamics.room import within_room
 from pcbench.errors import UserError
 from pcbench.export import program, structs
 from pcbench.export.structs import Field
@@ -20,19 +21,22 @@ from pcbench.protocols import Arrival, Now, Observer
 
 
 class Shapes(NamedTuple):
-    """What an observer is of: n states, m inputs, q outputs, what it notes, and the rows of past inputs."""
+    """What an observer is of: m inputs, q outputs, what it notes, and the rows of past inputs."""
 
-    states: int
     inputs: int
     outputs: int
     noted: int
     past: int
 
 
+Reading = Literal["not", "once", "in a loop"]
+
+
 class Function(NamedTuple):
     """One function in C."""
 
     name: str
+    returns: str  # a type
     head: str  # its arguments
     lines: list[str]
 
@@ -46,6 +50,7 @@ class Source(NamedTuple):
     arrival: list[Field]
     functions: list[Function]
     looks_back: bool  # whether any of them reads past inputs
+    jump_looks_back: Reading  # and how the jump does
     estimates: int
 
 
@@ -54,6 +59,7 @@ def present(t: Array, tick: Array, dt: Array, u: Array, past: Array, *, decided:
     rows = past.shape[0]
 
     def past_u(age: Array) -> Array:
+        age = within_room(age, age < rows + (not decided))
         n = tick - age
         row = jax.lax.dynamic_index_in_dim(past, n % rows, 0, False)
         return jnp.where(n < 0, 0.0, jnp.where(age < rows + (not decided), row, jnp.nan))
@@ -85,7 +91,7 @@ def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> S
         ]
         into = structs.entries("m", there["m"]) if changes == "m" else None
         try:
-            lines = _lines(closed, entries, into, changes)
+            lines = _lines(closed, entries, into, changes, name == "jump")
         except program.Hindered as hindered:
             if name == "covariance":
                 continue
@@ -93,7 +99,7 @@ def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> S
                 f"{label}: {name} needs {hindered}, which cannot be written in C here, expected primitives that can; export "
                 "another observer, or write this one by hand from its gains."
             ) from None
-        out.append(Function(name, _head(label, args, changes), lines))
+        out.append(Function(name, "int" if name == "jump" else "void", _head(label, args, changes), lines))
     estimates = jax.eval_shape(lambda g, m: jnp.asarray(o.estimate(g, m)), gains, memory).shape[0]
     looks = any("now->past[" in line for f in out for line in f.lines)
     return Source(
@@ -103,8 +109,22 @@ def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> S
         arrival=there["a"],
         functions=out,
         looks_back=looks,
+        jump_looks_back=_reading("jump", out),
         estimates=estimates,
     )
+
+
+def _reading(name: str, functions: list[Function]) -> Reading:
+    """How a function reads past inputs: in a loop it goes back further than to the sample that arrives."""
+    loops, found = [], False
+    for line in next(f.lines for f in functions if f.name == name):
+        deep = len(line) - len(line.lstrip())
+        loops = [each for each in loops if each < deep]
+        found |= "now->past[" in line
+        if loops and "now->past[" in line:
+            return "in a loop"
+        loops += [deep] if line.lstrip().startswith("for (") else []
+    return "once" if found else "not"
 
 
 def _given(shapes: Shapes) -> tuple[list[Any], Arrival, Any]:
@@ -113,7 +133,7 @@ def _given(shapes: Shapes) -> tuple[list[Any], Arrival, Any]:
     def kind(dtype: type, *shape: int) -> Any:
         return jax.ShapeDtypeStruct(shape, dtype)
 
-    _, m, q, r, rows = shapes
+    m, q, r, rows = shapes
     now = [kind(float), kind(int), kind(float), kind(float, m), kind(float, rows, m)]
     arrival = Arrival(
         value=kind(float, q),
@@ -141,7 +161,7 @@ def _asked(o: Observer, noted: int) -> dict[str, tuple[Callable[..., Any], tuple
         out["note"] = (lambda g, m, now: jnp.asarray(o.note(g, m, undecided(now))), ("g", "m", "now"), "note")
     if told := o.sampled:
         out["sampled"] = (lambda g, m, now, fresh: told(g, m, undecided(now), fresh), ("g", "m", "now", "fresh"), "m")
-    out["jump"] = (lambda g, m, now, a: o.jump(g, m, undecided(now), a), ("g", "m", "now", "a"), "m")
+    out["jump"] = (lambda g, m, now, a: o.jump(g, m, undecided(now), _complete(a)), ("g", "m", "now", "a"), "m")
     out["estimate"] = (lambda g, m: jnp.asarray(o.estimate(g, m)), ("g", "m"), "xhat")
     if spread := o.covariance:
         out["covariance"] = (lambda g, m, now: jnp.asarray(spread(g, m, undecided(now))), ("g", "m", "now"), "P")
@@ -149,14 +169,31 @@ def _asked(o: Observer, noted: int) -> dict[str, tuple[Callable[..., Any], tuple
     return out
 
 
-def _lines(closed: Any, entries: list[Any], into: list[Any] | None, changes: str) -> list[str]:
-    """The lines of a function that writes what a program makes `into` a struct, or into an array called `changes`."""
+def _complete(a: Arrival) -> Arrival:
+    """An arrival with 0 for the value and the age of the others for that of a channel that does not arrive."""
+    oldest = jnp.max(jnp.where(a.fresh, a.age, 0))
+    return a._replace(value=jnp.where(a.fresh, a.value, 0.0), age=jnp.where(a.fresh, a.age, oldest))
+
+
+def _lines(closed: Any, entries: list[Any], into: list[Any] | None, changes: str, refuses: bool) -> list[str]:
+    """The lines of a function that writes what a program makes `into` a struct, or into an array called `changes`.
+
+    One that `refuses` returns 1 before it changes anything if the program has gone outside the room, and else 0.
+    """
     w = Writer()
     left = program.write(w, closed, entries)
     kinds = [kind_of(v.aval.dtype) for v in closed.jaxpr.outvars]
+    if w.checks and refuses:
+        w.say("if (outside) return 1;")
     program.assign(w, [*zip(kinds, into or [stored(changes, left[0].shape)], left, strict=True)])
     w.count()
-    return w.lines
+    if refuses:
+        w.say("return 0;")
+    return [
+        *(["    bool outside = false;"] if w.checks else []),
+        *w.lines,
+        *(["    (void)outside;"] if w.checks and not refuses else []),
+    ]
 
 
 def _head(label: str, args: tuple[str, ...], changes: str) -> str:

@@ -38,7 +38,18 @@ ORDER = """   At tick k, in this order:
      2. for each sample that arrives now, the oldest first: {label}_jump, with the note of its own tick;
      3. {label}_estimate: the estimate of now;
      4. decide the input, and {label}_hold(&now, u);
-     5. {label}_flow; then {label}_next(&now)."""
+     5. {label}_flow; then {label}_next(&now).
+
+   {label}_jump returns 0; or 1, with the memory unchanged, for a measurement outside its room. The oldest admissible age is
+   {macro} = {oldest} ticks ({seconds:g} s), and no measurement may be from before tick 0 or after now. It returns 1 as well
+   for a measurement that more newer ones overtook than on the schedule of this room, and after so long without a measurement
+   that the inputs since are no longer stored: then begin again with {label}_begin and {label}_init."""
+OLDEST = "{macro}_OLDEST_AGE"
+ADMITTED = """    for (int j = 0; j < {outputs}; j++) {{
+        if (a->fresh[j] && (a->age[j] < 0 || a->age[j] > {macro} || a->age[j] > now->tick)) {{
+            return 1;
+        }}
+    }}"""
 SAMPLED = ", then {label}_sampled"
 HELPERS = """
 /* Begin at tick 0, every input before it zero. */
@@ -77,6 +88,7 @@ class About(NamedTuple):
     inputs: int
     outputs: int
     rows: int  # of past inputs
+    oldest: int  # [ticks] the greatest age that a measurement may have
 
 
 def comment(text: str) -> str:
@@ -114,7 +126,13 @@ def header(about: About, s: Source) -> str:
             "ticks since the last tick at which anything arrived, from 0 before the first")  # fmt: skip
     arrival = [each._replace(says=says) for each, says in zip(s.arrival, said, strict=True)]
     signals = ", ".join(comment(f"{name} [{unit}]") for name, unit in about.signals)
-    order = ORDER.format(label=label, sampled=SAMPLED.format(label=label) if _has(s, "sampled") else "")
+    order = ORDER.format(
+        label=label,
+        sampled=SAMPLED.format(label=label) if _has(s, "sampled") else "",
+        macro=_macro(about),
+        oldest=about.oldest,
+        seconds=about.oldest * about.dt,
+    )
     order = (
         order
         if _has(s, "note")
@@ -137,6 +155,8 @@ def header(about: About, s: Source) -> str:
         "#include <stdbool.h>",
         "#include <stdint.h>",
         "",
+        f"#define {_macro(about)} {about.oldest} /* ticks */",
+        "",
         "#ifdef OBSERVER_FLOAT",
         f"typedef float {label}_real;",
         "#else",
@@ -151,11 +171,15 @@ def header(about: About, s: Source) -> str:
         "",
         *structs.declared(f"{label}_arrival", arrival),
         HELPERS.format(label=label, dt=about.dt, inputs=about.inputs, past=past),
-        *(f"void {label}_{f.name}({f.head});" for f in s.functions),
+        *(f"{f.returns} {label}_{f.name}({f.head});" for f in s.functions),
         "",
         "#endif",
     ]
     return _own("\n".join(lines) + "\n", label)
+
+
+def _macro(about: About) -> str:
+    return OLDEST.format(macro=about.label.upper())
 
 
 def _has(s: Source, name: str) -> bool:
@@ -172,7 +196,9 @@ def code(about: About, s: Source) -> str:
     parts = [f'#include "{about.label}.h"\n', PRELUDE.format(label=about.label)]
     for f in s.functions:
         unused = [f"    (void){x};" for x in ("g", "m", "now", "a") if re.search(rf"\*{x}\b", f.head)]
-        parts.append("\n".join([f"void {about.label}_{f.name}({f.head})", "{", *unused, *f.lines, "}", ""]))
+        checks = [ADMITTED.format(outputs=about.outputs, macro=_macro(about))] if f.name == "jump" else []
+        head = f"{f.returns} {about.label}_{f.name}({f.head})"
+        parts.append("\n".join([head, "{", *unused, *checks, *f.lines, "}", ""]))
     return "\n".join(parts)
 
 

@@ -9,20 +9,20 @@ import numpy as np
 from pcbench.dynamics import linear
 from pcbench.export import functions, structs
 from pcbench.export.library import About
-from pcbench.planning.design_setting import setting
-from pcbench.planning.padding import Plan
+from pcbench.synthesis.certificate import Certificate, Setting
 
 
-def described(about: About, p: Plan, gains: Any) -> dict[str, Any]:
-    """Return gains by their names in C and the model that the observer is told, continuous and over one tick."""
-    known, certificate = setting(p.cell), p.certificates[p.labels[0]]
+def described(
+    about: About, known: Setting, certificate: Certificate, options: dict[str, Any], gains: Any
+) -> dict[str, Any]:
+    """Return gains by their names in C and the model that the observer assumes, continuous and over one tick."""
     Phi, Gamma = linear.one_tick(known.model, known.dt)
     model = {"A": known.model.A, "B": known.model.B, "C": known.model.C, "D": known.model.feedthrough}
     named = zip(structs.fields(gains, "gain"), functions.numbers(gains), strict=True)
     return {
         "observer": about.observer,
         "scenario": about.scenario,
-        "options": p.cell.told[p.labels[0]],
+        "options": options,
         "certificate": {"inequality": certificate.inequality, "margin": float(certificate.margin)},
         "dt": about.dt,
         "signals": [name for name, _ in about.signals],

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pcbench.dynamics.room import ROOM
 from pcbench.errors import UserError
 from pcbench.export import arithmetic, places
 from pcbench.export.terms import Entries, Term, Writer, is_known, kind_of, known, scalar, stored, written
@@ -72,6 +73,9 @@ def _step(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
     name = eqn.primitive.name
     if len(w.lines) > LONGEST:
         raise Hindered(f"{name}: got more than {LONGEST:,} lines of C in one function, expected fewer.")
+    if name in primitives.CALLS and primitives.named(eqn.params) == ROOM:
+        w.check(args[1])
+        return [np.broadcast_to(args[0], eqn.outvars[0].aval.shape)]
     if name in primitives.CALLS:
         return write(w, primitives.called(eqn.params), args)
     if name in ("scan", "while", "cond"):
@@ -127,7 +131,10 @@ def _while(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
     with w.block("for (;;)"):
         (goes_on,) = write(w, cond, [*asked, *state])
         w.say(f"if (!{written(goes_on[()])}) break;")
+        checks = w.checks
         new = write(w, body, [*fixed, *state])
+        if w.checks > checks:
+            w.say("if (outside) break;")
         assign(w, [e for e, s in zip(zip(_kinds(inside), state, new, strict=True), stays, strict=True) if not s])
     return state
 

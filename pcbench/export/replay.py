@@ -26,6 +26,7 @@ int main(int argc, char **argv)
     static {label}_memory memory;
     static {label}_now now;
     double largest[SIGNALS] = {{0}}, square[SIGNALS] = {{0}}, error[SIGNALS] = {{0}};
+    long known[SIGNALS] = {{0}}, refused = 0;
     long sample[3] = {{0}}, tick = 0, e = 0; /* products: of a note, of telling, of a jump */
     (void)argv;
     {label}_begin(&now);
@@ -44,7 +45,7 @@ int main(int argc, char **argv)
                     a.index[j] = v->index[j];
                 }}
 {carry}                a.since = v->since;
-                {label}_jump(&{label}_nominal, &memory, &now, &a);
+                refused += {label}_jump(&{label}_nominal, &memory, &now, &a);
             }}
             sample[v->what] = {label}_products - start;
         }}
@@ -55,7 +56,10 @@ int main(int argc, char **argv)
             double off = fabs((double)xhat[i] - expected[k][i]), wrong = (double)xhat[i] - truth[k][i];
             largest[i] = off <= largest[i] ? largest[i] : off;
             square[i] += off * off;
-            error[i] += wrong * wrong;
+            if (!isnan(wrong) || isnan((double)xhat[i])) {{
+                error[i] += wrong * wrong;
+                known[i]++;
+            }}
             if (argc > 1) {{
                 printf("%.17g%c", (double)xhat[i], i < SIGNALS - 1 ? ' ' : '\\n');
             }}
@@ -66,7 +70,7 @@ int main(int argc, char **argv)
     }}
     for (int i = 0; i < SIGNALS && argc < 2; i++) {{
         printf("%s: differs by %.3g rms, %.3g at most; error %.6g rms\\n", names[i], sqrt(square[i] / TICKS), largest[i],
-               sqrt(error[i] / TICKS));
+               known[i] ? sqrt(error[i] / known[i]) : (double)NAN);
     }}
     if (argc < 2) {{
         printf("%lu bytes of memory, %lu of gains, %lu of now", (unsigned long)sizeof memory,
@@ -76,7 +80,10 @@ int main(int argc, char **argv)
         }}
         printf("\\n");
     }}
-    return 0;
+    if (refused) {{
+        fprintf(stderr, "%ld measurements are older than the room of {label}\\n", refused);
+    }}
+    return refused > 0;
 }}
 """
 NOTE = """            if (v->what == 0) {{

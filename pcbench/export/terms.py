@@ -34,6 +34,7 @@ class Writer:
         self.lines: list[str] = []
         self.deep = 1
         self.products = 0
+        self.checks = 0  # lines that set `outside`
         self._names = count(1)
 
     def say(self, line: str) -> None:
@@ -50,6 +51,13 @@ class Writer:
         self.products += products
         self.say(f"const {kind} {name} = {expression};")
         return Term(name)
+
+    def check(self, within: Entries) -> None:
+        """Write that something is outside the room unless all of these are true."""
+        each = {written(x) for x in within.flat} - {"true"}
+        self.checks += len(each)
+        for text in sorted(each):
+            self.say(f"outside = outside || !{text};")
 
     def array(self, kind: str, values: Entries) -> Entries:
         """Write an array that holds these entries, and return its own."""

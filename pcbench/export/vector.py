@@ -37,8 +37,9 @@ class Vector(NamedTuple):
     before: Floats  # [P, m] inputs from before tick 0, the newest first
     inputs: Floats  # [N+1, m]
     events: list[Event]
-    truth: Floats  # [N+1, s]
-    expected: Floats  # [N+1, s] what the simulation estimates
+    truth: Floats  # [N+1, s] NaN where it is unknown
+    expected: Floats  # [N+1, s] what the simulation, or the replay of a recording, estimates
+    of: str = "a simulation"
 
 
 def vector(p: Plan, root_seed: int, seed: int, rows: int) -> Vector:

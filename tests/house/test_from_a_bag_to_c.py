@@ -80,8 +80,11 @@ def test_its_numbers_come_out(sitting):
 
 @pytest.mark.slow
 @pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler on this machine")
-def test_the_filter_is_compiled_and_does_what_was_simulated(sitting):
-    folder, _ = sitting
+def test_filter_in_c_equals_replay_of_bag(sitting):
+    folder, said = sitting
+    assert "oldest admissible age" in " ".join(said["export"].split())
+    ticks = int(re.search(r"define TICKS (\d+)", (folder / "dkf-in-c" / "vector.h").read_text())[1])
+    assert ticks == len(pd.read_parquet(folder / "second" / "estimates.parquet")), "the C is tested on the bag"
     (lines,) = blocks("sh", PAGE)
     done = subprocess.run(["sh", "-ec", lines], cwd=folder, capture_output=True, text=True, check=True)
     off = [float(line.split(" at most")[0].split(", ")[1]) for line in done.stdout.splitlines() if "at most" in line]

@@ -7,8 +7,8 @@ from rich.console import Console
 from pcbench.cli.screen.tables import Column, printed
 
 
-def table(found: Any, double: dict[str, Any], single: dict[str, Any], console: Console) -> None:
-    """Print how far C is from the simulation, in double and in single precision, and its errors."""
+def table(found: Any, double: dict[str, Any], single: dict[str, Any], of: str, console: Console) -> None:
+    """Print how far C is from a simulation or the replay `of` a recording, in both precisions, and its errors."""
     about = found.about
     signals = [(name, unit) for name, unit in about.signals if name in double]
     columns = [
@@ -19,4 +19,5 @@ def table(found: Any, double: dict[str, Any], single: dict[str, Any], console: C
         Column("at most off", [f"{single[name].most:.2g}" for name, _ in signals], spare=1),
         Column("rms error", [f"{single[name].error:.6g}" for name, _ in signals]),
     ]
-    printed(f"{about.observer} of {about.scenario} in C, against the simulation of one run", columns, console)
+    oldest = f"oldest admissible age: {about.oldest} ticks ({about.oldest * about.dt:g} s)"
+    printed(f"{about.observer} of {about.scenario} in C, on {of}; {oldest}", columns, console)

@@ -4,7 +4,8 @@ An observer here is a recursion over samples, state -> update(state, sample), an
 newer one. So the newest K samples are kept, with the state before them: one that comes late is put in its place, and
 the recursion runs again from there. The estimate is then what it would have been, had the samples that have arrived come in
 order. K is the most that can overtake one sample on this schedule; where none can, K = 0 and nothing is kept.
-Not claimed: that a sample older than all those kept is used; on the schedule that K was made for there is none.
+A sample older than all those kept is outside the room (`dynamics.room`); on the schedule that K was made for there is
+none.
 """
 
 from collections.abc import Callable
@@ -15,6 +16,7 @@ import jax.numpy as jnp
 from jax import Array, lax
 from jaxtyping import Bool, Float, Int
 
+from pcbench.dynamics.room import within_room
 from pcbench.observers.parts.feedthrough import known_input
 from pcbench.protocols import Arrival, Leaf, Now, Room
 
@@ -58,6 +60,8 @@ def kept_of(sample: Measurement) -> Measurement:
 
 def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer, Any]:
     """Return the buffer with the sample that arrived in its place, and the state after the newest sample."""
+    if (oldest := getattr(buffer.before, "taken", None)) is not None:
+        arrived = arrived._replace(taken=within_room(arrived.taken, arrived.taken >= oldest))
     if not buffer.samples.taken.shape[0]:
         state = update(buffer.before, arrived)
         return Buffer(state, buffer.samples), state
