@@ -40,7 +40,16 @@ def happening(first: int, w: Window, tells: bool) -> list[Event]:
     out, q = [], w.fresh.shape[2]
     none = np.zeros(q, int)
     for k in map(int, np.flatnonzero(w.event)):
-        quiet = Event(first + k, NOTE, int(w.sense[k]), np.zeros(q), np.zeros(q, bool), none, none, 0)
+        quiet = Event(
+            tick=first + k,
+            what=NOTE,
+            packet=int(w.sense[k]),
+            value=np.zeros(q),
+            fresh=np.zeros(q, bool),
+            age=none,
+            index=none,
+            since=0,
+        )
         if w.sense[k] >= 0:
             out.append(quiet)
         if tells and w.sense[k] >= 0:

@@ -9,7 +9,7 @@ from pcbench.export import files
 from pcbench.observers import OBSERVERS
 
 EXPORTED = [name for name in OBSERVERS if name not in exports.REFUSED]
-FLAGS = ["-std=c99", "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+FLAGS = ["-std=c99", "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 QUICK = ("dkf",)
 HARNESS = """#include <stdio.h>
 #include <stdlib.h>
