@@ -4,6 +4,7 @@ import re
 import shutil
 import sys
 import tomllib
+from pathlib import Path
 
 import pytest
 import tomli_w
@@ -13,6 +14,7 @@ from pcbench.cli.commands import ALL, app
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
+PAGE = Path(pcbench.__file__).parents[1] / "SECURITY.md"
 READS = {  # commands that run no code of a dataset, by what is said after their name; the others run it, or take no dataset
     "status": ["ds", "--json"],
     "report": ["ds", "-q"],
@@ -157,6 +159,16 @@ def test_an_installed_scenario_is_not_imported_for_a_dataset(here, monkeypatch):
     edited(here, lambda study: study["scenarios"].append("theirs"))
     assert "expected a table" in sentence_of("status", ["ds"])
     assert not (here / "MARK").exists()
+
+
+def test_the_security_page_says_of_every_command_what_it_runs():
+    """Its table has the commands of READS in rows that run no code of the dataset, and all others that take one."""
+    rows = [row.split("|")[1:-1] for row in PAGE.read_text().splitlines() if row.startswith("| `pcbench")]
+    none = {name for row in rows if row[1].strip().startswith("none") for name in re.findall(r"`pcbench (\w+)", row[0])}
+    runs = {name for row in rows if "the copy" in row[1] for name in re.findall(r"`pcbench (\w+)", row[0])}
+    assert none == {*READS}
+    assert runs == {"verify", "score"}
+    assert all(row[2].strip().startswith("none") for row in rows)
 
 
 def test_every_command_is_known_to_read_a_dataset_or_not():
