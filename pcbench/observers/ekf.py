@@ -18,6 +18,7 @@ Not claimed: optimality, nor that a parameter can be found where the motion does
 Source: Jazwinski, Stochastic Processes and Filtering Theory, 1970, chapter 8.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -68,7 +69,7 @@ def update(gains: Gains, now: Now, before: Known, sample: Measurement) -> Known:
         z, P, left_out = by_slope(gains, at(now, sample.taken), before._replace(mean=z, P=P), sample.fresh, value)
         return guard.after(before, within(gains, z), P, sample.taken, left_out)
     left_out = []
-    n, none = gains.C.shape[1], jnp.zeros(gains.start.shape[0])
+    n, none = gains.C.shape[1], jnp.zeros(z.shape[0] - gains.C.shape[1])
     for channel in range(gains.C.shape[0]):
         c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
         Pc = P[:, :n] @ c
@@ -85,7 +86,8 @@ def by_slope(gains: Gains, there: Now, before: Any, fresh: Array, value: Array) 
     """Update by a sensor that is not linear: its output and its Jacobian are those of the predicted z."""
     z = predicted = before.mean
     P, left_out = before.P, []
-    y, C = sensed(gains, there, z)
+    y, C = sensed(gains, there, z[: gains.P0.shape[0]])
+    C = kalman.wide(C, z.shape[0])
     for channel in range(gains.C.shape[0]):
         c, r = C[channel], gains.R[channel]
         Pc = P @ c
@@ -127,12 +129,25 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "N N"]:
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
-    """Return how far what arrives is from what was expected of it; what is older than the newest is not judged."""
-    before, sample = newest(gains, memory, now), reordering.sample_of(now, arrival, gains.D)
-    z, P = carried(gains, now, before, sample.taken)
+    """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
+    buffer, sample = memory.buffer, reordering.sample_of(now, arrival, gains.D)
+    first, N = buffer.before, gains.P0.shape[0]
+    fresh, marker = sample.fresh & (sample.taken >= first.taken), jnp.maximum(sample.taken, first.taken)
+
+    def copy(state: Known, sample: Measurement) -> Known:
+        z, P = carried(gains, now, state, sample.taken)
+        return state._replace(mean=jnp.tile(z[:N], 2), P=kalman.with_copy(P, N), taken=sample.taken)
+
+    if buffer.samples.taken.shape[0]:
+        use = partial(update, gains, now)
+        start = buffer._replace(before=first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, N)))
+        state = reordering.newest_with_copy(use, copy, start, sample._replace(taken=marker))
+        z, P = state.mean[N:], state.P[N:, N:]
+    else:
+        z, P = carried(gains, now, first, sample.taken)
     value = value_of(gains, sample.value)
     (y, C), predicted = seen(gains, at(now, sample.taken), z), z
-    total, fresh = kalman.unjudged(), sample.fresh & (sample.taken >= before.taken)
+    total = kalman.unjudged()
     for channel in range(C.shape[0]):
         c, r = C[channel], gains.R[channel]
         nu, s = value[channel] - y[channel] - c @ (z - predicted), c @ P @ c + r

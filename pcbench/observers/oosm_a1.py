@@ -34,7 +34,7 @@ OBSERVER = Observer(
     prediction.flow,
     linear_filter.estimate,
     covariance=retrodiction.covariance,
-    innovation=retrodiction.innovation,
+    innovation=retrodiction.expecting(last, zero=False),
 )
 
 

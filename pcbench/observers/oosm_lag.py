@@ -50,7 +50,7 @@ OBSERVER = Observer(
     prediction.flow,
     linear_filter.estimate,
     covariance=retrodiction.covariance,
-    innovation=retrodiction.innovation,
+    innovation=retrodiction.expecting(equivalent, zero=False),
 )
 
 

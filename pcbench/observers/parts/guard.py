@@ -40,8 +40,8 @@ class Guard(NamedTuple):
 class Guarded(NamedTuple):
     """A filter's posterior, and how many samples of each channel were left out in a row."""
 
-    mean: Float[Array, " N"]
-    P: Float[Array, "N N"]
+    mean: Float[Array, " joint"]
+    P: Float[Array, "joint joint"]
     taken: Int[Array, ""]
     left_out: Int[Array, " q"]
 

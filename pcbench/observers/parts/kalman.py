@@ -17,8 +17,8 @@ from pcbench.protocols import Surprise
 class Posterior(NamedTuple):
     """Mean and covariance at the time of a sample, after it was used."""
 
-    mean: Float[Array, " N"]  # of the states, and of unknowns that are estimated beside them
-    P: Float[Array, "N N"]
+    mean: Float[Array, " joint"]  # of the states, of unknowns that are estimated beside them, of a copy of both
+    P: Float[Array, "joint joint"]
     taken: Int[Array, ""]  # tick
 
 
@@ -33,6 +33,16 @@ def covariance(
     """Return P after a channel was used with the gain K."""
     keep = jnp.eye(c.shape[0]) - jnp.outer(K, c)
     return keep @ P @ keep.T + r * jnp.outer(K, K)
+
+
+def with_copy(P: Float[Array, "m m"], n: int) -> Float[Array, "joint joint"]:
+    """Return the covariance of the first n of some numbers and of a copy of them."""
+    return jnp.tile(P[:n, :n], (2, 2))
+
+
+def wide(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
+    """Return the rows of outputs, or of what is read of a state, where the state has a copy or more beside it."""
+    return C if C.shape[1] == size else jnp.pad(C, ((0, 0), (0, size - C.shape[1])))
 
 
 def unjudged() -> Surprise:

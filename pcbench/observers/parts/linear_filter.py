@@ -8,6 +8,7 @@ its own time alone, which it brings as its note. R is the variance of one sample
 random walk.
 """
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -18,7 +19,7 @@ from jaxtyping import Float
 from pydantic import Field
 
 from pcbench.dynamics import linear
-from pcbench.dynamics.integrate import covariance_after
+from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import require_detectable
 from pcbench.observers.parts import assumed_noise, guard, kalman, prediction, reordering
@@ -80,18 +81,25 @@ def value_of(gains: Gains, sample: Measurement) -> Float[Array, " q"]:
 
 
 def predicted(gains: Gains, before: Known, tick: Any) -> Posterior:
-    """Return mean and covariance carried on to a tick."""
-    free = prediction.at(gains.motion, Point(before.mean, before.taken), tick)
-    return Posterior(free, covariance_after(gains.motion.powers, gains.noise, tick - before.taken, before.P), tick)
+    """Return mean and covariance carried on to a tick; a copy beside the state stays as it is."""
+    n, age, powers = gains.P0.shape[0], tick - before.taken, gains.motion.powers
+    free = prediction.at(gains.motion, Point(before.mean[:n], before.taken), tick)
+    P = covariance_after(powers, gains.noise, age, before.P[:n, :n])
+    if before.mean.shape[0] == n:
+        return Posterior(free, P, tick)
+    across = after(powers, age, before.P[:n, n:])
+    P = jnp.block([[P, across], [across.T, before.P[n:, n:]]])
+    return Posterior(jnp.concatenate([free, before.mean[n:]]), P, tick)
 
 
 def update(gains: Gains, before: Known, sample: Measurement) -> Known:
     """Update at the sample's own time, channel by channel; the mean is less the response to the input."""
     free, P, _ = predicted(gains, before, sample.taken)
-    value, left_out = value_of(gains, sample), []
+    value, left_out, n = value_of(gains, sample), [], gains.P0.shape[0]
+    rows = kalman.wide(gains.C, free.shape[0])
     for channel in range(gains.C.shape[0]):
-        c, r, fresh = gains.C[channel], gains.R[channel], sample.fresh[channel]
-        nu = value[channel] - c @ (sample.note + free)
+        c, r, fresh = rows[channel], gains.R[channel], sample.fresh[channel]
+        nu = value[channel] - gains.C[channel] @ (sample.note + free[:n])
         found = guard.looked(gains.guard, before, channel, nu, c @ P @ c + r, r, fresh)
         K = kalman.gain(P @ c, c @ P @ c + found.r, found.used)
         free = free + K * nu
@@ -101,13 +109,15 @@ def update(gains: Gains, before: Known, sample: Measurement) -> Known:
 
 
 def surprise(gains: Gains, before: Known, sample: Measurement) -> Surprise:
-    """Return how far a sample is from what the newest state `before` expects of it; one that is older is not judged.
+    """Return how far a sample is from what the newest state `before` expects of it; one that is older is not judged."""
+    there = predicted(gains, before, jnp.maximum(sample.taken, before.taken))
+    return against(gains, there, sample._replace(fresh=sample.fresh & (sample.taken >= before.taken)))
 
-    Of samples taken in order the innovations of a filter whose model is true are independent, whatever came late between.
-    """
-    free, P, _ = predicted(gains, before, jnp.maximum(sample.taken, before.taken))
+
+def against(gains: Gains, there: Known, sample: Measurement) -> Surprise:
+    """Return how far a sample is from what the state at its own time expects of it, channel by channel."""
+    free, P, fresh = there.mean, there.P, sample.fresh
     value, total = value_of(gains, sample), kalman.unjudged()
-    fresh = sample.fresh & (sample.taken >= before.taken)
     for channel in range(gains.C.shape[0]):
         c, r = gains.C[channel], gains.R[channel]
         nu, s = value[channel] - c @ (sample.note + free), c @ P @ c + r
@@ -158,8 +168,28 @@ def covariance(gains: Gains, memory: Memory, now: Now) -> Float[Array, "signals 
 
 
 def innovation(gains: Gains, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
-    """Return how far what arrives is from what was expected of it at its own time."""
-    return surprise(gains, newest(gains, memory), reordering.sample_of(now, arrival, gains.D))
+    """Return how far what arrives is from what all that arrived before says of its own time, whatever was taken since."""
+    return expected(gains, memory, reordering.sample_of(now, arrival, gains.D))
+
+
+def expected(gains: Gains, memory: Memory, sample: Measurement) -> Surprise:
+    """Return how far a sample is from what is expected of it; one older than all samples kept is not judged."""
+    buffer = memory.buffer
+    if not buffer.samples.taken.shape[0]:
+        return surprise(gains, buffer.before, sample)
+    first, n = buffer.before, gains.P0.shape[0]
+
+    def copy(state: Known, sample: Measurement) -> Known:
+        there = predicted(gains, state, sample.taken)
+        return state._replace(
+            mean=jnp.tile(there.mean[:n], 2), P=kalman.with_copy(there.P, n), taken=sample.taken
+        )
+
+    sample = sample._replace(fresh=sample.fresh & (sample.taken >= first.taken))
+    marker = sample._replace(taken=jnp.maximum(sample.taken, first.taken))
+    wide = first._replace(mean=jnp.tile(first.mean, 2), P=kalman.with_copy(first.P, n))
+    state = reordering.newest_with_copy(partial(update, gains), copy, buffer._replace(before=wide), marker)
+    return against(gains, Posterior(state.mean[n:], state.P[n:, n:], sample.taken), sample)
 
 
 FILTER = Observer(init, prediction.note, jump, prediction.flow, estimate, covariance=covariance, innovation=innovation)

@@ -55,10 +55,11 @@ def started(gains: Gains, xhat0: Float[Array, " n"]) -> Float[Array, " N"]:
     return jnp.concatenate([xhat0, gains.start])
 
 
-def within(gains: Gains, z: Float[Array, " N"]) -> Float[Array, " N"]:
-    """Return z with p clipped to its range."""
-    s = gains.start.shape[0]
-    return jnp.concatenate([z[: z.shape[0] - s], jnp.clip(z[z.shape[0] - s :], gains.low, gains.high)]) if s else z
+def within(gains: Gains, z: Float[Array, " joint"]) -> Float[Array, " joint"]:
+    """Return z with p clipped to its range; z may have a copy beside it."""
+    s, N = gains.start.shape[0], gains.P0.shape[0]
+    beside = [z[N:]] if z.shape[0] > N else []
+    return jnp.concatenate([z[: N - s], jnp.clip(z[N - s : N], gains.low, gains.high), *beside]) if s else z
 
 
 def at(now: Now, tick: Int[Array, ""]) -> Now:
@@ -68,12 +69,16 @@ def at(now: Now, tick: Int[Array, ""]) -> Now:
 
 
 def carried(gains: Gains, now: Now, before: Any, until: Int[Array, ""]) -> tuple[Array, Array]:
-    """Return mean and covariance carried on to a tick, one by one."""
+    """Return mean and covariance carried on to a tick, one by one; a copy beside the state stays as it is."""
+    N, beside = gains.P0.shape[0], before.mean.shape[0] - gains.P0.shape[0]
 
     def tick(k: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         (z, P), there = carry, at(now, k)
-        F = gains.slope(there, z)
-        return within(gains, gains.motion(there, z)), F @ P @ F.T + gains.Q
+        F, moved, Q = gains.slope(there, z[:N]), within(gains, gains.motion(there, z[:N])), gains.Q
+        if beside:
+            F, Q = jax.scipy.linalg.block_diag(F, jnp.eye(beside)), jnp.pad(Q, (0, beside))
+            moved = jnp.concatenate([moved, z[N:]])
+        return moved, F @ P @ F.T + Q
 
     return lax.fori_loop(before.taken, until, tick, (before.mean, before.P))
 

@@ -76,6 +76,27 @@ def newest(update: Update, buffer: Buffer) -> Any:
     return _through(update, buffer.before, buffer.samples)[0] if buffer.samples.taken.shape[0] else buffer.before
 
 
+def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Measurement) -> Any:
+    """Return the state after the newest sample, beside it a copy of the state at the tick at which one that arrives was taken.
+
+    `copy` (state, sample) makes the copy, after the samples up to that tick and before those that are newer. So the copy is
+    corrected by all that has arrived, and says what is expected of the sample: the innovations in the order of arrival are
+    independent if the model is true.
+    """
+    place = jnp.sum(buffer.samples.taken <= arrived.taken)
+
+    def step(state: Any, row: tuple[Array, Measurement]) -> tuple[Any, None]:
+        i, sample = row
+        used, copied = update(state, sample), copy(state, sample)
+        there, here = jnp.any(sample.fresh), i == place
+        return jax.tree.map(
+            lambda a, b, c: jnp.where(here, a, jnp.where(there, b, c)), copied, used, state
+        ), None
+
+    entries = _merged(buffer.samples, arrived)
+    return lax.scan(step, buffer.before, (jnp.arange(entries.taken.shape[0]), entries))[0]
+
+
 def _through(update: Update, before: Any, entries: Measurement) -> tuple[Any, Any]:
     """The state after samples in order, and after each of them; an empty place leaves it as it is."""
 

@@ -100,8 +100,13 @@ def forward(gains: Any, memory: Memory, sample: Measurement) -> Memory:
     return memory._replace(posterior=new, last=Last(P, u, U), past=past)
 
 
-def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: bool) -> Memory:
-    """Update the newest state by an older sample; with `zero` the noise between is taken for 0."""
+def backward(
+    gains: Any, memory: Memory, sample: Measurement, last: Last, zero: bool
+) -> tuple[Memory, Surprise]:
+    """Update the newest state by an older sample, and say how far it was from what is expected of it.
+
+    With `zero` the noise between is taken for 0.
+    """
     (x, P, k), (prior, u, U) = memory.posterior, last
     n, age = x.shape[0], k - sample.taken
     Q = covariance_after(gains.motion.powers, gains.noise, age, jnp.zeros_like(P))
@@ -113,13 +118,15 @@ def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: 
     across = after(gains.own.back, age, (P - xv).T).T
     z = jnp.concatenate([x, after(gains.own.back, age, x - noise)])
     joint = jnp.block([[P, across], [across.T, there]])
-    value = linear_filter.value_of(gains, sample)
+    value, total = linear_filter.value_of(gains, sample), kalman.unjudged()
     for channel in range(gains.C.shape[0]):
         c, r, fresh = jnp.concatenate([jnp.zeros(n), gains.C[channel]]), gains.R[channel], sample.fresh[channel]
-        K = kalman.gain(joint @ c, c @ joint @ c + r, fresh)
-        z = z + K * (value[channel] - gains.C[channel] @ sample.note - c @ z)
+        nu, s = value[channel] - gains.C[channel] @ sample.note - c @ z, c @ joint @ c + r
+        total = kalman.judged(total, nu, s, fresh)
+        K = kalman.gain(joint @ c, s, fresh)
+        z = z + K * nu
         joint = kalman.covariance(joint, K, c, r)
-    return memory._replace(posterior=Posterior(z[:n], joint[:n, :n], k))
+    return memory._replace(posterior=Posterior(z[:n], joint[:n, :n], k)), total
 
 
 def jumping(retrodict: Retrodict, zero: bool) -> Any:
@@ -128,7 +135,7 @@ def jumping(retrodict: Retrodict, zero: bool) -> Any:
     def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         sample = reordering.sample_of(now, arrival, gains.D)
         late = sample.taken < memory.posterior.taken
-        old = kept(late, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero), memory)
+        old = kept(late, backward(gains, memory, sample, retrodict(gains, memory, sample.taken), zero)[0], memory)
         reached = sample.taken >= memory.past.taken[0]
         new = forward(gains, memory, sample._replace(taken=jnp.maximum(sample.taken, memory.posterior.taken)))
         memory = kept(late, kept(reached, old, memory), new)
@@ -143,9 +150,19 @@ def covariance(gains: Any, memory: Memory, now: Now) -> Float[Array, "signals si
     return linear_filter.spread(gains, memory, linear_filter.predicted(gains, memory.posterior, memory.tick).P)
 
 
-def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
-    """Return how far what arrives in order is from what was expected of it."""
-    return linear_filter.surprise(gains, memory.posterior, reordering.sample_of(now, arrival, gains.D))
+def expecting(retrodict: Retrodict, zero: bool) -> Any:
+    """Return how far a sample is from what is expected of it, of an observer that goes back by `retrodict`."""
+
+    def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
+        """Return it of all that is used: what is older than the posteriors kept is not judged."""
+        sample = reordering.sample_of(now, arrival, gains.D)
+        reached = (sample.taken < memory.posterior.taken) & (sample.taken >= memory.past.taken[0])
+        late = sample._replace(fresh=sample.fresh & reached, taken=jnp.minimum(sample.taken, memory.posterior.taken))
+        old = backward(gains, memory, late, retrodict(gains, memory, late.taken), zero)[1]
+        new = linear_filter.surprise(gains, memory.posterior, sample)
+        return kept(reached, old, new)
+
+    return innovation
 
 
 def own(setting: Setting, name: str, past: int) -> Callable[[linear.Model], Own]:
