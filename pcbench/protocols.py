@@ -200,18 +200,20 @@ class Covariance(Protocol):
 class Surprise(NamedTuple):
     """How far a sample is from what was expected of it: nu' S^-1 nu, S the covariance that nu is believed to have.
 
-    With the two last it says too how likely the sample was, and whether samples repeat each other; they may be left out. Taken
-    one after the other the numbers of nu are independent, nu_j with the variance s_j.
+    With the next two it says too how likely the sample was, and whether samples repeat each other, with the last one which
+    channels were judged; they may be left out. Taken one after the other the numbers of nu are independent, nu_j with the
+    variance s_j.
     """
 
     square: Float[Array, ""]
     degrees: Float[Array, ""]  # how many numbers of the sample count; 0: it is not to be judged
     log_det: Any = None  # log det S, of the numbers that count
     signed: Any = None  # sum of nu_j / sqrt(s_j) over them
+    each: Any = None  # [q] nu_j / sqrt(s_j), NaN of a channel that does not count
 
 
 class Innovation(Protocol):
-    """Return how far what arrives is from what was expected of it, before it is used; of samples that come in order."""
+    """Return how far what arrives is from what is expected of it, given all that arrived before, whatever was taken since."""
 
     def __call__(self, gains: Gains, memory: Memory, now: Now, arrival: Arrival, /) -> Surprise: ...
 

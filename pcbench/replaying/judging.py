@@ -5,12 +5,13 @@
                    Q = T (T + 2) sum_h r_h^2 / (T - h), h = 1 .. H, chi-square with H degrees of freedom if they are white
     log-likelihood of a number: -1/2 (log 2 pi + log s + nu^2 / s), in the mean over all, and over those held out
 
-z has the mean 0 by what the observer says, so none is taken off. Held out is the last part of a log: no sample of it has been
-used when it is expected, and none of it by who tuned on the part before.
+Samples count in the order in which they arrived, delayed and out-of-sequence ones too: given all that arrived before, they are
+independent if the model is true. z has the mean 0 by what the observer says, so none is taken off. Held out is the last part of
+a log: no sample of it has been used when it is expected, and none of it by who tuned on the part before.
 Source: Ljung, Box, On a measure of lack of fit in time series models, Biometrika 65 (1978), (1.3), T samples.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +50,47 @@ def add(sums: Sums, numbers: NDArray[np.float64], held_out: NDArray[np.bool_]) -
         products=sums.products + np.array(more),
         newest=every[-LAGS:],
     )
+
+
+def add_channels(sums: list[Sums], numbers: NDArray[np.float64], held_out: NDArray[np.bool_]) -> list[Sums]:
+    """Return the sums of each channel [q] with samples [K, 4 + q] more, whose last numbers are nu_j / sqrt(s_j) by channel."""
+    counts = numbers[:, 1] > 0
+    z, part, out = numbers[counts, 4:], held_out[counts], []
+    for channel, before in enumerate(sums):
+        here = ~np.isnan(z[:, channel])
+        mine = z[here, channel]
+        out.append(add(before, np.stack([mine**2, np.ones_like(mine), 0 * mine, mine], 1), part[here]))
+    return out
+
+
+def by_channel(
+    sums: dict[str, list[Sums]], channels: tuple[str, ...], arrived: NDArray[np.int64]
+) -> list[dict[str, Any]]:
+    """Return a row for each observer and channel: how many samples arrived [q], how many were judged, and what they say."""
+    keys = ("samples", "nis", "nis_low", "nis_high", "verdict", "p_white")
+    rows = []
+    for observer, each in sums.items():
+        for name, came, mine in zip(channels, arrived.tolist(), each, strict=True):
+            found = judgement(mine)
+            row = {"observer": observer, "channel": name, "not_judged": came - mine.samples}
+            rows.append(row | {key: found[key] for key in keys})
+    return rows
+
+
+def unjudged(rows: list[dict[str, Any]]) -> list[str]:
+    """Return a sentence for each observer that leaves samples out, from `by_channel`: how many, and of which channels."""
+    out = []
+    for observer in dict.fromkeys(row["observer"] for row in rows):
+        mine = [row for row in rows if row["observer"] == observer]
+        left, judged = (sum(row[key] for row in mine) for key in ("not_judged", "samples"))
+        missing = [row for row in mine if row["not_judged"]]
+        of = [f"{row['not_judged'] if row['samples'] else 'all'} of {row['channel']}" for row in missing]
+        if left:
+            out.append(
+                f"{observer} does not say what it expects of {left:,} of {left + judged:,} samples, which are not judged: "
+                f"{', '.join(of)}."
+            )
+    return out
 
 
 def judgement(sums: Sums) -> dict[str, float | str]:

@@ -35,6 +35,7 @@ class Replayed(NamedTuple):
     metrics: pd.DataFrame  # by observer and signal, as a study has them; empty: no truth
     estimates: pd.DataFrame | None  # every tick; None where they stand in a folder
     summary: dict[str, Any]  # the log, the tick, how far times were rounded, and sentences
+    channels: pd.DataFrame  # what innovations say of each channel, with how many samples were judged
 
 
 class Asked(NamedTuple):
@@ -77,8 +78,8 @@ def replay(
         room = feed.room(a.log, a.found, a.clock, length, a.last)
         p = prepared(a.cell, room, a.last, a.log.name)
         with folder.draft(Path(spare if out is None else out)) as draft:
-            sums, score, smoothed = _run(a, p, room.slots, length, draft, seed, progress)
-            return _results(a, p, sums, score, smoothed, draft, out is None)
+            judged, score, smoothed = _run(a, p, room.slots, length, draft, seed, progress)
+            return _results(a, p, judged, score, smoothed, draft, loose=out is None)
 
 
 def asked(
@@ -147,9 +148,27 @@ def rounding(a: Asked) -> dict[str, Any]:
     return {"dt": a.clock.dt, "largest_rounding": off, "better_dt": better(grid, a.clock.dt, interval)}
 
 
+class Judged(NamedTuple):
+    """What innovations add up to, by observer."""
+
+    sums: dict[str, judging.Sums]
+    channels: dict[str, list[judging.Sums]]  # [q]
+    arrived: np.ndarray  # [q] samples
+
+    def add(self, label: str, numbers: np.ndarray, held_out: np.ndarray) -> None:
+        """Add samples [K, 4 + q]."""
+        self.sums[label] = judging.add(self.sums[label], numbers, held_out)
+        self.channels[label] = judging.add_channels(self.channels[label], numbers, held_out)
+
+    def rows(self, channels: tuple[str, ...]) -> list[dict[str, Any]]:
+        """Return what is known by channel, of observers that say which channels they judge."""
+        able = {o: s for o, s in self.channels.items() if any(c.samples for c in s) or not self.sums[o].samples}
+        return judging.by_channel(able, channels, self.arrived)
+
+
 def _run(
     a: Asked, p: Prepared, slots: int, length: int, draft: folder.Draft, seed: int, progress: Progress
-) -> tuple[dict[str, judging.Sums], Any, np.ndarray | None]:
+) -> tuple[Judged, Any, np.ndarray | None]:
     """Run all parts of a log; write estimates, return sums of innovations, the score against truth and the smoothed states."""
     scored = a.log.truth is not None
     signals = signals_of(a.cell.scenario)
@@ -163,7 +182,8 @@ def _run(
         )
     every = abreast.begun(p.layout, p.problem, slots, scored, seed)
     tail, out_from = a.cell.times.tail, int((1 - judging.HELD_OUT) * a.last)
-    sums = {label: judging.Sums() for label, o in p.layout.observers if o.innovation}
+    able, q = [label for label, o in p.layout.observers if o.innovation], len(a.log.channels)
+    judged = Judged({o: judging.Sums() for o in able}, {o: [judging.Sums()] * q for o in able}, np.zeros(q, int))
     model = smoother.model_of(p.setting, p.problem.xhat0)
     enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
@@ -177,22 +197,25 @@ def _run(
         draft.write(folder.table(schema, here[:kept] * a.clock.dt, found))
         progress.step(kept)
         for label, numbers in seen.surprise.items():
-            flat = np.asarray(numbers).reshape(-1, stretch.JUDGED)
-            sums[label] = judging.add(sums[label], flat, np.repeat(here >= out_from, slots))
+            flat = np.asarray(numbers).reshape(-1, stretch.JUDGED + q)
+            judged.add(label, flat, np.repeat(here >= out_from, slots))
+        judged.arrived[:] += part.window.fresh.sum((0, 1))
         if enough:
             u[part.first : part.first + kept] = part.inputs[p.back :][:kept]
             k, slot, channel = np.nonzero(part.window.fresh)
             y[part.window.taken[k, slot], channel] = part.window.value[k, slot, channel]
     draft.close()
-    return sums, abreast.score(every), np.asarray(smoother.compiled()(model, u, y)) if enough else None
+    return judged, abreast.score(every), np.asarray(smoother.compiled()(model, u, y)) if enough else None
 
 
 def _results(
-    a: Asked, p: Prepared, sums: dict[str, judging.Sums], score: Any, smoothed: Any, draft: folder.Draft, loose: bool
+    a: Asked, p: Prepared, judged: Judged, score: Any, smoothed: Any, draft: folder.Draft, loose: bool
 ) -> Replayed:
     """Make tables of what a run left."""
     signals = signals_of(a.cell.scenario)
-    innovations = pd.DataFrame([{"observer": label, **judging.judgement(each)} for label, each in sums.items()])
+    innovations = pd.DataFrame([{"observer": label, **judging.judgement(each)} for label, each in judged.sums.items()])
+    channels = judged.rows(a.log.channels)
+    a.said.extend(judging.unjudged(channels))
     distances = scoring.distances(draft.estimates, smoothed, list(a.cell.options), signals)
     if smoothed is None:
         a.said.append(
@@ -215,10 +238,18 @@ def _results(
         "certificates": {label: c.status for label, c in p.certificates.items()},
         "said": a.said,
         "innovations": innovations.to_dict("records"),
+        "channels": channels,
         "distances": distances.to_dict("records"),
         "metrics": metrics.to_dict("records"),
     }
     every = [t.to_pandas() for _, t in folder.parts(draft.estimates)] if loose else []
     folder.finish(draft, summary)
     estimates = pd.concat(every, ignore_index=True) if loose else None
-    return Replayed(innovations, distances, metrics, estimates, folder.plain(summary))
+    return Replayed(
+        innovations=innovations,
+        distances=distances,
+        metrics=metrics,
+        estimates=estimates,
+        summary=folder.plain(summary),
+        channels=pd.DataFrame(channels),
+    )

@@ -19,14 +19,14 @@ from pcbench.simulation.problem import Layout, Packet, Problem, State, present
 from pcbench.simulation.start import begin
 from pcbench.simulation.steps import Drawn, Row, arrival_of, errors, estimates, jump, note, tells, tick, told
 
-JUDGED = 4  # numbers of a Surprise
+JUDGED = 4  # numbers of a Surprise, which are followed by one for each channel
 
 
 class Flight(NamedTuple):
     """What was noted for packets on their way, in rings; and how far what arrived at this tick was from what was expected."""
 
     notes: Any  # by observer label, [ring, r]
-    surprise: dict[str, Array]  # by observer label of those that say it, [S, JUDGED]
+    surprise: dict[str, Array]  # by observer label of those that say it, [S, JUDGED + q]
 
 
 class Score(NamedTuple):
@@ -42,7 +42,7 @@ class Read(NamedTuple):
     """What is seen at every tick of a stretch."""
 
     estimates: dict[str, Array]  # [K, n]
-    surprise: dict[str, Array]  # [K, S, JUDGED]
+    surprise: dict[str, Array]  # [K, S, JUDGED + q]
 
 
 PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # nothing moves, nothing is measured
@@ -54,7 +54,9 @@ def begun(layout: Layout, p: Problem, slots: int, scored: bool, seed: Array) -> 
     notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring, *jnp.shape(v))), state.flight.notes)
     able = [label for label, o in layout.observers if o.innovation]
     state = state._replace(
-        flight=Flight(notes, {label: jnp.zeros((slots, JUDGED)) for label in able}), streams={}, watches={}
+        flight=Flight(notes, {label: jnp.zeros((slots, JUDGED + p.params.shape[0])) for label in able}),
+        streams={},
+        watches={},
     )
     if not scored:
         return state, ()
@@ -134,14 +136,16 @@ def _events(layout: Layout, p: Problem, w: Window, k: Array, state: State) -> St
 
 
 def surprises(layout: Layout, p: Problem, k: Array, state: State, row: Row, packet: Packet) -> dict[str, Array]:
-    """Return how far a packet is from what each observer expects of it, [JUDGED]; NaN is what one leaves out."""
+    """Return how far a packet is from what each observer expects of it, [JUDGED + q]; NaN is what one leaves out."""
     able = {label: o.innovation for label, o in layout.observers if o.innovation}
 
     def one_lane(memories: Any, row: Row, packet: Packet) -> dict[str, Array]:
         now, out = present(p, k, False), {}
         for label, innovation in able.items():
             found = innovation(p.gains[label], memories[label], now, arrival_of(row, packet, label))
-            out[label] = jnp.stack([jnp.asarray(jnp.nan if each is None else each) for each in found])
+            each = jnp.full(row.fresh.shape, jnp.nan) if found.each is None else found.each
+            whole = [jnp.asarray(jnp.nan if number is None else number) for number in found[:JUDGED]]
+            out[label] = jnp.concatenate([jnp.stack(whole), each])
         return out
 
     return {label: lanes.whole(each, 1)[:, 0] for label, each in over(one_lane)(state.memories, row, packet).items()}

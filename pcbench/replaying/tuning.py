@@ -87,6 +87,11 @@ def tune_log(
         first = look(at)
         _require_samples(first.tick, first.numbers[:, 1], cut, len(at), where)  # an observer may leave some out
         _require_start(first, where)
+        if left := int(brought.sum() - first.numbers[:, 1].sum()):
+            a.said.append(
+                f"{label} does not say what it expects of {left:,} of {int(brought.sum()):,} measured numbers, which are not "
+                "in its likelihood."
+            )
         tune.descend("descent", trials, at, lambda point: _value(look(point), cut), budget, where, progress)
         return tuned.finish(
             tuned.Outcome(

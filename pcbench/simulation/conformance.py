@@ -85,10 +85,13 @@ def check(label: str, observer: Observer, p: Problem, continuous: bool = False) 
             )
     if observer.innovation is not None:
         found = ask("innovation", arriving(observer.innovation), memory, value, note)
-        if (shapes := [each.shape for each in jax.tree.leaves(found)]) not in ([()] * 2, [()] * 3, [()] * 4):
+        if (shapes := [each.shape for each in jax.tree.leaves(found)]) not in (
+            *([()] * many for many in (2, 3, 4)),
+            [*[()] * 4, value.shape],
+        ):
             raise UserError(
                 f"observer {label}: innovation returned shapes {shapes}, expected two numbers, nu' S^-1 nu and how many "
-                "numbers nu has, or the four of pcbench.Surprise; return that of them."
+                "numbers nu has, or what pcbench.Surprise has; return that of them."
             )
     if continuous and observer.field is not None:
         field = observer.field

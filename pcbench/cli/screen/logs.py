@@ -74,14 +74,21 @@ def replayed(found: Any, folder: str, console: Console) -> None:
         columns = [
             Column("observer", [row["observer"] for row in rows], left=True),
             Column("samples", [f"{row['samples']:,}" for row in rows]),
-            Column("NIS", [_plain(row["nis"]) for row in rows]),
-            Column("95 % if right", [f"{row['nis_low']:.3f} to {row['nis_high']:.3f}" for row in rows]),
-            Column("verdict", [row["verdict"] for row in rows], left=True),
-            Column("p white", [_plain(row["p_white"]) for row in rows]),
+            *_judged(rows),
             Column("log-likelihood\nof a number", [_plain(row["log_likelihood"]) for row in rows]),
             Column("\nheld out", [_plain(row["log_likelihood_held_out"]) for row in rows]),
         ]
         printed(f"{found.summary['log']}: what arrived against what was expected of it", columns, console)
+    if len(found.channels) and (found.channels.channel.nunique() > 1 or found.channels.not_judged.any()):
+        rows = found.channels.to_dict("records")
+        columns = [
+            Column("observer", [row["observer"] for row in rows], left=True),
+            Column("channel", [row["channel"] for row in rows], left=True),
+            Column("samples", [f"{row['samples']:,}" for row in rows]),
+            Column("not judged", [f"{row['not_judged']:,}" for row in rows]),
+            *_judged(rows),
+        ]
+        printed("the same by channel", columns, console)
     if len(found.metrics):
         _wide(found.metrics[found.metrics.metric == "tail_rmse"], "value", "tail_rmse against truth", console)
     if len(found.distances):
@@ -92,6 +99,20 @@ def replayed(found: Any, folder: str, console: Console) -> None:
         console,
     )
     _print(f"Estimates tick by tick: {folder}/estimates.parquet", console)
+
+
+def _judged(rows: list[dict[Any, Any]]) -> list[Column]:
+    """Return the columns of what innovations say."""
+    return [
+        Column("NIS", [_plain(row["nis"]) for row in rows]),
+        Column("95 % if right", [_band(row) for row in rows]),
+        Column("verdict", [row["verdict"] for row in rows], left=True),
+        Column("p white", [_plain(row["p_white"]) for row in rows]),
+    ]
+
+
+def _band(row: dict[Any, Any]) -> str:
+    return f"{row['nis_low']:.3f} to {row['nis_high']:.3f}" if row["samples"] else "-"
 
 
 def _wide(table: pd.DataFrame, value: str, title: str, console: Console) -> None:

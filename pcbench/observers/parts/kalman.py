@@ -47,14 +47,16 @@ def wide(C: Float[Array, "q n"], size: int) -> Float[Array, "q size"]:
 
 def unjudged() -> Surprise:
     """Return the square of a sample of which nothing has been looked at."""
-    return Surprise(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()))
+    return Surprise(jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), jnp.zeros(()), each=jnp.zeros(0))
 
 
 def judged(so_far: Surprise, nu: Float[Array, ""], s: Float[Array, ""], fresh: Bool[Array, ""]) -> Surprise:
-    """Return the square with one more channel, whose innovation nu has the variance s; of one that is fresh."""
+    """Return the square with the next channel, whose innovation nu has the variance s; of one that is fresh."""
+    z = nu / jnp.sqrt(s)
     return Surprise(
         square=so_far.square + jnp.where(fresh, nu * nu / s, 0.0),
         degrees=so_far.degrees + jnp.where(fresh, 1.0, 0.0),
         log_det=so_far.log_det + jnp.where(fresh, jnp.log(s), 0.0),
-        signed=so_far.signed + jnp.where(fresh, nu / jnp.sqrt(s), 0.0),
+        signed=so_far.signed + jnp.where(fresh, z, 0.0),
+        each=jnp.append(so_far.each, jnp.where(fresh, z, jnp.nan)),
     )

@@ -181,9 +181,7 @@ def expected(gains: Gains, memory: Memory, sample: Measurement) -> Surprise:
 
     def copy(state: Known, sample: Measurement) -> Known:
         there = predicted(gains, state, sample.taken)
-        return state._replace(
-            mean=jnp.tile(there.mean[:n], 2), P=kalman.with_copy(there.P, n), taken=sample.taken
-        )
+        return state._replace(mean=jnp.tile(there.mean[:n], 2), P=kalman.with_copy(there.P, n), taken=sample.taken)
 
     sample = sample._replace(fresh=sample.fresh & (sample.taken >= first.taken))
     marker = sample._replace(taken=jnp.maximum(sample.taken, first.taken))

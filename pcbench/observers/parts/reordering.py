@@ -89,9 +89,7 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Meas
         i, sample = row
         used, copied = update(state, sample), copy(state, sample)
         there, here = jnp.any(sample.fresh), i == place
-        return jax.tree.map(
-            lambda a, b, c: jnp.where(here, a, jnp.where(there, b, c)), copied, used, state
-        ), None
+        return jax.tree.map(lambda a, b, c: jnp.where(here, a, jnp.where(there, b, c)), copied, used, state), None
 
     entries = _merged(buffer.samples, arrived)
     return lax.scan(step, buffer.before, (jnp.arange(entries.taken.shape[0]), entries))[0]

@@ -100,9 +100,7 @@ def forward(gains: Any, memory: Memory, sample: Measurement) -> Memory:
     return memory._replace(posterior=new, last=Last(P, u, U), past=past)
 
 
-def backward(
-    gains: Any, memory: Memory, sample: Measurement, last: Last, zero: bool
-) -> tuple[Memory, Surprise]:
+def backward(gains: Any, memory: Memory, sample: Measurement, last: Last, zero: bool) -> tuple[Memory, Surprise]:
     """Update the newest state by an older sample, and say how far it was from what is expected of it.
 
     With `zero` the noise between is taken for 0.
