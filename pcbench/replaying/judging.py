@@ -63,6 +63,24 @@ def add_channels(sums: list[Sums], numbers: NDArray[np.float64], held_out: NDArr
     return out
 
 
+class Judged(NamedTuple):
+    """What innovations add up to, by observer."""
+
+    sums: dict[str, Sums]
+    channels: dict[str, list[Sums]]  # [q]
+    arrived: NDArray[np.int64]  # [q] samples
+
+    def add(self, label: str, numbers: NDArray[np.float64], held_out: NDArray[np.bool_]) -> None:
+        """Add samples [K, 4 + q]."""
+        self.sums[label] = add(self.sums[label], numbers, held_out)
+        self.channels[label] = add_channels(self.channels[label], numbers, held_out)
+
+    def rows(self, channels: tuple[str, ...]) -> list[dict[str, Any]]:
+        """Return what is known by channel, of observers that say which channels they judge."""
+        able = {o: s for o, s in self.channels.items() if any(c.samples for c in s) or not self.sums[o].samples}
+        return by_channel(able, channels, self.arrived)
+
+
 def by_channel(
     sums: dict[str, list[Sums]], channels: tuple[str, ...], arrived: NDArray[np.int64]
 ) -> list[dict[str, Any]]:

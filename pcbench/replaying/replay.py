@@ -148,27 +148,9 @@ def rounding(a: Asked) -> dict[str, Any]:
     return {"dt": a.clock.dt, "largest_rounding": off, "better_dt": better(grid, a.clock.dt, interval)}
 
 
-class Judged(NamedTuple):
-    """What innovations add up to, by observer."""
-
-    sums: dict[str, judging.Sums]
-    channels: dict[str, list[judging.Sums]]  # [q]
-    arrived: np.ndarray  # [q] samples
-
-    def add(self, label: str, numbers: np.ndarray, held_out: np.ndarray) -> None:
-        """Add samples [K, 4 + q]."""
-        self.sums[label] = judging.add(self.sums[label], numbers, held_out)
-        self.channels[label] = judging.add_channels(self.channels[label], numbers, held_out)
-
-    def rows(self, channels: tuple[str, ...]) -> list[dict[str, Any]]:
-        """Return what is known by channel, of observers that say which channels they judge."""
-        able = {o: s for o, s in self.channels.items() if any(c.samples for c in s) or not self.sums[o].samples}
-        return judging.by_channel(able, channels, self.arrived)
-
-
 def _run(
     a: Asked, p: Prepared, slots: int, length: int, draft: folder.Draft, seed: int, progress: Progress
-) -> tuple[Judged, Any, np.ndarray | None]:
+) -> tuple[judging.Judged, Any, np.ndarray | None]:
     """Run all parts of a log; write estimates, return sums of innovations, the score against truth and the smoothed states."""
     scored = a.log.truth is not None
     signals = signals_of(a.cell.scenario)
@@ -183,7 +165,9 @@ def _run(
     every = abreast.begun(p.layout, p.problem, slots, scored, seed)
     tail, out_from = a.cell.times.tail, int((1 - judging.HELD_OUT) * a.last)
     able, q = [label for label, o in p.layout.observers if o.innovation], len(a.log.channels)
-    judged = Judged({o: judging.Sums() for o in able}, {o: [judging.Sums()] * q for o in able}, np.zeros(q, int))
+    judged = judging.Judged(
+        {o: judging.Sums() for o in able}, {o: [judging.Sums()] * q for o in able}, np.zeros(q, int)
+    )
     model = smoother.model_of(p.setting, p.problem.xhat0)
     enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
@@ -209,7 +193,7 @@ def _run(
 
 
 def _results(
-    a: Asked, p: Prepared, judged: Judged, score: Any, smoothed: Any, draft: folder.Draft, loose: bool
+    a: Asked, p: Prepared, judged: judging.Judged, score: Any, smoothed: Any, draft: folder.Draft, loose: bool
 ) -> Replayed:
     """Make tables of what a run left."""
     signals = signals_of(a.cell.scenario)

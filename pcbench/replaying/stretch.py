@@ -54,7 +54,7 @@ def begun(layout: Layout, p: Problem, slots: int, scored: bool, seed: Array) -> 
     notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring, *jnp.shape(v))), state.flight.notes)
     able = [label for label, o in layout.observers if o.innovation]
     state = state._replace(
-        flight=Flight(notes, {label: jnp.zeros((slots, JUDGED + p.params.shape[0])) for label in able}),
+        flight=Flight(notes, {label: jnp.zeros((slots, JUDGED + len(p.params))) for label in able}),
         streams={},
         watches={},
     )

@@ -1,7 +1,7 @@
 """Does an observer know how wrong it is? Its error at the last tick against the covariance P that it believes it to have.
 
     whole: e' P^-1 e / n,   by signal: e_i^2 / P_ii,   of the n states of the plant
-    of innovations: the sum of nu' S^-1 nu over all samples that the observer judges, over how many numbers these were (`judging`)
+    of innovations: the sum of nu' S^-1 nu over all samples that it judges, over how many numbers these were (`judging`)
 
 Where P is true and errors are Gaussian, n times the first is chi-square with n degrees of freedom, the second with one, and the
 sum with as many as there were numbers. A state whose standard deviation is believed to be below 1e-9 of its prior's is known
