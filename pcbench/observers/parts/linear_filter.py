@@ -20,16 +20,14 @@ from pydantic import Field
 
 from pcbench.dynamics import linear
 from pcbench.dynamics.integrate import after, covariance_after
-from pcbench.dynamics.linear import Matrix
 from pcbench.dynamics.observability import require_detectable
-from pcbench.observers.parts import assumed_noise, guard, kalman, prediction, reordering
+from pcbench.observers.parts import assumed_noise, covariance_recursion, guard, kalman, prediction, reordering
 from pcbench.observers.parts.guard import Known
 from pcbench.observers.parts.kalman import Posterior
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Arrival, Leaf, Now, Observer, Room, Surprise
-from pcbench.synthesis import riccati
-from pcbench.synthesis.certificate import Certificate, Design, Setting, certified, uncertified
+from pcbench.synthesis.certificate import Design, Setting, certified, uncertified
 
 
 class Gains(NamedTuple):
@@ -245,17 +243,6 @@ def design(
     if unproven:
         proof = uncertified(unproven)._replace(numbers={"R": gains.R, "q": q, **given})
         return Design(gains, proof, carries)
-    proof = _certify(gains, model, Q, setting)
+    proof = covariance_recursion.certificate(gains, model, Q, setting)
     proof = proof._replace(numbers={**proof.numbers, "q": q, **given})
     return Design(gains, certified(proof, where), carries)
-
-
-def _certify(gains: Gains, model: linear.Model, Q: Matrix, setting: Setting) -> Certificate:
-    """The margin is the least innovation variance over the horizon, relative to R, where the covariance stays >= 0."""
-    bits = linear.bits_for(setting.ticks)
-    doubled = linear.doublings(model, setting.dt, bits)
-    noise = linear.noise_doublings(model, Q, setting.dt, bits)
-    run = riccati.multirate(doubled, noise, gains.C, gains.R, gains.P0, setting.period, setting.ticks)
-    numbers = {"P_end": run.P, "K_end": run.K, "R": gains.R, "innovation_over_R": run.innovation}
-    margin = run.innovation if run.least > -1e-9 else float("nan")
-    return Certificate("c P c' + r > 0 and P >= 0 at every sample", margin, "recursion", "run", numbers)
