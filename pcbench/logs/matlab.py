@@ -13,6 +13,7 @@ import numpy as np
 from pcbench.errors import UserError, unknown, unreadable
 from pcbench.logs.log import Floats
 from pcbench.logs.units import SECONDS
+from pcbench.logs.unpacked import require_small_mat
 
 
 def reader(topics: Iterable[str]) -> Callable[..., Iterator[dict[str, Floats]]]:
@@ -62,7 +63,10 @@ def _variables(path: Path, names: list[str] | None, where: str) -> dict[str, Any
     from scipy.io import loadmat
 
     try:
+        require_small_mat(path, f"{where}: {path.name}")
         there = loadmat(path, simplify_cells=True, variable_names=names)
+    except UserError:
+        raise
     except Exception as error:  # SciPy raises MatReadError, zlib.error and TypeError among others
         raise unreadable(error, f"{where}: {path.name}", "MATLAB's format 7 or less; save it with -v7") from None
     return {name: value for name, value in there.items() if name[:2] != "__"}
