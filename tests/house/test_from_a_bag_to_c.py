@@ -85,7 +85,7 @@ def test_filter_in_c_equals_replay_of_bag(sitting):
     assert "oldest admissible age" in " ".join(said["export"].split())
     ticks = int(re.search(r"define TICKS (\d+)", (folder / "dkf-in-c" / "vector.h").read_text())[1])
     assert ticks == len(pd.read_parquet(folder / "second" / "estimates.parquet")), "the C is tested on the bag"
-    (lines,) = blocks("sh", PAGE)
+    *_, lines = blocks("sh", PAGE)
     done = subprocess.run(["sh", "-ec", lines], cwd=folder, capture_output=True, text=True, check=True)
     off = [float(line.split(" at most")[0].split(", ")[1]) for line in done.stdout.splitlines() if "at most" in line]
     assert len(off) == 2
