@@ -48,7 +48,8 @@ MEANING = {
     "command_jitter": "a command comes to the plant up to this much later (uniform over whole ticks)",
     "command_loss": "probability that a command never comes to the plant, which holds the last one that came",
     "command_std": "standard deviation of one command's noise, which no observer is told",
-    "cost": "mean of x'Q1 x + u'Q2 u over ticks 0 .. N-1, in a loop with weights; one number a run, with its first signal",
+    "cost": "mean of (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref) over ticks 0 .. N-1, "
+    "in a loop with weights; one number a run, with its first signal",
     "tail_cost": "the same from the tail start on",
     "input_rms": "square root of the mean of u'u over ticks 0 .. N-1, in a loop; one number a run, with its first signal",
     "tail_input_rms": "the same from the tail start on",

@@ -133,7 +133,7 @@ def _some(go: Ways, k: Array, until: Array, c: Carried) -> Carried:
     return Carried(
         m._replace(runs=runs, apart=apart, P=after(known, until - k, m.P)),
         tick,
-        sums_of.added(c.sums, read, jnp.stack([counts, counts & (at >= tail)]), p.weights),
+        sums_of.added(c.sums, read, jnp.stack([counts, counts & (at >= tail)]), p.weights, at),
         _record(go, c.rows, k, until, read) if go.shape.recorded else (),
         last_tick.kept(by, k, k == end - 1, jax.tree.map(lambda a: a[0], m.runs), read, c.last)
         if by.layout.consistency

@@ -72,8 +72,8 @@ def variances(read: Read) -> Array:
     return c[:, :, 0] if c.shape[2] == 1 else jnp.einsum("jvvc->jvc", c)
 
 
-def added(s: Sums, read: Read, weight: Array, weights: Any) -> Sums:
-    """Take ticks into the sums; weight [2, J] says which count, and of those which in the tail; the others are the last."""
+def added(s: Sums, read: Read, weight: Array, weights: Any, at: Array) -> Sums:
+    """Take ticks `at` [J] into the sums; weight [2, J]: which count, and of those which in the tail; others are the last."""
     s = _errors(s, read, weight)
     if isinstance(s.input, tuple):
         return s
@@ -83,8 +83,9 @@ def added(s: Sums, read: Read, weight: Array, weights: Any) -> Sums:
     mean_off, x, u = read.runs.off[:, 0], read.runs.x[:, 0], read.runs.u[:, 0]
     if isinstance(weights, Weights) and weights.Q1.size:
         state, pushed = slice(first, first + n), slice(first + n, None)
-        cost = _form(weights.Q1, x, read.covariance[:, state, state]) + _form(
-            weights.Q2, u, read.covariance[:, pushed, pushed]
+        off, more = (_less(a, table, at) for a, table in ((x, weights.x_ref), (u, weights.u_ref)))
+        cost = _form(weights.Q1, off, read.covariance[:, state, state]) + _form(
+            weights.Q2, more, read.covariance[:, pushed, pushed]
         )
         s = s._replace(cost=s.cost + _over(weight, cost))
     squares = total(u * u + square[:, first + n :], 1)
@@ -109,6 +110,13 @@ def largest(a: Array, axis: int) -> Array:
 
 def _each(a: Array, axis: int) -> list[Array]:
     return [lax.index_in_dim(a, i, axis, keepdims=False) for i in range(a.shape[axis])]
+
+
+def _less(mean: Array, table: Array, at: Array) -> Array:
+    """A mean [J, z, C] less the rows `at` of a table [T, z, C], or [T, z] of all cells; of an empty one as it is."""
+    if not table.size:
+        return mean
+    return mean - (table[at] if table.ndim == 3 else table[at][..., None])
 
 
 def _form(Q: Array, mean: Array, covariance: Array) -> Array:

@@ -9,6 +9,8 @@ from pydantic import BaseModel
 
 from pcbench import controllers
 from pcbench.controllers import Told
+from pcbench.controllers.parts.common import Options
+from pcbench.controllers.parts.set_points import reference
 from pcbench.errors import UserError, raised
 from pcbench.plants import entry_of, numbers_of
 from pcbench.protocols import Controller
@@ -133,9 +135,13 @@ def weights(cell: Cell) -> Any:
     s = cell.scenario
     if not loops.held(s):
         return ()
-    given, (n, m) = options(cell), loops.told(s).model.B.shape
+    given, known = options(cell), loops.told(s)
+    n, m = known.model.B.shape
+    none = np.zeros((0, n)), np.zeros((0, m))
     Q1, Q2 = getattr(given, "Q1", None), getattr(given, "Q2", None)
     if Q1 is None:
-        return metrics.Weights(np.zeros((0, 0)), np.zeros((0, 0)))
+        return metrics.Weights(np.zeros((0, 0)), np.zeros((0, 0)), *none)
+    points = given.set_point if isinstance(given, Options) else {}
+    aims = reference(points, known.states, known.tick, known.dt, cell.times.ticks + 1) if points else none
     sizes = loops.sizes(s, "controller")
-    return metrics.Weights(loops.matrix(Q1, (n, n), "Q1", sizes), loops.matrix(Q2, (m, m), "Q2", sizes))
+    return metrics.Weights(loops.matrix(Q1, (n, n), "Q1", sizes), loops.matrix(Q2, (m, m), "Q2", sizes), *aims)

@@ -72,7 +72,7 @@ def control(layout: Layout, p: Problem, k: Array, state: State, drawn: Any = ())
             c = command(p.control, now, xhat, coming)
         commands = network.send(p.network, k, commands, c, drawn) if layout.pending else actuator.write(commands, k, c)
         if isinstance(p.weights, metrics.Weights):
-            effort = metrics.spend(effort, p.weights, x, pushed(present(p, k, True, commands), commands).u)
+            effort = metrics.spend(effort, p.weights, k, x, pushed(present(p, k, True, commands), commands).u)
         return commands, law, effort
 
     given = state.memories[label], state.commands, state.law, state.effort, state.x, drawn

@@ -29,16 +29,18 @@ class Watch(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Of the cost x'Q1 x + u'Q2 u; empty where there is none and the input alone is summed."""
+    """Of the cost (x - x_ref)'Q1 (x - x_ref) + (u - u_ref)'Q2 (u - u_ref), where there is one."""
 
-    Q1: Any  # [n, n]
+    Q1: Any  # [n, n]; empty: there is no cost, the input alone is summed
     Q2: Any  # [m, m]
+    x_ref: Any  # [T, n] by tick; [0, n]: no set point, so it is 0
+    u_ref: Any  # [T, m] the steady input of the set point, likewise
 
 
 class Effort(NamedTuple):
     """What is kept of one run's input and cost in one window."""
 
-    cost: Array  # sum of x'Q1 x + u'Q2 u
+    cost: Array  # sum
     square: Array  # sum of u'u
 
 
@@ -47,10 +49,14 @@ def start_effort() -> Effort:
     return Effort(jnp.zeros(()), jnp.zeros(()))
 
 
-def spend(effort: Effort, weights: Weights, x: Array, u: Array) -> Effort:
-    """Take the state x[n] and the input u[m] of one tick into the window."""
-    cost = x @ weights.Q1 @ x + u @ weights.Q2 @ u if np.size(weights.Q1) else jnp.zeros(())
-    return Effort(effort.cost + cost, effort.square + u @ u)
+def spend(effort: Effort, weights: Weights, k: Array, x: Array, u: Array) -> Effort:
+    """Take the state x[n] and the input u[m] of tick k into the window."""
+    cost, square = jnp.zeros(()), u @ u
+    if np.size(weights.x_ref):
+        x, u = x - jnp.asarray(weights.x_ref)[k], u - jnp.asarray(weights.u_ref)[k]
+    if np.size(weights.Q1):
+        cost = x @ weights.Q1 @ x + u @ weights.Q2 @ u
+    return Effort(effort.cost + cost, effort.square + square)
 
 
 def start(n: int) -> Stream:

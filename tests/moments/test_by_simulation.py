@@ -26,6 +26,7 @@ A, B = np.array([[0.98, 0.11], [-0.15, 0.9]]), np.array([[0.02, 0.1], [0.2, -0.0
 C, L = np.array([[1.0, 0.3]]), np.array([[0.3], [0.1]])
 X0, XHAT0, SPREAD = np.array([1.0, -0.5]), np.array([0.2, 0.1]), np.array([[0.8, 0.0], [0.3, 0.6]])
 K, Q1, Q2 = np.array([[0.6, -0.2], [0.1, 0.4]]), np.array([[2.0, 0.3], [0.3, 0.5]]), np.array([[0.4, 0.0], [0.1, 0.2]])
+X_REF, U_REF = np.random.default_rng(1).normal(size=(2, N + 1, 2))
 NOISE, PROCESS = 0.05, np.array([0.02, 0.05])
 
 
@@ -64,7 +65,7 @@ def solved(limit=np.inf, observer=OBSERVER, noise=NOISE):
         (), {"o": L}, shared.periodic([EVERY], [LATE], N), np.full((1, 2), np.nan), np.asarray(DT), X0, XHAT0, SPREAD,
         np.array([noise]), np.ones(2), np.full(2, 1e6), np.array([[0, TAIL], [TAIL, N - 1], [N - 1, N]]),
         process_std=PROCESS, control=Law(K, np.asarray(limit)), line=actuator.held_line(AWAY, BACK, N + 4),
-        weights=metrics.Weights(Q1, Q2),
+        weights=metrics.Weights(Q1, Q2, X_REF, U_REF),
     )  # fmt: skip
     layout = Layout(PLANT, (("o", observer),), 1, 4, True, watch=False, controller=CONTROLLER, commands=BACK)
     with process.float64():
@@ -98,7 +99,9 @@ def propagated():
         out["e"].append(z.square(error))
         out["off"].append(z.square(-eye[:1], target))
         second = z.covariance + np.outer(z.mean, z.mean)
-        out["cost"].append(np.trace(Q1 @ second[x, x]) + np.trace(Q2 @ second[before, before]))
+        off, more = z.mean[x] - X_REF[k], z.mean[before] - U_REF[k]
+        spread = np.trace(Q1 @ z.covariance[x, x]) + np.trace(Q2 @ z.covariance[before, before])
+        out["cost"].append(spread + off @ Q1 @ off + more @ Q2 @ more)
         out["u"].append(np.trace(second[before, before]))
         F, f, G = np.zeros((9, 9)), np.zeros(9), np.zeros((9, 2))
         F[x, x], F[x, before], G[x] = A, B, np.diag(PROCESS)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import tomli_w
 from commands import call
+from loops import resting
 from reference import loop, superposition
 from scipy.linalg import expm
 
@@ -22,7 +23,7 @@ LTI = {
     "sampling_period": 0.1, "delay": 0.06, "noise_std": NOISE, "process_std": PROCESS, "x0": X0, "xhat0": XHAT0,
     "prior_std": PRIOR, "states": ["angle", "rate"],
 }  # fmt: skip
-COMMON = {"actuator_delay": LATE * TICK, "period": 2 * TICK}
+COMMON = {"actuator_delay": LATE * TICK, "period": 2 * TICK, "set_point": {"angle": {"step": 0.3, "at": 0.4}}}
 CONTROLLERS = {
     "lqr": {"use": "lqr", "Q1": [10.0, 1.0], "Q2": 0.1},
     "state-feedback": {"use": "state-feedback", "K": K},
@@ -44,8 +45,14 @@ def plant():
     )  # fmt: skip
 
 
+def aims(p, M):
+    """The set point and its steady input as coefficients."""
+    r = np.where(TICK * np.arange(2 * N) >= 0.4 - 1e-9, 0.3, 0.0)[:, None]
+    return (superposition.constants(a, M) for a in resting(p, r, [0]))
+
+
 def law(name, p, M):
-    x_ref, u_ref = np.zeros((2 * N, 2, M)), np.zeros((2 * N, 1, M))
+    x_ref, u_ref = aims(p, M)
     if name == "pid":
         return loop.Pid(*(np.array([[a]]) for a in (6.0, 1.5, 3.0)), 2 * TICK, 0.04, x_ref)
     if name == "state-feedback":
@@ -59,15 +66,18 @@ def expected(name):
     p = plant()
     M = 1 + 2 + 2 * N + -(-N // SENSOR.every)
     found = superposition.coefficients(p, SENSOR, law(name, p, M), N, every=2, late=LATE)
+    x_ref, u_ref = aims(p, M)
     out = {}
     for prefix, first in (("", 0), ("tail_", TAIL)):
-        x, u, e = found.x[first:], found.u[first:], (found.x - found.xhat)[first:]
+        x, u, e = (found.x - x_ref[:N])[first:], found.u[first:], (found.x - found.xhat)[first:]
         for i, signal in enumerate(LTI["states"]):
             out[signal, prefix + "mse"] = np.square(e[:, i]).sum(-1).mean()
             out[signal, prefix + "pooled_tracking_rmse"] = np.sqrt(np.square(x[:, i]).sum(-1).mean())
         out["angle", prefix + "pooled_input_rms"] = np.sqrt(np.square(u).sum((1, 2)).mean())
         if name == "lqr":
-            cost = superposition.square(np.diag([10.0, 1.0]), x) + superposition.square(np.array([[0.1]]), u)
+            cost = superposition.square(np.diag([10.0, 1.0]), x) + superposition.square(
+                np.array([[0.1]]), u - u_ref[first:N]
+            )
             out["angle", prefix + "cost"] = cost.mean()
     return out
 

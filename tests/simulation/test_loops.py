@@ -54,7 +54,7 @@ def test_lqr_with_jitter_and_loss_on_both_sides_is_the_references_run_by_run():
     for seed, run in enumerate(runs):
         for metric, first in (("", 0), ("tail_", 50)):
             x, u, off = run.x[first:N], run.u[first:N], (run.x_ref - run.x)[first:N]
-            cost = np.einsum("ti,ij,tj", x, np.array(Q1), x) + (u**2 @ Q2).sum()
+            cost = np.einsum("ti,ij,tj", off, np.array(Q1), off) + ((u - law.u_ref[first:N]) ** 2 @ Q2).sum()
             got = table.loc[seed]
             assert got[metric + "cost", "angle"] == pytest.approx(cost / len(x), rel=1e-10)
             assert got[metric + "input_rms", "angle"] == pytest.approx(np.sqrt((u**2).sum(1).mean()), rel=1e-10)
