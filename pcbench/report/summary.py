@@ -117,9 +117,7 @@ def _said(found: pd.DataFrame, counted: pd.Series, best: str, deterministic: boo
     """How surely, in words."""
     if len(found) > 1:
         ties = int((found.winner == "").sum())
-        share = (
-            f"{int(counted.get(best, 0))} of {len(found)} cells" if best else f"no cell of {len(found)} is surely won"
-        )
+        share = f"{int(counted.get(best, 0))} of {len(found)} cells" if best else _as_good(found)
         rest = [f"{o} {n}" for o, n in counted.items() if o != best]
         return "; ".join(filter(None, [share, ", ".join(rest), f"ties {ties}" if ties and best else ""]))
     row = found.iloc[0]
@@ -134,6 +132,17 @@ def _said(found: pd.DataFrame, counted: pd.Series, best: str, deterministic: boo
     if row.winner:
         return "surely" + (f", p < {SURE:g}" if row.p < SURE else f", p = {row.p:.2g}" if np.isfinite(row.p) else "")
     return f"not surely better: {', '.join(row.alike)}"
+
+
+def _as_good(found: pd.DataFrame) -> str:
+    """Which observers are as good as the best in the most cells, where none is surely the best."""
+    sets = [{row.best, *row.alike} for row in found.itertuples() if row.best]
+    if not sets:
+        return "all diverge"
+    many = {o: sum(o in each for each in sets) for o in sorted(set.union(*sets))}
+    most = max(many.values())
+    names = ", ".join(o for o, n in many.items() if n == most)
+    return f"as good as the best: {names} in {most} of {len(found)} cells"
 
 
 def _multiples(part: pd.DataFrame) -> list[tuple[str, float]]:
