@@ -2,6 +2,7 @@
 
 import pytest
 from browser import CHROMIUM, looked_at
+from walked import STUDIES as SHORT
 
 import pcbench
 from pcbench.report import page
@@ -30,8 +31,14 @@ MAP = {
     "name": "map",
     "scenarios": ["cart/white"],
     "observers": ["pccebo", "kfbo", "dkf"],
-    "seeds": 24,
+    "seeds": 4,
     "axes": {"delay": [0.2, 0.4], "noise_std": [0.1, 0.5], "sampling_period": [0.1, 0.2]},
+}
+PLANTS = {  # a page of several scenarios, whose signals and units differ
+    "name": "plants",
+    "scenarios": ["cart/nominal", "cart/white", "csth/10s-noise"],
+    "observers": ["dkf", "open-loop"],
+    "seeds": 4,
 }
 BROKEN = "<p style='position:absolute;left:1390px;white-space:nowrap'>this one is cut off</p>"
 
@@ -41,13 +48,15 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no browser here: the l
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory):
-    """Pages of studies by their names, each written once."""
-    made, known = {}, {"motor": MOTOR, "map": MAP}
+    """Pages of studies by their names, each written once; of those that pcbench brings along in their short form."""
+    made, known = {}, {"motor": MOTOR, "map": MAP, "plants": PLANTS}
 
     def drawn(name):
         if name not in made:
             folder = tmp_path_factory.mktemp(name)
-            pcbench.run(known.get(name, name), out=folder / "run", seeds=None if name in known else 16)
+            short = [word for word in SHORT.get(name, []) if "=" in word]
+            seeds = None if name in known else 4
+            pcbench.run(known.get(name, name), out=folder / "run", seeds=seeds, overrides=short)
             page.write(folder / "run", folder / "report.html")
             made[name] = folder
         return made[name]
@@ -70,7 +79,7 @@ def test_a_motors_page_is_whole(drawn, width, paper):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("width", "paper"), WIDTHS)
-@pytest.mark.parametrize("study", ["map", "quick", "all", "helicopter", "unequal-delays", "fair"])
+@pytest.mark.parametrize("study", ["map", "quick", "plants", "helicopter", "unequal-delays", "fair"])
 def test_the_page_of_a_study_is_whole(drawn, study, width, paper):
     quiet(drawn(study), width, paper)
 

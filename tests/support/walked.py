@@ -27,7 +27,7 @@ STUDIES = {  # what makes a study that pcbench brings along short, every scenari
     "late": ["--seeds", "2"],
     "map": axes(sampling_period=[0.1, 0.2], delay=[0.0, 0.2]),
     "reactor": ["--seeds", "2"],
-    "unequal-delays": ["--seeds", "2"],
+    "unequal-delays": ["--seeds", "2", *axes(delay=[[40.0, 40.0, 40.0], [10.0, 40.0, 70.0]])],
     "unknown-input": ["--seeds", "2", *axes(sampling_period=[0.02], delay=[0.02], noise_std=[1e-3], drift=[0.0, 0.05])],
     "variable-sampling": ["--seeds", "2"],
 }
