@@ -1,9 +1,12 @@
 """Files and folders of this machine: made new, found without following symbolic links, kept over a power cut. No jax."""
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
+
+from pcbench.errors import UserError
 
 NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)  # some systems have none
 
@@ -52,3 +55,15 @@ def sync_folder(folder: Path) -> None:
             os.fsync(handle)
         finally:
             os.close(handle)
+
+
+def require_printable(root: str) -> None:
+    """Raise UserError for a path that this process's encoding cannot write."""
+    try:
+        root.encode()
+        os.fsencode(root)
+    except UnicodeEncodeError:
+        raise UserError(
+            f"{root}: got a name that this process cannot write, whose encoding is {sys.getfilesystemencoding()}, expected "
+            "UTF-8; set LC_ALL=C.UTF-8 or PYTHONUTF8=1, or give a name of ASCII letters."
+        ) from None

@@ -13,7 +13,6 @@ import json
 import os
 import re
 import socket
-import sys
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import lru_cache
@@ -54,21 +53,9 @@ def target(out: str | Path) -> Target:
         raise UserError("--out: got an empty name, expected a folder or a URI; give one, or leave --out out.")
     if "://" not in str(out):
         root = str(Path(out).expanduser().absolute())
-        _printable(root)
+        local_files.require_printable(root)
         return Target(pafs.LocalFileSystem(), root, str(out), root)
     return _reached(str(out))
-
-
-def _printable(root: str) -> None:
-    """Raise UserError for a path that this process's encoding cannot write."""
-    try:
-        root.encode()
-        os.fsencode(root)
-    except UnicodeEncodeError:
-        raise UserError(
-            f"{root}: got a name that this process cannot write, whose encoding is {sys.getfilesystemencoding()}, expected "
-            "UTF-8; set LC_ALL=C.UTF-8 or PYTHONUTF8=1, or give a name of ASCII letters."
-        ) from None
 
 
 @lru_cache(maxsize=16)

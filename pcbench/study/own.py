@@ -20,6 +20,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from pcbench.errors import UserError, raised, short
+from pcbench.study import own_imports
 
 DIGITS = 12  # of a digest, in names
 FOLDER = "code"  # of a dataset, with a folder for each digest in it
@@ -152,21 +153,16 @@ def _executed(code: Code, folder: Path | None) -> ModuleType:
     if name in sys.modules:
         return sys.modules[name]
     copy = _copied(code)  # the files beside it are imported from there: Python would keep an old content of a file
-    for file, _ in code.files[1:]:
-        sys.modules.pop(Path(file).stem, None)
     path = (folder or copy) / code.module
     module = ModuleType(name)
     module.__file__ = str(path)
-    paths = [str(copy), *([str(folder)] if folder else [])]
-    sys.modules[name], sys.path[:0] = module, paths
+    sys.modules[name] = module
     try:
-        exec(compile(code.files[0][1], str(path), "exec"), module.__dict__)
+        with own_imports.beside({Path(file).stem: text for file, text in code.files[1:]}, copy, code.digest, folder):
+            exec(compile(code.files[0][1], str(path), "exec"), module.__dict__)
     except BaseException:
         del sys.modules[name]
         raise
-    finally:
-        for each in paths:
-            sys.path.remove(each)
     return module
 
 
@@ -185,9 +181,13 @@ def _copied(code: Code) -> Path:
 
 
 def _imported(name: str) -> ModuleType:
-    if "" not in sys.path and str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))
-    return importlib.import_module(name)
+    """Import a module by its name, one of the working folder after all others."""
+    finder = own_imports.InFolder(Path.cwd())
+    sys.meta_path.append(finder)
+    try:
+        return importlib.import_module(name)
+    finally:
+        sys.meta_path.remove(finder)
 
 
 def _run(make: Callable[[], ModuleType], module: str, where: str) -> ModuleType:
