@@ -160,7 +160,7 @@ def trace(
         samples = samples_of(p.cell, (study.root_seed, seed)) if log is not None else []
     signals = [name for name, _ in signals_of(p.cell.scenario)]
     if log is not None:
-        tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals)
+        tables = run_as_log.tables_of(samples, p.problem.schedule, out, p.cell.scenario.dt, signals, p.cell.times.error)
         for name, table in tables.items():
             as_file.put(Path(log) / f"{name}.parquet", table)
     columns = {"t": np.arange(len(out.x)) * p.cell.scenario.dt}

@@ -82,7 +82,7 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     return Report(
         cell=p.cell.key,
         runs=task.runs,
-        program=(process.name(), id(made)),
+        program=(process.name(), made.number),
         compile_seconds=made.compile_seconds,
         writing_seconds=perf_counter() - start,
         computing_seconds=computing,

@@ -201,7 +201,7 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
         changed.append(f"flow {way}, now {new['flow']}")
     made = f"made with {'; '.join(changed)}; " if changed else ""
     kind = "rounding" if apart.relative < ROUNDING or apart.of_largest < ZERO else "more than rounding"
-    yield f"{b.name}: {made}numbers differ by {apart.relative:.1e} of themselves ({kind})."
+    yield (f"{b.name}: {made}numbers differ by {apart.of_largest:.1e} of the largest error of their signal ({kind}).")
 
 
 def _others(target: store.Target, owned: Owned) -> Iterator[str]:

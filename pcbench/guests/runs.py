@@ -56,9 +56,8 @@ def _some(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
     ticks, n, q = p.cell.times.ticks, len(p.problem.x0), len(p.problem.noise_std)
     nothing = shared.schedule([], ticks, q)
     still, root = p.problem._replace(schedule=nothing), np.asarray(root_seed)
-    alone = jax.jit(trace.record_some, static_argnums=(0, 1, 2))
     layout = p.layout._replace(observers=(), consistency=False)
-    x = np.asarray(alone(layout, 1, ticks + 1, still, root, seeds).x)
+    x = np.asarray(trace.compiled_some()(layout, 1, ticks + 1, still, root, seeds).x)
     first = _starts(layout, still, root, seeds)
     each = [_samples(p, root_seed, int(seed)) for seed in seeds]
     many = 1 + max(s.number for mine in each for s in mine)

@@ -8,13 +8,17 @@ import pyarrow as pa
 from pcbench.errors import UserError
 from pcbench.logs import writing
 from pcbench.logs.log import Batch
+from pcbench.simulation.schedule.shared import stamp_of
 
 
-def tables_of(samples: list[Any], schedule: Any, recording: Any, dt: float, signals: list[str]) -> dict[str, pa.Table]:
+def tables_of(
+    samples: list[Any], schedule: Any, recording: Any, dt: float, signals: list[str], error: int = 0
+) -> dict[str, pa.Table]:
     """Return the tables of a run by name.
 
-    `samples` are (channel, number, taken, arrives [ticks]), with the schedule and the recording they are from. One that was
-    lost, or is on its way when the run ends, never arrives. Raises UserError where measuring began before
+    `samples` are (channel, number, taken, arrives [ticks]), with the schedule and the recording they are from. Their times are
+    the stamps that observers get, which assume a delay that is `error` ticks too long (`shared.stamp_of`). One that was lost,
+    or is on its way when the run ends, never arrives. Raises UserError where measuring began before
     tick 0: such samples have measured nothing that a log holds.
     """
     if len(schedule.early):
@@ -30,7 +34,7 @@ def tables_of(samples: list[Any], schedule: Any, recording: Any, dt: float, sign
     )
     batch = Batch(
         channel=np.array([s.channel for s in every], int),
-        sampled=np.array([s.taken * dt for s in every]),
+        sampled=np.array([stamp_of(s, error) * dt for s in every]),
         arrived=np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every]),
         value=np.array([value.get((s.channel, s.number), np.nan) for s in every]),
         row=np.arange(1, len(every) + 1),

@@ -24,6 +24,7 @@ class Entry(NamedTuple):
     knows_schedule: bool  # perfect start is claimed: true model, true start, no noise => no error
     summary: str
     takes: Takes = "one constant delay"
+    lanes: int | None = None  # runs a call, if the last bits depend on how many run together; None: they do not
     heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
     nonlinear: bool = False  # it is designed for plants without a linear model
     smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand

@@ -3,6 +3,8 @@
 from pcbench.observers import iekf, mhe, particle, ukf
 from pcbench.observers.entry import Entry
 
+LANES = 256  # runs a call of those that go by points, whose sums are rounded as the compiler shares out the lanes
+
 NONLINEAR = {
     "iekf": Entry(
         observer=iekf.OBSERVER,
@@ -22,6 +24,7 @@ NONLINEAR = {
         knows_schedule=True,
         summary="unscented Kalman filter: points in place of slopes; or cubature",
         takes="any schedule",
+        lanes=LANES,
         heavy=True,
         nonlinear=True,
         smooth=False,

@@ -87,10 +87,14 @@ def seeded(gains: Gains, memory: Memory, words: UInt32[Array, "2"], xhat0: Float
 
 
 def tick(gains: Gains, now: Now, state: Cloud) -> Cloud:
-    """Move every particle by a tick, and by a draw of process noise."""
+    """Move every particle by a tick, and by a draw of process noise; one that overflows stays, with weight 0."""
     moved = jax.vmap(lambda z: gains.motion(now, z))(state.x)
     moved = moved + normals(state.words, PROCESS, now.tick, moved.shape) @ gains.own.process.T
-    return state._replace(x=jax.vmap(lambda z: within(gains, z))(moved))
+    moved = jax.vmap(lambda z: within(gains, z))(moved)
+    finite = jnp.all(jnp.isfinite(moved), axis=1)
+    left = jnp.where(finite, state.weight, -jnp.inf)
+    weight = jnp.where(jnp.all(finite), left, left - jax.nn.logsumexp(left))
+    return state._replace(x=jnp.where(finite[:, None], moved, state.x), weight=weight)
 
 
 def seen(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Array, "S q"]:
@@ -104,6 +108,7 @@ def seen(gains: Gains, now: Now, x: Float[Array, "S N"]) -> Float[Array, "S q"]:
 def update(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Cloud:
     """Weigh the particles by a sample of their tick, and resample where too few are left."""
     off = jnp.square(value_of(gains, sample.value)[None] - seen(gains, now, state.x)) / gains.R[None]
+    off = jnp.where(jnp.isnan(off), jnp.inf, off)  # such a particle has measured nothing: weight 0
     weight = state.weight - 0.5 * jnp.sum(jnp.where(sample.fresh[None], off, 0.0), axis=1)
     weight = weight - jax.nn.logsumexp(weight)
     share, S = jnp.exp(weight), weight.shape[0]

@@ -64,7 +64,12 @@ def drafts(
 
 
 def width(cell: Cell, runs: int | None = None) -> int:
-    """Return the lanes of a call, fewer where the `runs` of a light cell do not fill them: bits are the same."""
+    """Return the lanes of a call, fewer where the `runs` of a light cell do not fill them: bits are the same.
+
+    Of observers whose bits depend on it, as many in every call (`Entry.lanes`).
+    """
+    if fixed := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
+        return min(fixed)
     most = batch.HEAVY if plants.entry_of(cell.scenario).heavy else batch.WIDTH
     if runs is None or cell.scenario.loop.controller or cell.times.random:
         return most

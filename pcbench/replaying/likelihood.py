@@ -25,6 +25,7 @@ from pcbench.planning.padding import rounded
 from pcbench.replaying import feed, stretch
 from pcbench.replaying.prepared import Prepared, prepared
 from pcbench.replaying.replay import Asked
+from pcbench.simulation import compiling
 
 MOST = 1 << 22  # ticks of a log that is held in memory
 
@@ -114,4 +115,4 @@ def _run(
 @cache
 def compiled() -> Any:
     """Return `_run` compiled, once for each shape in a process."""
-    return jax.jit(_run, static_argnums=(0, 1, 2, 3, 4))
+    return compiling.bounded(_run, (0, 1, 2, 3, 4))

@@ -13,7 +13,6 @@ Source: Bierman, Fixed interval smoothing with discrete measurements, Int. J. Co
 from functools import cache
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
@@ -22,6 +21,7 @@ from jaxtyping import Float
 from pcbench.dynamics import linear
 from pcbench.machine import memory
 from pcbench.protocols import Leaf
+from pcbench.simulation import compiling
 from pcbench.synthesis.certificate import Setting
 
 MOST = 1 << 26  # numbers that are kept of a whole log, at most
@@ -110,4 +110,4 @@ def smooth(model: Linear, u: Array, y: Array) -> Array:
 @cache
 def compiled() -> Any:
     """Return `smooth` compiled, once for each shape in a process."""
-    return jax.jit(smooth)
+    return compiling.bounded(smooth)

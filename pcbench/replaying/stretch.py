@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from pcbench.logs.windows import Window
 from pcbench.protocols import Plant
-from pcbench.simulation import lanes, metrics
+from pcbench.simulation import compiling, lanes, metrics
 from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.problem import Layout, Packet, Problem, State, present
 from pcbench.simulation.start import begin
@@ -180,4 +180,4 @@ def _scored(p: Problem, score: Score, k: Array, known: Array, e: dict[str, Array
 @cache
 def compiled() -> tuple[Any, Any]:
     """Return `begun` and `run` compiled, once for each shape in a process."""
-    return jax.jit(begun, static_argnums=(0, 2, 3)), jax.jit(run, static_argnums=0)
+    return compiling.bounded(begun, (0, 2, 3)), compiling.bounded(run, 0)

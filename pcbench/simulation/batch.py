@@ -5,6 +5,7 @@ any block. There is one program, compiled for one device and computing on one th
 many threads as there are cores, so that a run has the same bits whatever runs beside it. Of accelerators each has its own.
 """
 
+import itertools
 import json
 import operator
 import os
@@ -52,6 +53,7 @@ class Program(NamedTuple):
     compiled: Any  # the executable itself, for those who want to read it
     ways: dict[str, str]  # by observer: lifted or stepped
     maps: Callable[[Problem], kept_maps.Every]  # of a lifted flow, made before a call, or kept from an earlier one
+    number: int = 0  # of this process: the first program, the second ...
     memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
 
 
@@ -84,9 +86,10 @@ def program(layout: Layout, job: Job, device: Any = None) -> Program:
 
 
 _COMPILING = Lock()
+_NUMBERS = itertools.count(1)
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=compiling.MOST)
 def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -> Program:
     sharding = jax.sharding.SingleDeviceSharding(device)
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
@@ -119,6 +122,7 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
         compiled=call,
         ways={label: "lifted" if label in reads else "stepped" for label, _ in layout.observers},
         maps=partial(kept_maps.given, made),
+        number=next(_NUMBERS),
         memory=max(_memory(call), _memory(made.call) if made else 0),
     )
 
@@ -141,7 +145,7 @@ def _maker(
 
     asked = kept_programs.asked(("maps", kept_maps.bare(layout)), kinds, device, options)
     call = compiling.compiled(maps, lambda: (given,), device, options, asked)
-    return kept_maps.Maker(call, tuple(sorted(set().union(*reads.values()))))
+    return kept_maps.Maker(call, tuple(sorted(set().union(*reads.values()))), next(_NUMBERS))
 
 
 def _reads(traced: Callable[[], kept_maps.Traced], asked: str | None) -> Reads:

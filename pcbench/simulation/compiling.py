@@ -1,11 +1,36 @@
 """A function compiled for arguments of some shapes: loaded where it is kept, else traced, made, and kept."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, MutableMapping
+from functools import wraps
 from typing import Any
 
 import jax
 
 from pcbench.simulation import kept_programs
+
+MOST = 16  # programs that one cache keeps: each has 130 to 600 memory mappings, and Linux allows a process 65,530
+
+
+def bounded(function: Callable[..., Any], static_argnums: int | tuple[int, ...] = ()) -> Callable[..., Any]:
+    """Return a function compiled once for each shape and static argument; after `MOST` programs it drops them all."""
+    jitted: Any = jax.jit(function, static_argnums=static_argnums)
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        if jitted._cache_size() >= MOST:
+            jitted.clear_cache()
+        return jitted(*arguments)
+
+    call._cache_size = jitted._cache_size  # type: ignore[attr-defined]
+    return call
+
+
+def newest(cache: MutableMapping[Hashable, Any], key: Hashable, new: Callable[[], Any]) -> Any:
+    """Return the entry of a key, made by `new` if there is none; keep the `MOST` entries that were asked for last."""
+    cache[key] = found = cache.pop(key, None) or new()
+    while len(cache) > MOST:
+        del cache[next(iter(cache))]
+    return found
 
 
 def compiled(

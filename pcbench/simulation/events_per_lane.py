@@ -90,7 +90,7 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
     times: Any = p.schedule
     plan, zero, state = per_lane.agenda(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
     rows, none = len(plan.arrives), jnp.zeros(0)  # without process noise: it moves the plant, no memory
-    taken = _queue(plan.samples[0] * rows)
+    taken = _queue(plan.taken * rows)
     stamped = _queue(plan.believed * rows) if times.stamp else taken._replace(when=taken.when - times.error * rows)
     events = Events(
         layout=layout,
@@ -132,15 +132,16 @@ def _take(events: Events, k: Array, state: State) -> State:
 
 
 def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
-    noise = jnp.stack([_at(each, _at(events.agenda.samples[2], c.row, c.lane), c.lane) for each in events.noise])
+    number = _of_channels(events, events.agenda.number, c.row, c.lane)
+    noise = jnp.stack([_at(each, number[i % len(number)], c.lane) for i, each in enumerate(events.noise)])
     x, drawn = lanes.pick((state.x, state.drawn), c.lane)
     return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lanes.split(noise))
 
 
 def _told(events: Events, k: Array, state: State, c: Chunk) -> packed.Kept:
     """The memories after the observers of some runs were told of their samples."""
-    mine, clock = _taken_out(events, state, c), _at(events.agenda.samples[1], c.row, c.lane)
-    after = told(events.layout, events.p, k, mine, lanes.split(clock[None] == events.times.clock_of[:, None]))
+    mine, number = _taken_out(events, state, c), _of_channels(events, events.agenda.number, c.row, c.lane)
+    after = told(events.layout, events.p, k, mine, lanes.split(number >= 0))
     return packed.put_back(state.memories, events.form.pack(lanes.like(after, mine.memories, CHUNK)), c.lane)
 
 
@@ -203,16 +204,19 @@ def _chunk(queue: Queue, done: Array, when: Array, layout: Layout) -> Chunk:
 
 def _row(events: Events, k: Array, c: Chunk, which: Array) -> Row:
     """What is known of the packets that arrive."""
-    plan, times = events.agenda, events.times
-    _, clock, number = plan.samples.at[:, which, c.lane].get(mode="clip")
-    age, clocks = k - jnp.maximum(_at(plan.believed, which, c.lane), 0), times.clock_of
-    same = (len(clocks), CHUNK)
+    plan, q = events.agenda, len(events.times.clock_of)
+    age = k - jnp.maximum(_at(plan.believed, which, c.lane), 0)
     return Row(
-        fresh=lanes.split(clock[None] == clocks[:, None]),
-        age=lanes.split(jnp.broadcast_to(age, same)),
-        number=lanes.split(jnp.broadcast_to(number, same)),
+        fresh=lanes.split(_of_channels(events, plan.brings, c.row, c.lane)),
+        age=lanes.split(jnp.broadcast_to(age, (q, CHUNK))),
+        number=lanes.split(_of_channels(events, plan.number, which, c.lane)),
         since=lanes.split(_at(plan.since, c.row, c.lane)),
     )
+
+
+def _of_channels(events: Events, table: Array, row: Array, lane: Array) -> Array:
+    """Entries of a table by clock [C, E, L], for each channel: [q, CHUNK]."""
+    return table.at[:, row, lane].get(mode="clip")[events.times.clock_of]
 
 
 def _at(table: Array, row: Array, lane: Array) -> Array:

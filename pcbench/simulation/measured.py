@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import sample_noise, start
+from pcbench.simulation import compiling, sample_noise, start
 from pcbench.simulation.lanes import whole
 from pcbench.simulation.problem import Layout, Problem, params_of, present
 
@@ -47,4 +47,4 @@ def measured(layout: Layout, many: int, p: Problem, root_seed: Array, seeds: Arr
 @cache
 def compiled() -> Any:
     """Return `measured` compiled, once for each shape in a process."""
-    return jax.jit(measured, static_argnums=(0, 1))
+    return compiling.bounded(measured, (0, 1))

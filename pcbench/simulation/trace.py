@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import lanes
+from pcbench.simulation import compiling, lanes
 from pcbench.simulation.closed_loop import aims, held
 from pcbench.simulation.consistency import sigmas, squares
 from pcbench.simulation.events_shared import Shift, prepare, where_any
@@ -96,7 +96,7 @@ def _whole(a: PerLane) -> Array:
 @cache
 def compiled() -> Any:
     """Return `record` compiled, once for each shape in a process."""
-    return jax.jit(record, static_argnums=0)
+    return compiling.bounded(record, 0)
 
 
 class Thinned(NamedTuple):
@@ -141,3 +141,9 @@ def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Ar
     shape = jax.eval_shape(lambda: read(ticks[0], state))
     table = jax.tree.map(lambda a: jnp.zeros((rows + 1, *a.shape), a.dtype), shape)
     return jax.tree.map(lambda a: a[:rows], lax.scan(step, (state, none, table), ticks)[0][2])
+
+
+@cache
+def compiled_some() -> Any:
+    """Return `record_some` compiled, once for each shape in a process."""
+    return compiling.bounded(record_some, (0, 1, 2))

@@ -131,14 +131,20 @@ def _rounding(s: Scenario, where: str) -> None:
 
 
 def _stamps(s: Scenario, where: str) -> None:
-    """Raise UserError where stamps would not be in the order of the samples of a sensor."""
-    drift = abs(s.sampling.stamp_drift)
+    """Raise UserError where stamps would not be in the order of the samples of a sensor, or a drift moves none of them."""
+    drift, ticks = abs(s.sampling.stamp_drift), whole(s.horizon, s)
+    if drift and round(1e-6 * drift * ticks) == 0:
+        raise UserError(
+            f"{where}: got a stamp_drift of {s.sampling.stamp_drift:g} ppm in {s.name}, which moves no stamp by half a tick "
+            f"({s.dt / 2:g} s) within the horizon, so no result would change; write more than {5e5 / ticks:.3g} ppm, take a "
+            "shorter tick, or leave it out."
+        )
     if drift > 1e5:
         raise UserError(
             f"{where}: got a stamp_drift of {drift:g} ppm, expected at most 100,000: a clock that fast is none."
         )
     for clock in clocks(s):
-        least = sampling.intervals(clock, whole(s.horizon, s))[0]
+        least = sampling.intervals(clock, ticks)[0]
         if clock.stamp.jitter and 2 * clock.stamp.jitter >= least * (1 - 1e-6 * drift) - 1:
             raise UserError(
                 f"{where}: got a stamp_jitter of {s.sampling.stamp_jitter:g} s with intervals down to {least * s.dt:g} s, "

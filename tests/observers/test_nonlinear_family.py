@@ -7,6 +7,7 @@ are late, lost and overtaking, neither sensor is linear, and a parameter is esti
 
 import driven
 import honest
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import swinging
@@ -18,7 +19,9 @@ from test_late_samples import found as of_linear
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.observers import OBSERVERS
+from pcbench.observers import OBSERVERS, particle
+from pcbench.observers.parts.reordering import Measurement
+from pcbench.protocols import Now
 
 CUBATURE = {"form": "cubature"}
 LINEAR = [("iekf", {}), ("ukf", {}), ("ukf", CUBATURE)]
@@ -203,6 +206,24 @@ def test_particles_equal_the_reference_on_the_same_draws(many, share):
     want = particles.filtered(model, z, P0, swinging.samples(), swinging.inputs(), many, share)
     same(xhat, np.array([m for m, _ in want]))
     same(P, np.array([each for _, each in want]))
+
+
+def test_a_particle_that_overflows_gets_weight_zero():
+    """The other particles give mean and covariance, at this tick and after the next measurement."""
+    entry = OBSERVERS["particle"]
+    gains = entry.design(swinging.told(), entry.options(particles=8, resample=0.0)).gains
+    zero, u = jnp.asarray(0), jnp.zeros(1)
+    now = Now(jnp.asarray(0.0), zero, jnp.asarray(swinging.H), u, lambda age: u)
+    before = particle.first(gains, jnp.asarray(swinging.START))
+    before = before._replace(x=before.x.at[3, 1].set(1.7e308))
+    after = particle.tick(gains, now, before)
+    others = np.delete(np.asarray(after.x), 3, 0)
+    assert np.isfinite(others).all()
+    np.testing.assert_allclose(particle.mean(gains, after), others.mean(0), rtol=1e-12)
+    np.testing.assert_allclose(particle.spread(gains, after), np.cov(others.T, bias=True), rtol=1e-10, atol=1e-14)
+    value, age = jnp.array([0.4, 0.1]), jnp.asarray(0)
+    arrival = Measurement(taken=age, fresh=jnp.array([True, True]), value=value, note=jnp.zeros(0))
+    assert np.isfinite(particle.mean(gains, particle.update(gains, now, after, arrival))).all()
 
 
 def test_of_one_particle_too_many_it_says_how_many_fit():

@@ -419,19 +419,32 @@ def test_the_agenda_of_every_run_is_what_its_samples_say(clocks, ticks, first):
     plan = agenda_of(clocks, seeds, ticks)
     for lane, seed in enumerate(seeds):
         rows = packets(clocks, ticks, seed)
-        taken, clock, number = plan.samples[:, :, lane]
-        assert list(zip(taken, clock, number, strict=True))[: len(rows)] == [row[:3] for row in rows]
-        assert (taken[len(rows) :] > ticks).all()
-        late = ahead(clocks, 0, seed)
-        assert plan.believed[: len(rows), lane].tolist() == [row[0] + late[row[0]] for row in rows]
-        assert sorted(plan.which[:, lane]) == list(range(len(taken)))
-        last, slot, count = (0, 0), 0, 0
-        for arrives, row in sorted((row[3], i) for i, row in enumerate(rows) if row[3] <= ticks):
-            last, slot = (last, slot + 1) if count and arrives == last[1] else ((last[1], arrives), 0)
-            got = (plan.arrives[count, lane], plan.which[count, lane], plan.slot[count, lane], plan.since[count, lane])
-            assert got == (arrives, row, slot, arrives - last[0])
-            count += 1
-        assert (plan.arrives[count:, lane] > ticks).all()
+        first = {row[0]: i for i, row in reversed(list(enumerate(rows)))}  # the row of each packet
+        many, late = len(rows), ahead(clocks, 0, seed)
+        taken, believed, number = plan.taken[:, lane], plan.believed[:, lane], plan.number[..., lane]
+        assert taken[:many].tolist() == [row[0] if first[row[0]] == i else NEVER for i, row in enumerate(rows)]
+        assert believed[:many].tolist() == [NEVER if t == NEVER else t + late[t] for t in taken[:many].tolist()]
+        assert (taken[many:] > ticks).all()
+        want = np.full((len(clocks), many), -1)
+        for at, clock, index, _ in rows:
+            want[clock, first[at]] = index
+        assert number[:, :many].tolist() == want.tolist()
+        arrivals = {}
+        for at, clock, _, arrives in rows:
+            if arrives <= ticks:
+                arrivals.setdefault((arrives, at), set()).add(clock)
+        last, slot, previous = (0, 0), 0, None
+        due = [i for i in range(len(taken)) if plan.arrives[i, lane] <= ticks]
+        for i, ((arrives, at), clocks_of) in zip(due, sorted(arrivals.items()), strict=True):
+            last, slot = (last, slot + 1) if arrives == previous else ((last[1], arrives), 0)
+            previous = arrives
+            assert plan.arrives[i, lane] == arrives
+            assert (plan.which[i, lane], plan.slot[i, lane], plan.since[i, lane]) == (
+                first[at],
+                slot,
+                arrives - last[0],
+            )
+            assert set(np.flatnonzero(plan.brings[:, i, lane])) == clocks_of
 
 
 PAIR = [Clock((0, 2), 9, None, "uniform", 1, 12, 0.3), Clock((1,), 7, 5, "sine", 1, 20, 0.5)]
@@ -443,7 +456,7 @@ def test_a_runs_agenda_does_not_depend_on_the_other_runs():
     for a, b, c in zip(together, alone, backwards, strict=True):
         np.testing.assert_array_equal(np.broadcast_to(a[..., 3:4], a.shape), b)
         np.testing.assert_array_equal(a, c[..., ::-1])
-    assert len({together.samples[..., lane].tobytes() for lane in range(SEEDS)}) == SEEDS
+    assert len({together.number[..., lane].tobytes() for lane in range(SEEDS)}) == SEEDS
 
 
 def times_of(clocks, seeds=range(SEEDS), root=0):

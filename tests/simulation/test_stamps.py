@@ -117,6 +117,7 @@ REFUSED = [
     ({"stamp_jitter": 0.013}, "expected a whole number of ticks"),
     ({"stamp_drift": float("inf")}, "finite number"),
     ({"stamp_drift": -2e5}, "expected at most 100,000"),
+    ({"stamp_drift": 8000.0}, "moves no stamp by half a tick"),
 ]
 
 
@@ -129,7 +130,7 @@ def test_what_cannot_be_is_one_sentence(given, sentence):
 
 @pytest.mark.parametrize(("observer", "scenario"), [("kfbo", "cart/white"), ("chain", "csth/10s-noise")])
 def test_who_does_not_use_the_age_of_a_sample_says_so(observer, scenario):
-    given = {"stamp_drift": [100.0]}
+    given = {"stamp_drift": [5000.0]}
     with pytest.raises(UserError, match="got stamp_drift, expected"):
         pcbench.run(scenario, observers=[observer], axes=given, seeds=1)
 

@@ -32,6 +32,7 @@ class Maker(NamedTuple):
 
     call: Any  # (problem) -> Every
     reads: tuple[int, ...]  # leaves of the problem that they depend on, as `jax.tree.leaves` counts them
+    number: int  # tells it from every other of this process, so that maps that are kept do not keep its program
 
 
 class Kept:
@@ -128,7 +129,7 @@ def given(maker: Maker | None, p: Problem, kept: Kept = KEPT) -> Every:
     if maker is None:
         return {}
     leaves = jax.tree.leaves(p)
-    return kept.ask((maker.call, *(_digest(leaves[i]) for i in maker.reads)), lambda: maker.call(p))
+    return kept.ask((maker.number, *(_digest(leaves[i]) for i in maker.reads)), lambda: maker.call(p))
 
 
 def _digest(numbers: np.ndarray) -> bytes:

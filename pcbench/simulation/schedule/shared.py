@@ -46,6 +46,11 @@ class Sample(NamedTuple):
     ahead: int = 0  # ticks by which its stamp is later than `taken`
 
 
+def stamp_of(s: Sample, error: int) -> int:
+    """Return the tick at which observers assume a measurement was taken; one from before tick 0 has its true tick."""
+    return max(s.taken - error + s.ahead, 0) if s.taken >= 0 else s.taken
+
+
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
     """Return every sample of clocks without randomness, taken up to tick `ticks`, from 0 on or before (`Clock.early`)."""
     out = []
