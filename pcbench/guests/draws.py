@@ -18,7 +18,7 @@ from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import setting
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
-from pcbench.simulation.schedule.shared import NEVER, stamp_of
+from pcbench.simulation.schedule.shared import NEVER
 from pcbench.study.cells import Grid
 
 FOLDER = "draws"
@@ -105,7 +105,7 @@ def _keys(p: Plan, many: int, **more: Any) -> dict[str, list[Any]]:
 
 def _samples(p: Plan, run: runs.Run) -> dict[str, Any]:
     dt, ticks = p.cell.scenario.dt, p.cell.times.ticks
-    taken = np.array([stamp_of(s, p.cell.times.error) for s in run.samples])
+    taken = np.array([s.stamp(p.cell.times.error) for s in run.samples])
     arrives = np.array([s.arrives if s.arrives < min(NEVER, ticks + 1) else np.nan for s in run.samples], float)
     return _keys(p, len(taken), seed=run.seed) | {
         "channel": [s.channel + 1 for s in run.samples],

@@ -8,7 +8,6 @@ import pyarrow as pa
 from pcbench.errors import UserError
 from pcbench.logs import writing
 from pcbench.logs.log import Batch
-from pcbench.simulation.schedule.shared import stamp_of
 
 
 def tables_of(
@@ -17,7 +16,7 @@ def tables_of(
     """Return the tables of a run by name.
 
     `samples` are (channel, number, taken, arrives [ticks]), with the schedule and the recording they are from. Their times are
-    the stamps that observers get, which assume a delay that is `error` ticks too long (`shared.stamp_of`). One that was lost,
+    the stamps that observers get, which assume a delay that is `error` ticks too long (`Sample.stamp`). One that was lost,
     or is on its way when the run ends, never arrives. Raises UserError where measuring began before
     tick 0: such samples have measured nothing that a log holds.
     """
@@ -34,7 +33,7 @@ def tables_of(
     )
     batch = Batch(
         channel=np.array([s.channel for s in every], int),
-        sampled=np.array([stamp_of(s, error) * dt for s in every]),
+        sampled=np.array([s.stamp(error) * dt for s in every]),
         arrived=np.array([s.arrives * dt if s.arrives <= last else np.nan for s in every]),
         value=np.array([value.get((s.channel, s.number), np.nan) for s in every]),
         row=np.arange(1, len(every) + 1),

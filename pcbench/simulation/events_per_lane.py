@@ -1,8 +1,7 @@
 """Events on schedules of their own: at a tick a few lanes sense or jump, the others do not.
 
-With random sampling some lane has an event at nearly every tick. All events of a block of runs are therefore sorted by time,
-and at each tick the lanes that have one are taken out, `CHUNK` of them at most at a time, do it, and are put back; the flow
-between is that of a shared schedule. A run has the numbers it has alone on its own schedule (`events_shared`).
+With random sampling some lane has an event at nearly every tick. So the events of a block of runs are sorted by time; at each
+tick the lanes that have one are taken out, at most `CHUNK` at a time, and put back. A run has the numbers it has alone.
 """
 
 import math
@@ -15,8 +14,8 @@ from jax import Array, lax
 from pcbench.simulation import lanes, sample_noise
 from pcbench.simulation.lanes import packed
 from pcbench.simulation.problem import Layout, Notes, Packet, Problem, State
-from pcbench.simulation.schedule import per_lane
-from pcbench.simulation.schedule.per_lane import Agenda, Times
+from pcbench.simulation.schedule.agenda import Agenda, agenda
+from pcbench.simulation.schedule.per_lane import Times
 from pcbench.simulation.schedule.shared import NEVER
 from pcbench.simulation.start import begin
 from pcbench.simulation.steps import Row, flow, jump, measure, note, tells, told
@@ -88,7 +87,7 @@ class Events(NamedTuple):
 def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """Return the events of a block of runs, and the state before tick 0, its memories as they are kept."""
     times: Any = p.schedule
-    plan, zero, state = per_lane.agenda(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
+    plan, zero, state = agenda(times, root_seed, seeds), jnp.asarray(0), begin(layout, p, root_seed, seeds)
     rows, none = len(plan.arrives), jnp.zeros(0)  # without process noise: it moves the plant, no memory
     taken = _queue(plan.taken * rows)
     stamped = _queue(plan.believed * rows) if times.stamp else taken._replace(when=taken.when - times.error * rows)
@@ -204,12 +203,11 @@ def _chunk(queue: Queue, done: Array, when: Array, layout: Layout) -> Chunk:
 
 def _row(events: Events, k: Array, c: Chunk, which: Array) -> Row:
     """What is known of the packets that arrive."""
-    plan, q = events.agenda, len(events.times.clock_of)
-    age = k - jnp.maximum(_at(plan.believed, which, c.lane), 0)
+    plan, number = events.agenda, _of_channels(events, events.agenda.number, which, c.lane)
     return Row(
         fresh=lanes.split(_of_channels(events, plan.brings, c.row, c.lane)),
-        age=lanes.split(jnp.broadcast_to(age, (q, CHUNK))),
-        number=lanes.split(_of_channels(events, plan.number, which, c.lane)),
+        age=lanes.split(jnp.broadcast_to(k - jnp.maximum(_at(plan.believed, which, c.lane), 0), number.shape)),
+        number=lanes.split(number),
         since=lanes.split(_at(plan.since, c.row, c.lane)),
     )
 

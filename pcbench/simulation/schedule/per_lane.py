@@ -44,23 +44,6 @@ class Times(NamedTuple):
     stamp: Any = ()  # Stamp, where stamps are wrong
 
 
-class Agenda(NamedTuple):
-    """What happens in every run: E rows, one per sample of each clock in the order they are taken; L runs, C clocks.
-
-    Samples of one tick are one packet, in the row of the first of them; of a packet what arrives at one tick is one arrival, in
-    the row of the first of those. The other rows are at NEVER.
-    """
-
-    taken: Array  # [E, L] tick of each packet
-    number: Array  # [C, E, L] which sample of each clock is in the packet; -1: none
-    believed: Array  # [E, L] tick at which the observers believe a packet was taken, which may be before 0
-    arrives: Array  # [E, L] tick of the first, second ... arrival; NEVER: lost
-    which: Array  # [E, L] the row of the packet that arrives
-    brings: Array  # [C, E, L] whether each clock's sample is in the arrival
-    slot: Array  # [E, L] how many arrive before it at the same tick
-    since: Array  # [E, L] ticks since the last tick at which anything arrived (from 0 before the first)
-
-
 def times(clocks: list[Clock], ticks: int, channels: int, error: int) -> Times:
     """Return the numbers of clocks over a horizon."""
     count = max(_most(clock, ticks) for clock in clocks) + 1
@@ -155,7 +138,7 @@ def _chain(t: Times, c: int, uniform: Array) -> Array:
     return jnp.concatenate([first[None], lax.scan(following, first, uniform[1:])[1]])
 
 
-def _believed(t: Times, root_seed: Array, seeds: Array, taken: Array) -> Array:
+def believed(t: Times, root_seed: Array, seeds: Array, taken: Array) -> Array:
     """Return the ticks at which observers believe samples to be taken that are taken at others, [E, L]."""
     if not t.stamp:
         return taken - t.error
@@ -169,59 +152,6 @@ def _whole(uniform: Array, many: Array) -> Array:
     return jnp.floor(uniform * many).astype(int)
 
 
-def agenda(t: Times, root_seed: Array, seeds: Array) -> Agenda:
-    """Return what happens in every run, in order: at one tick the older packet arrives first."""
-    each = [clock_times(t, c, root_seed, seeds) for c in range(t.due.shape[0])]
-    taken, arrives = (jnp.concatenate(part) for part in zip(*each, strict=True))
-    clock = jnp.concatenate([jnp.full_like(own, c) for c, (own, _) in enumerate(each)])
-    number = jnp.concatenate([jnp.broadcast_to(jnp.arange(len(own))[:, None], own.shape) for own, _ in each])
-    order = jnp.argsort(taken, axis=0, stable=True)
-    taken, arrives, clock, number = (jnp.take_along_axis(a, order, 0) for a in (taken, arrives, clock, number))
-    believed, packet = _believed(t, root_seed, seeds, taken), _first(_repeats(taken))
-    numbers = _by_clock(len(each), -1, clock, packet, number)
-    taken, believed = (jnp.where(packet == _rows(packet), a, NEVER) for a in (taken, believed))
-
-    order = jnp.argsort(arrives, axis=0, stable=True)
-    arrives, packet, clock = (jnp.take_along_axis(a, order, 0) for a in (arrives, packet, clock))
-    again = _repeats(arrives)
-    arrival = _first(again & _repeats(packet))
-    mine = arrival == _rows(arrival)
-    count = jnp.cumsum(mine, 0) - 1
-    slot = count - jnp.take_along_axis(count, _first(again), 0)
-    earlier = jnp.take_along_axis(arrives, jnp.maximum(_first(again) - 1, 0), 0)
-    return Agenda(
-        taken=taken,
-        number=numbers,
-        believed=believed,
-        arrives=jnp.where(mine, arrives, NEVER),
-        which=packet,
-        brings=_by_clock(len(each), False, clock, arrival, True),
-        slot=slot,
-        since=arrives - jnp.where(_first(again) > 0, earlier, 0),
-    )
-
-
-def _rows(like: Array) -> Array:
-    """The number of each row of a table [E, L]."""
-    return jnp.broadcast_to(jnp.arange(len(like))[:, None], like.shape)
-
-
-def _repeats(rows: Array) -> Array:
-    """Whether each row [E, L] equals the one before."""
-    return jnp.concatenate([jnp.zeros_like(rows[:1], bool), rows[1:] == rows[:-1]])
-
-
-def _first(repeats: Array) -> Array:
-    """The first row of the group of each row [E, L]; a group goes on where a row repeats the one before."""
-    return lax.cummax(jnp.where(repeats, 0, _rows(repeats)), 0)
-
-
-def _by_clock(clocks: int, fill: Any, clock: Array, row: Array, values: Any) -> Array:
-    """A table [C, E, L] of values [E, L], each at its clock and row."""
-    table = jnp.full((clocks, *row.shape), fill)
-    return table.at[clock, row, jnp.arange(row.shape[1])].set(values)
-
-
 def realised(clocks: list[Clock], ticks: int, channels: int, root_seed: int, seed: int) -> list[Sample]:
     """Return the samples of one run as `shared.samples` does for clocks that are not random."""
     t = jax.tree.map(jnp.asarray, times(clocks, ticks, channels, 0))
@@ -229,7 +159,7 @@ def realised(clocks: list[Clock], ticks: int, channels: int, root_seed: int, see
     for c, clock in enumerate(clocks):
         run = jnp.asarray(root_seed), jnp.asarray([seed])
         taken, arrives = clock_times(t, c, *run)
-        ahead = _believed(t, *run, taken) - taken
+        ahead = believed(t, *run, taken) - taken
         each = enumerate(zip(*(a[:, 0].tolist() for a in (taken, arrives, ahead)), strict=True))
         out += [Sample(j, i, *times) for i, times in each if times[0] <= ticks for j in clock.channels]
     return out

@@ -45,10 +45,9 @@ class Sample(NamedTuple):
     arrives: int  # tick, not before `taken`; NEVER where it is lost
     ahead: int = 0  # ticks by which its stamp is later than `taken`
 
-
-def stamp_of(s: Sample, error: int) -> int:
-    """Return the tick at which observers assume a measurement was taken; one from before tick 0 has its true tick."""
-    return max(s.taken - error + s.ahead, 0) if s.taken >= 0 else s.taken
+    def stamp(self, error: int) -> int:
+        """Return the tick at which observers assume it was taken, `error` ticks earlier; of one before tick 0 the true one."""
+        return max(self.taken - error + self.ahead, 0) if self.taken >= 0 else self.taken
 
 
 def samples(clocks: list[Clock], ticks: int) -> list[Sample]:
