@@ -74,7 +74,7 @@ def show(
     found = read.scenario_in(study, scenario)
     if as_toml:
         mine = found._replace(observers=tuple(observers_of(study, found.name)))
-        write(scenario_toml.as_study(mine, study.axes))
+        write(scenario_toml.as_study(mine, study.axes, study.options))
     elif as_json:
         print(json.dumps({found.name: sheet(found, study)}, indent=2))
     else:

@@ -21,8 +21,8 @@ TITLES = {
 FIRST = ("summary", "source", "plant", "observers", "dt", "horizon")
 
 
-def as_study(s: Scenario, axes: Mapping[str, Any] = NOTHING) -> str:
-    """Return a study of one scenario, over `axes`, as TOML that gives the numbers of `s`. Defaults are comments.
+def as_study(s: Scenario, axes: Mapping[str, Any] = NOTHING, options: Mapping[str, Any] = NOTHING) -> str:
+    """Return a study of one scenario with its `axes` and `options`, as TOML that gives the numbers of `s`.
 
     Raises UserError for a linear plant of a study's own, whose table [lti] says what it is.
     """
@@ -35,14 +35,10 @@ def as_study(s: Scenario, axes: Mapping[str, Any] = NOTHING) -> str:
     for record, fields in RECORDS.items():
         known = [key for key in fields if key in ScenarioTable.model_fields and s.value(key) is not None]
         lines += ["", f"# {TITLES[record]}", *(_line(s, key) for key in known)]
-    for label, given in s.options.items():
-        lines += [
-            "",
-            f"[scenario.options.{key_of(label)}]",
-            *(f"{key_of(key)} = {said(value)}" for key, value in given.items()),
-        ]
-    if axes:
-        lines += ["", "[axes]", *(f"{key_of(name)} = {said(values)}" for name, values in axes.items())]
+    tables = {f"scenario.options.{key_of(label)}": given for label, given in s.options.items()}
+    tables |= {f"options.{key_of(label)}": given for label, given in options.items()}
+    for name, given in (tables | ({"axes": axes} if axes else {})).items():
+        lines += ["", f"[{name}]", *(f"{key_of(key)} = {said(value)}" for key, value in given.items())]
     return "\n".join(lines) + "\n"
 
 

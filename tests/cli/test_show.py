@@ -76,6 +76,13 @@ def test_what_is_no_scenario_is_one_sentence(words, sentence):
     assert sentence in said.stderr
 
 
+def test_a_study_with_options_of_labels_is_printed_with_them(tmp_path, capsys):
+    text = """observers = ["kfbo", 'kfbo-"]x']\n[scenario]\nbase = "cart/white"\n[options.'kfbo-"]x']\nR = 0.3\n"""
+    (tmp_path / "own.toml").write_text(text + "[options.scenario]\nrandom_start = true\n")
+    again = read.parse(tomllib.loads(shown(capsys, tmp_path / "own.toml", "--toml")), "mine.toml")
+    assert again.options == {'kfbo-"]x': {"R": 0.3}, "scenario": {"random_start": True}}
+
+
 def shown(capsys, *words):
     app(["show", *map(str, words)], standalone_mode=False)
     return capsys.readouterr().out
