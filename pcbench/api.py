@@ -16,12 +16,12 @@ from pcbench.gains import versions
 from pcbench.logs import runs as run_as_log
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.planning import alone, cost, drafts, padding, samples_of
+from pcbench.planning import all_observers, alone, cost, drafts, padding, samples_of
 from pcbench.plants import signals_of
 from pcbench.scenarios.sources import units
 from pcbench.study import read
 from pcbench.study.own_scenarios import plain
-from pcbench.study.read import Described, grid_of, one_cell
+from pcbench.study.read import Described, one_cell
 from pcbench.synthesis.certificate import Design, is_certified
 
 if TYPE_CHECKING:
@@ -55,20 +55,21 @@ def run(
 ) -> Result:
     """Run a study and return its tables; with `out`, a folder or a URI, leave them there: run again, it goes on.
 
-    `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study; the arguments up to
-    `method` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in `out` is not done
-    again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of every observer is
-    that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a scheduler's address,
-    or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB": what results may take at
-    a time; by default a quarter of the machine's). `progress` hears how far it is (`machine.progress`), `say` of damaged files
-    and of loops that do not settle; without it the latter are Python's warnings.
+    `observers` "all" stands for every observer of pcbench that can run in all cells; the result's `study.excluded` has the
+    reasons of the others. `study` is a built-in name, a scenario's name, a TOML file, a dict of the same shape, or a Study;
+    the arguments up to `method` replace its keys. `overrides` are texts such as "axes.noise_std=0.1". What is finished in
+    `out` is not done again, unless `fresh`. `until_se` "METRIC=VALUE" adds seeds to each cell until the standard error of
+    every observer is that small, `max_seeds` at most. Of no influence on any number: `devices` (calls at a time), `dask` (a
+    scheduler's address, or "local" with `workers`), `block` (seeds a file) and `memory` (bytes, or a text such as "2GiB":
+    what results may take at a time; by default a quarter of the machine's). `progress` hears how far it is
+    (`machine.progress`), `say` of damaged files and of loops that do not settle; without it the latter are Python's warnings.
     Arrays, tuples, ranges and NumPy's numbers are as good as lists and numbers.
     A study's `tuning` is done first: `gains.versions`; of several the result has a table `fair`. Raises UserError, one
     sentence, for whatever the user can mend.
     """
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
-    grid = grid_of(study, changes | {"first_seed": first_seed, "method": method}, overrides or [])
+    grid = all_observers.grid_of(study, changes | {"first_seed": first_seed, "method": method}, overrides or [])
     with process.float64():
         how = run_study.How(
             fresh=fresh,
@@ -82,6 +83,9 @@ def run(
             progress=progress,
             say=say or (lambda sentence: None),
         ).checked()
+        if say:
+            for sentence in all_observers.sentences(grid.study.excluded):
+                say(sentence)
         for sentence in read.unstable(grid):
             (say or warnings.warn)(sentence)
         made = versions.prepare(grid, out, fresh, progress)
@@ -118,7 +122,7 @@ def exact(
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     with process.float64():
-        grid = grid_of(study, changes, overrides or [])
+        grid = all_observers.grid_of(study, changes, overrides or [])
         return Exact(versions.prepare(grid, None, False, progress).grid, schedules)
 
 
@@ -192,7 +196,7 @@ def costs(
 
     with process.float64():
         names = [observers] if isinstance(observers, str) else observers
-        every = read.grid_of(study, {} if names is None else {"observers": list(names)}, overrides or []).cells
+        every = all_observers.grid_of(study, {} if names is None else {"observers": list(names)}, overrides or []).cells
         rows = [
             {
                 "scenario": p.cell.scenario.name,

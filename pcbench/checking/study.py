@@ -11,6 +11,7 @@ from pcbench.checking.quiet import errors, in_parts, planned, quiet, recorded, s
 from pcbench.checking.schedules import ROUNDING
 from pcbench.dynamics.observability import shown as shown_mode
 from pcbench.errors import UserError
+from pcbench.planning import all_observers
 from pcbench.plants import entry_of, nonlinear, numbers_of, states_of
 from pcbench.study import loops, read
 from pcbench.study.cells import Cell, Grid
@@ -21,7 +22,7 @@ MOST, SEEDS = 6, 3  # cells of a scenario whose gains are asked; runs
 
 def reading(study: Described, overrides: Sequence[str]) -> tuple[Grid, str]:
     """Return a study with its cells, and what there is; raise UserError naming the place in it that is wrong."""
-    grid = read.grid_of(study, {}, list(overrides))
+    grid = all_observers.grid_of(study, {}, list(overrides))
     names = ", ".join(dict.fromkeys(c.scenario.name for c in grid.cells))
     observers = ", ".join(dict.fromkeys(o for c in grid.cells for o in c.options))
     return grid, f"{names}: {len(grid.cells)} cell{'s' * (len(grid.cells) != 1)}; {observers}"

@@ -14,7 +14,9 @@ def draws(
     study: Annotated[str, typer.Argument(help="a study, a scenario or a TOML file")],
     folder: Annotated[str, out("folder, which becomes the study's")],
     seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
-    observers: Annotated[str | None, typer.Option(help="comma-separated names, to compare with")] = None,
+    observers: Annotated[
+        str | None, typer.Option(help="comma-separated names, or all that can run, to compare with")
+    ] = None,
     changes: Set = None,
     quiet: Quiet = False,
 ) -> None:
@@ -25,11 +27,11 @@ def draws(
     setup()
     from pcbench.cli.screen.progress import bar
     from pcbench.guests import draws
-    from pcbench.study import read
+    from pcbench.planning import all_observers
 
     asked: dict[str, Any] = {"seeds": seeds, "observers": names(observers) if observers else None}
     with bar(quiet) as progress:
-        draws.write(read.grid_of(study, asked, changes or []), folder, stoppable(progress))
+        draws.write(all_observers.grid_of(study, asked, changes or []), folder, stoppable(progress))
     print(f"{folder}/draws: samples, inputs and starts; columns, units and what to leave stand in its README.md")
 
 

@@ -30,7 +30,7 @@ def run(
     study: Annotated[str, typer.Argument(help="a study, a scenario or a TOML file")],
     seeds: Annotated[int | None, typer.Option(help="noise seeds for each cell")] = None,
     first_seed: Annotated[int | None, typer.Option(help="the first of them [default: 0]")] = None,
-    observers: Annotated[str | None, typer.Option(help="comma-separated names")] = None,
+    observers: Annotated[str | None, typer.Option(help="comma-separated names, or all that can run")] = None,
     changes: Set = None,
     folder: Annotated[
         str | None, out("folder or URI for the tables; run again, it goes on [default: results/STUDY]")

@@ -31,7 +31,7 @@ def suffices(
     max_seeds: Annotated[
         int | None, typer.Option(help="of a value whose interval holds the limit [default: 16 times the study's]")
     ] = None,
-    observers: Annotated[str | None, typer.Option(help="comma-separated names")] = None,
+    observers: Annotated[str | None, typer.Option(help="comma-separated names, or all that can run")] = None,
     changes: Set = None,
     folder: Annotated[
         str | None, out("folder or URI for all that is run; asked again, it goes on [default: results/STUDY-AXIS]")

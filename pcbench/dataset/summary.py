@@ -51,6 +51,7 @@ def close(
         "study_sha256": digest(owned.study, owned.cells),
         "root_seed": owned.study.root_seed,
         "blocks": len(there),
+        **({"excluded": owned.study.excluded} if owned.study.excluded else {}),
     }
     said = provenance.describe() | study | about | {"certificates": weakest, "flow": ways, "digests": digests}
     store.put_json(target, PROVENANCE, said | {"digest": _digest(said)})

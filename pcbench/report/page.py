@@ -172,7 +172,8 @@ def _provenance(result: Result) -> list[tuple[str, str]]:
     }
     git = p.get("git") or {}
     flat |= {"commit": f"{git['commit']}{' (changed)' if git.get('changed') else ''}"} if git.get("commit") else {}
-    return [(k.replace("_", " "), v) for k, v in flat.items() if v]
+    excluded = [(f"left out: {label}", reason) for label, reason in (result.study.excluded or {}).items()]
+    return [*((k.replace("_", " "), v) for k, v in flat.items() if v), *excluded]
 
 
 def _template() -> jinja2.Template:

@@ -32,6 +32,8 @@ from pcbench.study.raw import Described, named, raw_of, where_of
 from pcbench.study.references import Gate, Named, named_in
 from pcbench.study.scenario_table import ScenarioTable
 
+ALL = "all"  # among observers: every one that can run
+
 
 def _from_here(named: Named, where: str) -> Own:
     """Run the code that a study names, a path taken from the working folder."""
@@ -91,8 +93,14 @@ def described(raw: dict[str, Any], where: str, gate: Gate) -> Study:
 
 
 def outline(what: str, overrides: list[str]) -> Study:
-    """Return the study that the user names, as `described`; its code is run, its cells are not made."""
-    return described(raw_of(what, overrides, FROM_HERE), what, FROM_HERE)
+    """Return the study that the user names, as `described`; its code is run, its cells are not made.
+
+    If its observers are "all", they are not yet known: those of its scenarios are in their place.
+    """
+    raw = raw_of(what, overrides, FROM_HERE)
+    if ALL in ([raw.get("observers")] if isinstance(raw.get("observers"), str) else raw.get("observers") or []):
+        del raw["observers"]
+    return described(raw, what, FROM_HERE)
 
 
 def _own(raw: dict[str, Any]) -> list[str]:

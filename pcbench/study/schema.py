@@ -73,6 +73,9 @@ class Study(BaseModel):
     name: str = Field(pattern=r"^\w[\w./+-]*$", max_length=100)
     scenarios: list[str] = Field(min_length=1)
     observers: list[str] | None = None
+    excluded: dict[str, str] | None = Field(
+        None, description='why observers that `observers = "all"` would have are not among them; pcbench writes it'
+    )
     use: dict[str, str] = Field({}, description="MODULE:NAME of observers of one's own, by label")
     seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
     first_seed: int = Field(0, ge=0, le=4_000_000_000, strict=True)

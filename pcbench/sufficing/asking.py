@@ -15,6 +15,7 @@ from pcbench.errors import UserError
 from pcbench.gains import versions
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
+from pcbench.planning import all_observers
 from pcbench.statistics import sufficing
 from pcbench.study import cells, observers_of
 from pcbench.study.cells import Grid
@@ -63,6 +64,9 @@ def suffices(
     raw = raw_of(study, overrides or [], FROM_HERE)
     where = where_of(study, raw)
     raw |= {key: plain(value) for key, value in {"seeds": seeds, "observers": observers}.items() if value is not None}
+    raw = all_observers.resolved(raw, where)
+    for sentence in all_observers.sentences(raw.get("excluded")):
+        say(sentence)
     with process.float64(), ExitStack() as stack:
         q = question(described(raw, where, FROM_HERE), where, over, metric, signal, below)
         scale = scale_of(q.axis, q.scenario, between, within)

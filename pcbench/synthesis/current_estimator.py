@@ -49,6 +49,11 @@ def solve(Phi: Matrix, C: Matrix, where: str, solver: str = "CLARABEL") -> Curre
     """Solve the LMI with cvxpy; raise DesignError where the solver leaves no answer."""
     import cvxpy as cp
 
+    if (r := rank(C)) < len(C):  # Y is not unique: find the gain of independent outputs, C = C M' M, and share it
+        M = np.linalg.svd(C)[2][:r]
+        found = solve(Phi, M, where, solver)
+        return found._replace(L=found.L @ np.linalg.pinv(C @ M.T))
+
     n, q = Phi.shape[0], C.shape[0]
     P, Y, t = cp.Variable((n, n), symmetric=True), cp.Variable((n, q)), cp.Variable()
     M = P @ Phi - Y @ (C @ Phi)
