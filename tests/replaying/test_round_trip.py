@@ -15,6 +15,8 @@ from pcbench.logs.log import Batch
 from pcbench.replaying import replay as replaying
 
 OBSERVERS = ["pccebo", "dkf"]
+WRONG = {"stamp_offset": -0.04, "stamp_jitter": 0.01}
+STAMPED = MOTOR | {"lti": MOTOR["lti"] | WRONG}
 WILD = MOTOR | {"lti": MOTOR["lti"] | {"delay_jitter": 0.15, "loss": 0.2, "jitter": 0.02}}
 
 
@@ -22,7 +24,7 @@ WILD = MOTOR | {"lti": MOTOR["lti"] | {"delay_jitter": 0.15, "loss": 0.2, "jitte
 def traced(tmp_path_factory):
     """Runs of the motor, on time and late, lost and overtaking: the frame and the folder of its log."""
     out = {}
-    for name, study in (("plain", MOTOR), ("wild", WILD)):
+    for name, study in (("plain", MOTOR), ("wild", WILD), ("stamped", STAMPED)):
         folder = tmp_path_factory.mktemp(name)
         out[name] = study, pcbench.trace(study, OBSERVERS, seed=3, log=folder), folder
     return out
@@ -46,7 +48,7 @@ def same(found, frame):
 
 
 @pytest.mark.parametrize("kind", ["parquet", "csv"])
-@pytest.mark.parametrize("name", ["plain", "wild"])
+@pytest.mark.parametrize("name", ["plain", "wild", "stamped"])
 def test_estimates_are_those_of_the_run(traced, name, kind, tmp_path):
     study, frame, folder = traced[name]
     log = folder if kind == "parquet" else as_csv(folder, tmp_path / "log")
