@@ -20,6 +20,7 @@ TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
 BESIDE = ("tuning/", "training/", "draws/")  # tuned gains, and draws for guests: made before its own runs begin
 EXACT = ("exact.parquet", "moments/")  # exact numbers, and how they go over time
+WRITTEN = ("report.html", "fair.parquet", "examples/")  # what other commands write into a dataset by default
 KEPT = ("options", "scenarios", "observers", "cells")  # under [resolved]
 NOT_TOML_EITHER = (ValueError, KeyError, TypeError, AttributeError)
 SHOWN = 3  # differences that a refusal names
@@ -45,7 +46,7 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
     if fresh and (blocks or said is not None):
         if said is not None and not blocks:
             read_text(target, said)
-            _require_ours(target, (TEXT, *CLOSING, *EXACT, "code/"))
+            _require_ours(target, (TEXT, *CLOSING, *EXACT, *WRITTEN, "code/"))
         kept_code.copies(target)
         return Owned(study, every, to_toml(study, every), True)
     if blocks and (said is None or not _readable(said)):

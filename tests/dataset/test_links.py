@@ -134,3 +134,11 @@ def test_an_unfinished_file_is_new_and_no_link(tmp_path, monkeypatch):
     store.put(target, "second", b"2")
     assert (tmp_path / "ds" / "second").read_bytes() == b"2"
     assert victim.read_text() == "mine"
+
+
+def test_fresh_accepts_the_report_beside_exact_results(ds):
+    for name in store.names(store.target(ds), "runs"):
+        (ds / name).unlink()
+    (ds / "report.html").write_text("a page of pcbench report")
+    pcbench.run(**ASKED, out=ds, fresh=True)
+    assert (ds / "stats.parquet").exists()
