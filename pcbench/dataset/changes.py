@@ -1,13 +1,14 @@
 """What differs between a study on disk and one that is to go on there, a phrase each."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pcbench.dataset.seeds import common, counted
 from pcbench.study import own
 from pcbench.study.references import Named, renamed
 
+Files = Mapping[str, Mapping[str, str]]  # of the code of each name, the digest of each file
 GROWS = (
     "seeds",
     "first_seed",
@@ -26,9 +27,12 @@ GROWS = (
 GONE = {"drift_sign": 1}  # a choice of earlier releases, as it was where it was not chosen
 
 
-def changes(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
-    """Yield what differs between a study on disk and one that is to go on there, a phrase each."""
-    code = list(_recoded(there, here))
+def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Files] = ({}, {})) -> Iterator[str]:
+    """Yield what differs between a study on disk and one that is to go on there, a phrase each.
+
+    `files` are the digests of the files of users' code, there and here, by the names under [resolved.code].
+    """
+    code = list(_recoded(there, here, files))
     yield from code
     old_texts, new_texts = (renamed(study, _undated) for study in (there, here))
     for key in sorted((there.keys() | here.keys()) - set(GROWS)):
@@ -54,15 +58,24 @@ def changes(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
         yield from _lost(there, here)
 
 
-def _recoded(there: dict[str, Any], here: dict[str, Any]) -> Iterator[str]:
-    """Yield what has other code."""
+def _recoded(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Files]) -> Iterator[str]:
+    """Yield what has other code, with the files that have changed where they are known."""
     old, new = (study["resolved"].get("code", {}) for study in (there, here))
     for name, digest in old.items():
         if new.get(name, digest) != digest:
+            a, b = (each.get(name, {}) for each in files)
+            if a and b:
+                yield f"the code of {name}: {_changed(a, b)} since"
+                continue
             where = [
                 study.get("use", {}).get(name, f"{own.FOLDER}/{d}") for study, d in ((there, digest), (here, new[name]))
             ]
             yield f"the code of {name}: {where[0]} there, {where[1]} here"
+
+
+def _changed(a: Mapping[str, str], b: Mapping[str, str]) -> str:
+    names = sorted(name for name in a.keys() | b.keys() if a.get(name) != b.get(name))
+    return f"{' and '.join(names)} {'has' if len(names) == 1 else 'have'} changed"
 
 
 def _without_code(scenario: dict[str, Any]) -> dict[str, Any]:

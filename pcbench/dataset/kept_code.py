@@ -3,6 +3,7 @@
 A file stands as code/DIGEST/FILE, with the files beside it that it imports. A result is read without any of it.
 """
 
+import hashlib
 import re
 from pathlib import PurePosixPath
 from typing import Any
@@ -10,8 +11,10 @@ from typing import Any
 from pydantic.errors import PydanticUserError
 
 from pcbench.dataset import store
+from pcbench.dataset.changes import Files
 from pcbench.errors import UserError, short
 from pcbench.study import Study, own, own_controllers, own_entries, own_observers, own_plants
+from pcbench.study.as_toml import codes
 from pcbench.study.own import Own
 from pcbench.study.references import SCENARIO, Gate, Named
 
@@ -25,6 +28,26 @@ def keep(target: store.Target, study: Study) -> None:
             path = f"{own.FOLDER}/{mine.code.digest}/{name}"
             if store.text(target, path) != text:
                 store.put(target, path, text)
+
+
+def files_in(target: store.Target, there: dict[str, Any]) -> Files:
+    """Return the digests of the copies of users' code that the study whose text is `there` was made with."""
+    return {
+        name: {
+            PurePosixPath(file).name: _digest(store.text(target, file))
+            for file in store.names(target, f"{own.FOLDER}/{digest}")
+        }
+        for name, digest in there["resolved"].get("code", {}).items()
+    }
+
+
+def files_of(study: Study) -> Files:
+    """Return the digests of the files of users' code in a study."""
+    return {name: {file: _digest(text) for file, text in code.files} for name, code in codes(study).items()}
+
+
+def _digest(text: bytes | None) -> str:
+    return hashlib.sha256(text or b"").hexdigest()[: own.DIGITS]
 
 
 def copies(target: store.Target) -> list[str]:

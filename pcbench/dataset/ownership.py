@@ -58,7 +58,8 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
     there = read_text(target, said)
     every = numbered(every, there["resolved"]["cells"])
     _only_what_stands(there, blocks)
-    changed = [*changes(there, toml_text.parse(to_toml(study, every))), *_reshaped(target, there, study)]
+    files = kept_code.files_in(target, there), kept_code.files_of(study)
+    changed = [*changes(there, toml_text.parse(to_toml(study, every)), files), *_reshaped(target, there, study)]
     if changed and blocks:
         more = f" and {len(changed) - SHOWN} more" if len(changed) > SHOWN else ""
         raise UserError(

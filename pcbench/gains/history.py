@@ -1,5 +1,6 @@
 """The points of a tuning so far, in a Parquet file: all that is needed to go on; and what it has found."""
 
+import json
 from collections.abc import Callable
 from math import isfinite
 from time import monotonic
@@ -10,14 +11,23 @@ import pyarrow as pa
 import tomli_w
 
 from pcbench import toml_text
-from pcbench.dataset import parquet, store
+from pcbench.dataset import kept_code, parquet, store
+from pcbench.dataset.changes import changes
 from pcbench.dataset.seeds import Seeds, counted
 from pcbench.errors import UserError
 from pcbench.gains.parameters import Vector
+from pcbench.study import Study
+from pcbench.study.as_toml import resolved
+from pcbench.study.cells import Cell
 
 HISTORY, FOUND = "history.parquet", "tuned.toml"
 ABOUT = b"pcbench.tuning"  # the key in the file's metadata: what was tuned for what
+BASIS = b"pcbench.study"  # and the study in which, to say what has changed
 PAUSE = 2.0  # [s] between two writings
+
+
+class AnotherTuning(UserError):
+    """A folder holds the history of another tuning."""
 
 
 class Judgement(NamedTuple):
@@ -46,10 +56,10 @@ class Evaluation(NamedTuple):
 class History:
     """The points of a tuning in the order in which they were asked for; those of an earlier run are not evaluated again."""
 
-    def __init__(self, target: store.Target, about: str, names: list[str]):
-        self.target, self.about, self.names = target, about, names
+    def __init__(self, target: store.Target, about: str, names: list[str], basis: dict[str, Any]):
+        self.target, self.about, self.names, self.basis = target, about, names, basis
         self.points: list[Evaluation] = []
-        self.before = _read(target, about)
+        self.before = _read(target, about, basis)
         self.written = monotonic()
 
     def ask(self, at: Vector, evaluate: Callable[[Vector], tuple[float, Vector]]) -> tuple[float, Vector]:
@@ -77,11 +87,16 @@ class History:
 
     def write(self) -> None:
         """Write the history."""
-        store.put_table(self.target, HISTORY, _table(self.points, self.names, self.about))
+        store.put_table(self.target, HISTORY, _table(self.points, self.names, self.about, self.basis))
         self.written = monotonic()
 
 
-def _table(points: list[Evaluation], names: list[str], about: str) -> pa.Table:
+def basis_of(study: Study, cell: Cell) -> dict[str, Any]:
+    """Return what a tuning depends on: its study with all options, and the digests of the files of users' code."""
+    return json.loads(json.dumps({"study": resolved(study, [cell]), "files": kept_code.files_of(study)}))
+
+
+def _table(points: list[Evaluation], names: list[str], about: str, basis: dict[str, Any]) -> pa.Table:
     """The history as a table: value is null where the gains were refused."""
     columns: dict[str, Any] = {"point": np.arange(len(points))}
     columns |= {f"free.{name}": np.array([p.at[i] for p in points]) for i, name in enumerate(names)}
@@ -90,11 +105,11 @@ def _table(points: list[Evaluation], names: list[str], about: str) -> pa.Table:
         slopes = [p.slope[i] if p.slope and isfinite(p.slope[i]) else None for p in points]
         columns[f"slope.{name}"] = pa.array(slopes, pa.float64())
     columns["seconds"] = np.array([p.seconds for p in points])
-    return pa.table(columns).replace_schema_metadata({ABOUT: about.encode()})
+    return pa.table(columns).replace_schema_metadata({ABOUT: about.encode(), BASIS: json.dumps(basis).encode()})
 
 
-def _read(target: store.Target, about: str) -> list[Evaluation]:
-    """What an earlier run has seen; raise UserError where that was another tuning."""
+def _read(target: store.Target, about: str, basis: dict[str, Any]) -> list[Evaluation]:
+    """What an earlier run has seen; raise AnotherTuning where that was another tuning."""
     content = store.get(target, HISTORY)
     if content is None:
         if others := [name for name in store.names(target) if name != FOUND]:
@@ -104,7 +119,8 @@ def _read(target: store.Target, about: str) -> list[Evaluation]:
         return []
     try:
         table = parquet.parsed(content)
-        said = (table.schema.metadata or {}).get(ABOUT, b"").decode()
+        metadata = table.schema.metadata or {}
+        said, before = metadata.get(ABOUT, b"").decode(), json.loads(metadata.get(BASIS, b"{}"))
         free, slopes = ([c for c in table.column_names if c.startswith(k)] for k in ("free.", "slope."))
         rows = table.to_pylist()
         points = [
@@ -121,9 +137,10 @@ def _read(target: store.Target, about: str) -> list[Evaluation]:
             f"{target.name}/{HISTORY}: is damaged, expected a tuning's history; remove it, or give another folder with --out."
         ) from None
     if said != about:
-        raise UserError(
-            f"{target.name}: holds another tuning ({said}), expected {about}; give another folder with --out."
-        )
+        files = before.get("files", {}), basis["files"]
+        changed = list(changes(before["study"], basis["study"], files)) if before else []
+        differs = f"{'; '.join(changed)}), expected the same study" if changed else f"{said}), expected {about}"
+        raise AnotherTuning(f"{target.name}: holds another tuning ({differs}; give another folder with --out.")
     return points
 
 
@@ -136,10 +153,10 @@ def finish(target: store.Target, about: str, tuned: Any) -> None:
     store.put(target, FOUND, tomli_w.dumps(tuned.study | {"resolved": {"tuning": said}}).encode())
 
 
-def finished(target: store.Target, whole: str, about: str) -> dict[str, Any] | None:
+def finished(target: store.Target, whole: str, about: str, basis: dict[str, Any]) -> dict[str, Any] | None:
     """Return what an earlier run of the same tuning has found; None where there is none.
 
-    `whole` describes the finished tuning, `about` its history.
+    `whole` describes the finished tuning, `about` and `basis` its history.
     """
     content = store.text(target, FOUND)
     try:
@@ -148,7 +165,7 @@ def finished(target: store.Target, whole: str, about: str) -> dict[str, Any] | N
         if said.pop("about") != whole:
             return None
         judged = [_judged(**j) for j in said.pop("judged")]
-        return said | {"study": study, "judged": judged, "points": _read(target, about)}
+        return said | {"study": study, "judged": judged, "points": _read(target, about, basis)}
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # not there, or damaged: the history is read, and it is written anew
 

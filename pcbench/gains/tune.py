@@ -95,7 +95,8 @@ def tune(
         about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(study, [cell])[:12]}"
         whole = f"{about}, {budget} points" + ("" if exact else f", judged on {judges}")
         target = store.target(str(out) if out is not None else spare)
-        if done := history.finished(target, whole, about):
+        basis = history.basis_of(study, cell)
+        if done := history.finished(target, whole, about, basis):
             return Tuning(objective=aim, **done)
         known = planning.setting(cell)
         study, cell, designed = _startable(study, cell, observer, known)
@@ -113,7 +114,7 @@ def tune(
         else:
             how = evaluation.method_for(method, aim, p, where)
             evaluate = evaluation.evaluator(how, p, aim, study.root_seed, np.arange(*training), design)
-        trials = History(target, about, parameters.entries(every))
+        trials = History(target, about, parameters.entries(every), basis)
         progress.begin("points", budget)
         progress.note("compiling")
         descend(how, trials, start, evaluate, budget, where, progress)

@@ -24,7 +24,7 @@ from pcbench.dataset.ownership import BESIDE, TEXT
 from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.gains import expected, named, parameters, tune
-from pcbench.gains.history import FOUND, HISTORY
+from pcbench.gains.history import FOUND, HISTORY, AnotherTuning
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.study import Study, given, observers_of, scenarios_of
@@ -243,4 +243,6 @@ def _tuned(
         )
     except tune.NoStart:
         return "no start of it works on the training runs", {}
+    except AnotherTuning as error:
+        raise UserError(f"{str(error).removesuffix('.')}, or start over with --fresh.") from None
     return found.kept_start, {} if found.kept_start else found.found

@@ -16,7 +16,7 @@ from pcbench import planning
 from pcbench.dataset import store
 from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
-from pcbench.gains.history import History
+from pcbench.gains.history import History, basis_of
 from pcbench.gains.parameters import Vector
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
@@ -80,7 +80,7 @@ def tune_log(
         target = store.target(str(out) if out is not None else spare)
         names = parameters.entries(every)
         about = f"{where}: {', '.join(names)} of {_digest(record)}, for {digest(study, [a.cell])[:12]}"
-        trials = History(target, about, names)
+        trials = History(target, about, names, basis_of(study, a.cell))
         progress.begin("points", budget)
         progress.note("compiling")
         look = likelihood.evaluator(record, design)

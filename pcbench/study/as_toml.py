@@ -8,6 +8,7 @@ import tomli_w
 
 from pcbench.study import Study, choices_of, observers_of, scenarios_of
 from pcbench.study.cells import Cell, numbering
+from pcbench.study.own import Code
 from pcbench.study.own_plants import facts
 from pcbench.study.references import Named, named_in, renamed
 
@@ -26,11 +27,16 @@ def resolved(study: Study, every: list[Cell]) -> dict[str, Any]:
     said = {"options": options, "scenarios": scenarios, "observers": ran_by, "cells": numbering(every)}
     owned = {each: study._own[each.key] for each in named_in(study.model_dump(exclude_none=True))}
     if owned:
-        named = {n: n.key if n.kind == "observer" else f"{n.kind} {mine.code.name}" for n, mine in owned.items()}
-        said["code"] = {named[n]: mine.code.digest for n, mine in owned.items()}
+        said["code"] = {name: code.digest for name, code in codes(study).items()}
     if plants := {mine.code.reference: facts(mine.entry) for n, mine in owned.items() if n.kind == "plant"}:
         said["plants"] = plants
     return as_dict(study) | {"resolved": said}
+
+
+def codes(study: Study) -> dict[str, Code]:
+    """Return the code of each of the user's own observers, plants and controllers, by its name under [resolved.code]."""
+    owned = {each: study._own[each.key].code for each in named_in(study.model_dump(exclude_none=True))}
+    return {n.key if n.kind == "observer" else f"{n.kind} {code.name}": code for n, code in owned.items()}
 
 
 def as_dict(study: Study) -> dict[str, Any]:

@@ -106,12 +106,39 @@ def test_a_changed_copy_is_named(here, out):
 def test_another_version_is_refused_with_what_changed(here, out):
     before = tables(out)
     (here / "mine.py").write_text((here / "mine.py").read_text().replace("share / noisier", "share / noisier / 2"))
-    changed = r"the code of nudge: code/\w+/mine.py:nudge there, code/\w+/mine.py:nudge here"
+    changed = r"the code of nudge: mine.py has changed since\)"
     with pytest.raises(pcbench.UserError, match=changed):
         pcbench.run(STUDY | {"seeds": 32}, out="out")
     assert tables(out) == before
     pcbench.run(STUDY | {"seeds": 8}, out="out", fresh=True)
     assert len(list((out / "code").rglob("*.py"))) == 1, "the old copy went with the old runs"
+
+
+@pytest.mark.slow
+def test_a_study_refuses_a_changed_imported_file_by_its_name(here):
+    source = (here / "mine.py").read_text().replace("share: float = 0.1", "share: float = pcbench.tunable(SHARE, gt=0)")
+    (here / "mine.py").write_text(source.replace("import pcbench\n", "import pcbench\nfrom part import SHARE\n", 1))
+    (here / "part.py").write_text("SHARE = 0.1\n")
+    tuned = {"tuning": "tuned", "tune": {"budget": 1, "training": 2}, "seeds": 2}
+    study = (
+        STUDY | tuned | {"observers": ["mine.py:nudge"], "scenario": {"base": "cart/slow", "horizon": 2.0, "tail": 1.0}}
+    )
+    del study["scenarios"]
+    pcbench.run(study, out="out")
+    before = tables(here / "out")
+    (here / "part.py").write_text("SHARE = 0.2\n")
+    found = r"out/tuning/nudge: holds another tuning \(the code of nudge: part.py has changed since.*; give .* with --fresh.$"
+    with pytest.raises(pcbench.UserError, match=found):
+        pcbench.run(study, out="out")
+    with pytest.raises(
+        pcbench.UserError, match=r"out: holds .* \(the code of nudge: part.py has changed since.* --fresh.$"
+    ):
+        pcbench.run(study | {"tuning": "paper"}, out="out")
+    assert tables(here / "out") == before
+    (here / "part.py").write_text("SHARE = 0.1\n")
+    found = r"nudge: holds another tuning \(.*sampling_period.*expected the same study"
+    with pytest.raises(pcbench.UserError, match=found):
+        pcbench.run(study | {"scenario": study["scenario"] | {"sampling_period": 0.4}}, out="out")
 
 
 def test_it_grows_from_its_own_study_file(here, out):
@@ -160,7 +187,7 @@ def test_plants_and_laws_are_kept_likewise(here):
     kept.rename(here / "mine.py")
     assert pcbench.run(LOOP, out="out").cost.runs == 0, "its blocks are known again"
     (here / "mine.py").write_text((here / "mine.py").read_text().replace("0.4  # 1/s", "0.5  # 1/s"))
-    with pytest.raises(pcbench.UserError, match=r"the code of plant pendulum: code/\w+ there, code/\w+ here"):
+    with pytest.raises(pcbench.UserError, match=r"the code of plant pendulum: mine\.py has changed since"):
         pcbench.run(LOOP | {"seeds": 8}, out="out")
     assert tables(here / "out") == before
 
