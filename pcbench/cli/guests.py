@@ -18,6 +18,7 @@ def draws(
         str | None, typer.Option(help="comma-separated names, or all that can run, to compare with")
     ] = None,
     changes: Set = None,
+    csv: Annotated[bool, typer.Option("--csv", help="the tables as CSV files too")] = False,
     quiet: Quiet = False,
 ) -> None:
     """Write what every run measures and when it arrives, for a program in any language.
@@ -31,7 +32,7 @@ def draws(
 
     asked: dict[str, Any] = {"seeds": seeds, "observers": names(observers) if observers else None}
     with bar(quiet) as progress:
-        draws.write(all_observers.grid_of(study, asked, changes or []), folder, stoppable(progress))
+        draws.write(all_observers.grid_of(study, asked, changes or []), folder, csv, stoppable(progress))
     print(f"{folder}/draws: samples, inputs and starts; columns, units and what to leave stand in its README.md")
 
 

@@ -27,9 +27,14 @@ def put(out: str | Path, table: pa.Table) -> None:
         target, name = _place(out)
         store.put_table(target, name, table)
         return
+    put_content(out, as_csv(table))
+
+
+def as_csv(table: pa.Table) -> bytes:
+    """Return a table as CSV; null is an empty field."""
     content = io.BytesIO()
     csv.write_csv(table, content, csv.WriteOptions(quoting_style="needed"))
-    put_content(out, content.getvalue())
+    return content.getvalue()
 
 
 def put_content(out: str | Path, content: bytes) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import ownership, parquet, store, together
+from pcbench.dataset import as_file, ownership, parquet, store, together
 from pcbench.dynamics import linear
 from pcbench.guests import runs
 from pcbench.machine import process
@@ -42,9 +42,34 @@ SAMPLES = {
     "arrived": (pa.float64(), "s", "the same in seconds"),
     "value": (pa.float64(), "unit of the output", "what was measured, noise included"),
 }
+CELL = {
+    "scenario": ("", "name of the scenario"),
+    "cell": ("", "number of the cell in the scenario"),
+    "axes": ("", "the cell's value of each axis"),
+    "dt": ("s", "length of a tick"),
+    "ticks": ("", "N, the ticks of a run"),
+    "signals": ("", "name and unit of each state and unknown, in the order of the estimates"),
+    "period": ("ticks", "[q] sampling period of each output; the mean if intervals vary"),
+    "intervals": ("ticks", "every interval between samples that can occur, if all outputs are sampled together"),
+    "delay": ("ticks", "[q] assumed delay of each output; the mean if it varies"),
+    "latest": ("ticks", "assumed greatest age of a measurement at its arrival"),
+    "noise_std": ("unit of the output", "[q] assumed standard deviation of the measurement noise"),
+    "R": ("product of the outputs' units", "[q, q] assumed covariance of the noise of a measurement"),
+    "Q": ("product of the states' units", "[n, n] assumed covariance of the process noise of one tick"),
+    "input_intensity": ("input^2/s", "assumed intensity of white noise on the input, if parameters drift"),
+    "P0": ("product of the states' units", "[n, n] covariance of x(0) - xhat(0)"),
+    "unknown_std": ("unit of the unknown", "[s] typical size of each unknown input or parameter"),
+    "unknown0": ("unit of the unknown", "[s] value of each unknown to begin with"),
+    "unknown_range": ("unit of the unknown", "[s, 2] limits of each unknown; null: none"),
+    "model": (
+        "",
+        "nominal model: A, B, C, D, the matrix E of an unknown input (null: none), whether A and B are of one tick "
+        "(`discrete`), and Phi, Gamma of one tick with a held input",
+    ),
+}
 README = """# What every run measures, and when it arrives
 
-Written by `pcbench draws`. Ticks are whole numbers; a tick's length `dt`, the model and the units stand in `cells.json`.
+Written by `pcbench draws`. Ticks are whole numbers. With `--csv` each table is a `.csv` file too.
 
 `samples.parquet`, a row for each sample of each channel:
 
@@ -55,6 +80,12 @@ Written by `pcbench draws`. Ticks are whole numbers; a tick's length `dt`, the m
 `inputs.parquet` has the inputs: scenario, cell, tick, t [s], u1, u2, ..., each held from its tick to the next.
 `starts.parquet` has xhat(0): scenario, cell, seed, and a column for each state in the cell's order, x1, x2, ...
 
+`cells.json`, a table for each cell: what pcbench's own designs may assume too. n states, m inputs, q outputs, s unknowns.
+
+| key | unit | meaning |
+|---|---|---|
+{keys}
+
 At tick k a run goes: samples are taken, samples arrive (the oldest first), **the estimate of tick k is read**, the input
 u_k is held over the tick. So the estimate of tick k may use what has arrived up to tick k and inputs up to tick k - 1.
 
@@ -63,8 +94,11 @@ cell, seed, tick, and one for each signal by its name. Then: `pcbench score DIR 
 """
 
 
-def write(grid: Grid, out: str | Path, progress: Progress = SILENT) -> store.Target:
-    """Write the draws of a study into a folder, which is then the study's: its results are made in it, and scored into it."""
+def write(grid: Grid, out: str | Path, csv: bool = False, progress: Progress = SILENT) -> store.Target:
+    """Write the draws of a study into a folder, which is then the study's: its results are made in it, and scored into it.
+
+    With `csv` the tables are written as CSV files in addition to Parquet.
+    """
     with process.float64():
         target = store.target(out)
         owned = ownership.claim(target, grid)
@@ -91,9 +125,15 @@ def write(grid: Grid, out: str | Path, progress: Progress = SILENT) -> store.Tar
             "inputs": _joined([_inputs(p) for p in plans]),
         }
         files = {f"{FOLDER}/{name}.parquet": parquet.encoded(table) for name, table in tables.items()}
+        for name, table in tables.items():
+            if csv:
+                files[f"{FOLDER}/{name}.csv"] = as_file.as_csv(table)
+            else:
+                store.remove(target, f"{FOLDER}/{name}.csv")
         files[f"{FOLDER}/cells.json"] = (json.dumps([_cell(p) for p in plans], indent=2) + "\n").encode()
         rows = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (_, unit, meaning) in SAMPLES.items())
-        files[f"{FOLDER}/README.md"] = README.format(rows=rows).encode()
+        keys = "\n".join(f"| `{name}` | {unit} | {meaning} |" for name, (unit, meaning) in CELL.items())
+        files[f"{FOLDER}/README.md"] = README.format(rows=rows, keys=keys).encode()
         together.put_all(target, files)
         return target
 
@@ -141,6 +181,8 @@ def _cell(p: Plan) -> dict[str, Any]:
         "B": known.model.B,
         "C": known.model.C,
         "D": known.model.feedthrough,
+        "E": known.model.E,
+        "discrete": known.model.discrete,
         "Phi": Phi,
         "Gamma": Gamma,
     }
@@ -151,7 +193,17 @@ def _cell(p: Plan) -> dict[str, Any]:
         "dt": s.dt,
         "ticks": p.cell.times.ticks,
         "signals": [{"name": name, "unit": unit} for name, unit in signals_of(s)],
+        "period": list(known.period),
+        "intervals": list(known.intervals),
+        "delay": list(known.delay),
+        "latest": known.latest,
         "noise_std": list(known.noise_std),
+        "R": np.diag(np.square(known.noise_std)).tolist(),
+        "Q": known.process_noise.tolist(),
+        "input_intensity": known.input_intensity,
         "P0": np.asarray(known.P0).tolist(),
-        "model": {name: np.asarray(value).tolist() for name, value in model.items()},
+        "unknown_std": list(known.unknown_std),
+        "unknown0": list(known.unknown0),
+        "unknown_range": [[v if np.isfinite(v) else None for v in limits] for limits in known.unknown_range],
+        "model": {name: None if value is None else np.asarray(value).tolist() for name, value in model.items()},
     }

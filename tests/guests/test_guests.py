@@ -1,5 +1,6 @@
 """Observers that live elsewhere: they see what the simulation's observers see, and are judged as those are."""
 
+import csv
 import json
 from pathlib import Path
 
@@ -181,6 +182,35 @@ def test_filterpys_filter_is_dkf_where_nothing_is_late(tmp_path):
     pytest.importorskip("filterpy", reason="filterpy is not installed: pip install filterpy")
     theirs, ours = _estimated(tmp_path, FILTERPY)
     np.testing.assert_allclose(theirs, ours, rtol=0, atol=1e-10)
+
+
+def test_csv_draws_suffice_for_a_filter_with_process_noise(tmp_path):
+    """A Kalman filter that reads only the CSV files and cells.json equals dkf, process noise and assumed values included."""
+    scenario = PROMPT | {"process_std": [0.01, 0.1], "assumed_noise_scale": 3.0}
+    study = NOW | {"scenario": scenario}
+    folder = draws.write(read.grid_of(study, {}, []), tmp_path / "out", csv=True) and tmp_path / "out" / "draws"
+    tables = {name: list(csv.DictReader((folder / f"{name}.csv").open())) for name in ("samples", "inputs", "starts")}
+    (cell,) = json.loads((folder / "cells.json").read_text())
+    assert set(cell) == set(draws.CELL)
+    assert all(f"| `{name}` |" in (folder / "README.md").read_text() for name in draws.CELL)
+    np.testing.assert_allclose(cell["Q"], np.diag([1e-4, 1e-2]), rtol=1e-12)
+    assert cell["R"] == [[pytest.approx(9 * read.grid_of(study, {}, []).cells[0].scenario.sampling.noise_std[0] ** 2)]]
+    Phi, Gamma, C = (np.array(cell["model"][name]) for name in ("Phi", "Gamma", "C"))
+    x, P = np.array([float(tables["starts"][0][name]) for name in ("x1", "x2")]), np.array(cell["P0"])
+    values = {int(row["arrived_tick"]): float(row["value"]) for row in tables["samples"] if row["arrived_tick"]}
+    found, u = [], None
+    for tick, row in enumerate(tables["inputs"]):
+        if u is not None:  # the input of the tick before
+            x, P = Phi @ x + Gamma @ u, Phi @ P @ Phi.T + np.array(cell["Q"])
+        if tick in values:
+            K = P @ C.T @ np.linalg.inv(C @ P @ C.T + np.array(cell["R"]))
+            x, P = x + K @ (values[tick] - C @ x), (np.eye(2) - K @ C) @ P
+        u = np.array([float(row["u1"])])
+        found.append(x)
+    run = pcbench.trace(study, "dkf")[["dkf.position", "dkf.velocity"]].to_numpy()
+    np.testing.assert_allclose(found, run[: len(found)], rtol=0, atol=1e-10)
+    draws.write(read.grid_of(study, {}, []), tmp_path / "out")
+    assert not list(folder.glob("*.csv")), "no table of an earlier call remains"
 
 
 @pytest.mark.slow
