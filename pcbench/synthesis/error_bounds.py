@@ -10,13 +10,14 @@ All are computed from the gain itself in NumPy, whoever found it. Where a range 
 import math
 
 import numpy as np
-from scipy.linalg import eigh, solve_discrete_lyapunov
+from scipy.linalg import eigh
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import UserError
 
 GONE = 12.0  # e^-12 over an interval is as good as nothing
 NONE = 1e300  # stands for no bound at all
+DOUBLINGS = 60  # of the number of terms in a sum: enough for a spectral radius of 1 - 1e-16
 LEAST = 1e-150  # of a factor e^{-rate T}: an error that vanishes at once
 
 
@@ -57,10 +58,20 @@ def noise(L: Matrix, C: Matrix, Q: Matrix, R: Matrix) -> Matrix:
 
 
 def covariance(F: Matrix, N: Matrix) -> Matrix:
-    """Return the stationary X = F X F' + N [n, n]; NaN where F [n, n] is not stable."""
+    """Return the stationary X = F X F' + N [n, n]; NaN if F [n, n] is not stable.
+
+    X is the sum of F^k N F'^k, added by doubling: a sum of positive terms keeps its digits whatever the units of the states,
+    for which a linear system in X is ill-conditioned.
+    """
     if not np.abs(np.linalg.eigvals(F)).max() < 1:
         return np.full_like(F, np.nan)
-    return np.asarray(solve_discrete_lyapunov(F, N), dtype=np.float64)
+    X, power = np.asarray(N, dtype=np.float64), F
+    for _ in range(DOUBLINGS):
+        more = power @ X @ power.T
+        X, power = X + more, power @ power
+        if (np.abs(more) <= np.finfo(float).eps * np.abs(X)).all():
+            break
+    return X
 
 
 def bound(F: Matrix, N: Matrix, P: Matrix) -> Matrix:

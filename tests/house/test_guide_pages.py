@@ -16,7 +16,7 @@ from pcbench.cli.commands import app
 from pcbench.cli.guide import pages, title
 from pcbench.study import read
 
-LONGEST = 120  # lines beside code
+LONGEST = 150  # lines beside code
 REFERENCE = "tables.md"  # made from the code, with a line for each column, which are not counted
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 MENTIONED = ("[controller]", "scenarios = ", "[lti.plant]", "log = ")  # first lines of what is no study, or part of one

@@ -111,7 +111,7 @@ def test_extras_table_lists_every_library_of_an_extra():
 
 IMPORT_NAMES = {"tomli-w": "tomli_w"}
 OPTIONAL = {"dask", "distributed", "control", "rosbags", "mcap", "mcap_ros2", "pyulog"}
-TRANSITIVE = {"annotated_types"}  # part of pydantic
+TRANSITIVE = {"annotated_types", "markupsafe"}  # part of pydantic, part of jinja2
 
 
 def test_every_imported_library_is_a_dependency_or_a_known_extra():

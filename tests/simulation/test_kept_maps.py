@@ -68,7 +68,7 @@ def test_problems_that_differ_in_noise_share_maps_and_those_of_another_plant_inp
     calls, kept = [], kept_maps.Kept(2**30)
     with process.float64():
         reads = sorted(set().union(*kept_maps.reads(kept_maps.traced(layout, p)).values()))
-    maker = kept_maps.Maker(lambda p: calls.append(p) or {"made": np.asarray(len(calls))}, tuple(reads))
+    maker = kept_maps.Maker(lambda p: calls.append(p) or {"made": np.asarray(len(calls))}, tuple(reads), 0)
     other = p._replace(schedule=p.schedule._replace(event=~p.schedule.event))
     each = [
         p,

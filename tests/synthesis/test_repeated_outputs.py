@@ -6,7 +6,7 @@ import pytest
 
 import pcbench
 from pcbench.errors import UserError
-from pcbench.synthesis import current_estimator
+from pcbench.synthesis import current_estimator, error_bounds
 from pcbench.synthesis.reduced_order import jacobian
 
 A, B = np.array([[0.0, 1.0], [-2.0, -1.0]]), np.array([[0.0], [1.0]])
@@ -80,3 +80,14 @@ def test_pi_pco_says_that_it_cannot_exist():
     chain = np.eye(3, k=1) - np.diag([0.0, 0.0, 1.0])
     with pytest.raises(UserError, match=r"3 states and 1 independent output, expected at most 2 states.* Use pco"):
         pcbench.design(study("pi-pco", {}, chain, [[0], [0], [1]], [[1, 0, 0]], (1, 1, 1)), "pi-pco")
+
+
+def test_stationary_covariance_equals_a_linear_system_in_any_units():
+    F, N = np.array([[0.8, 0.2, 0.0], [-0.1, 0.7, 0.3], [0.05, 0.0, 0.9]]), np.diag([1.0, 2.0, 0.5])
+    X = np.linalg.solve(np.eye(9) - np.kron(F, F), N.ravel()).reshape(3, 3)
+    np.testing.assert_allclose(error_bounds.covariance(F, N), X, rtol=1e-12)
+    units = np.array([1e-30, 1.0, 1e30])
+    ratio = np.outer(units, 1 / units)
+    scaled = error_bounds.covariance(F * ratio, N * np.outer(units, units))
+    np.testing.assert_allclose(scaled, X * np.outer(units, units), rtol=1e-12)
+    assert np.isnan(error_bounds.covariance(1.1 * np.eye(2), np.eye(2))).all()
