@@ -60,10 +60,9 @@ def report(
             from pcbench.report import figures as pictures
 
             known = pictures.kinds_of("svg,pdf,png" if kinds is None else kinds)
-            given = {"width": width, "size": size, "font": font}
-            paper = (
-                Paper(3.75, 9.0, "DejaVu Sans")._replace(**{k: v for k, v in given.items() if v is not None}).checked()
-            )
+            paper = Paper(
+                3.75 if width is None else width, 9.0 if size is None else size, "DejaVu Sans" if font is None else font
+            ).checked()
             made = pictures.write(opened(folder), figures, progress, shown._replace(paper=paper), known)
             where, said = figures, f"{len(made)} figures as {', '.join(k.upper() for k in known)} in {figures}"
         else:

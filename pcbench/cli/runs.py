@@ -73,8 +73,8 @@ def run(
             drawn | {"--block": block}, "with --exact", "exact values without seeds, or simulated runs; leave one out"
         )
     if quiet or as_json:
-        shown, beside = {"--costs": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
-        require_effect(shown, beside, "it where tables are printed; leave one out")
+        tables, beside = {"--costs": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
+        require_effect(tables, beside, "it where tables are printed; leave one out")
     setup()
     from pcbench.simulation.foreseen import foreseen
 

@@ -32,7 +32,7 @@ def rank(M: Matrix) -> int:
         for axis in (1, 0):
             size = np.abs(M).max(axis, keepdims=True, initial=0.0)
             M = M / np.where(size > 0, size, 1.0)
-    return int(np.linalg.matrix_rank(M, tol=RANK * max(np.linalg.norm(M, 2), 1e-300))) if M.size else 0
+    return int(np.linalg.matrix_rank(M, tol=RANK * max(float(np.linalg.norm(M, 2)), 1e-300))) if M.size else 0
 
 
 def unobservable(A: Matrix, C: Matrix) -> list[complex]:

@@ -6,11 +6,12 @@ import shutil
 import subprocess
 import tempfile
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 
 from pcbench.dataset import store, together
 from pcbench.errors import UserError
@@ -123,8 +124,8 @@ def _recorded(
     a = asked(log, study, [observer], delay=delay, start=start, overrides=overrides)
     label = next(iter(a.cell.options))
     p, run = recorded.recorded(a, a.cell.entry(label).observer.sampled is not None)
-    found = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
-    expected = found.filter(regex=rf"^{re.escape(label)}\.").to_numpy()
+    estimates = replay(log, study, [observer], delay=delay, start=start, overrides=overrides).estimates
+    expected = cast(pd.DataFrame, estimates).filter(regex=rf"^{re.escape(label)}\.").to_numpy()
     rows = max(_rows(a.cell, label, p.setting), p.back)
     return Chosen(
         cell=a.cell,
@@ -143,7 +144,7 @@ def _recorded(
 
 
 def _exported(c: Chosen) -> Exported:
-    o, gains, xhat0 = c.observer, *jax.tree.map(jnp.asarray, (c.gains, c.xhat0))
+    o, gains, xhat0 = c.observer, jax.tree.map(jnp.asarray, c.gains), jnp.asarray(c.xhat0)
     m, q = c.setting.model.B.shape[1], len(c.setting.noise_std)
     zero = jnp.asarray(0)
     now = functions.present(
@@ -163,7 +164,7 @@ def _exported(c: Chosen) -> Exported:
         rows=c.rows,
         oldest=_oldest(c, s),
     )
-    found = numbers.described(about, c.setting, c.certificate, c.cell.told[c.label], gains)
+    found = numbers.described(about, c.setting, c.certificate, c.cell.options[c.label].model_dump(), gains)
     files: dict[str, str | bytes] = {
         f"{about.label}.h": library.header(about, s),
         f"{about.label}.c": library.code(about, s),

@@ -116,7 +116,8 @@ def source(label: str, o: Observer, gains: Any, xhat0: Any, shapes: Shapes) -> S
 
 def _reading(name: str, functions: list[Function]) -> Reading:
     """How a function reads past inputs: in a loop it goes back further than to the sample that arrives."""
-    loops, found = [], False
+    loops: list[int] = []
+    found = False
     for line in next(f.lines for f in functions if f.name == name):
         deep = len(line) - len(line.lstrip())
         loops = [each for each in loops if each < deep]

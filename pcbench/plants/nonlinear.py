@@ -9,6 +9,7 @@ is a signal, held over a tick, a parameter stands still. A tick of a field is on
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -43,7 +44,8 @@ class Equations(NamedTuple):
     y0: tuple[float, ...]  # [q]
 
 
-class PlantFunction(NamedTuple):
+@dataclass(frozen=True)
+class PlantFunction:
     """A function of this module with a plant's equations as its first argument.
 
     Two are equal if function and equations are, so one that was sent to another process, or read from a file, is equal to the

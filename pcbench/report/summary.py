@@ -136,7 +136,7 @@ def _said(found: pd.DataFrame, counted: pd.Series, best: str, deterministic: boo
 
 def _as_good(found: pd.DataFrame) -> str:
     """Which observers are as good as the best in the most cells, where none is surely the best."""
-    sets = [{row.best, *row.alike} for row in found.itertuples() if row.best]
+    sets = [{best, *alike} for best, alike in zip(found.best, found.alike, strict=True) if best]
     if not sets:
         return "all diverge"
     many = {o: sum(o in each for each in sets) for o in sorted(set.union(*sets))}

@@ -87,6 +87,7 @@ def test_gains_and_model_are_the_designs_in_json_and_mat():
     np.testing.assert_array_equal(told["gains"]["P0"], gains.P0)
     np.testing.assert_array_equal(mat["gains"]["motion_powers"], gains.motion.powers)
     np.testing.assert_array_equal(np.squeeze(told["model"]["A"]), mat["model"]["A"])
+    assert told["options"] == OBSERVERS["dkf"].options().model_dump(mode="json")
     assert told["signals"] == ["position", "velocity"]
     assert told["units"] == ["m", "m/s"]
 

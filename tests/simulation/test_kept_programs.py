@@ -127,6 +127,7 @@ def test_a_program_of_the_same_text_for_a_function_that_is_not_equal_is_compiled
 
 def test_a_plants_function_is_equal_to_its_copy_and_to_no_other_plants():
     import pickle
+    from dataclasses import replace
 
     from pcbench.plants.nonlinear import Equations, PlantFunction
 
@@ -134,7 +135,7 @@ def test_a_plants_function_is_equal_to_its_copy_and_to_no_other_plants():
     copy = pickle.loads(pickle.dumps(one))
     assert copy is not one
     assert (copy, hash(copy)) == (one, hash(one))
-    assert copy != one._replace(equations=one.equations._replace(tick=0.2))
+    assert copy != replace(one, equations=one.equations._replace(tick=0.2))
 
 
 def shapes(*arrays):
