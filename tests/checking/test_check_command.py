@@ -35,7 +35,7 @@ def test_a_file_of_ones_own_passes_and_json_is_for_a_program(folder):
     assert done.stderr.strip() == "loaded"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_check_that_fails_has_exit_code_1_and_a_table_says_why(folder):
     text = (folder / "mine.py").read_text().replace("now.u,\n", "now.past_u(1),\n")
     (folder / "slipped.py").write_text(text)

@@ -53,7 +53,7 @@ def of(**functions):
     return entry._replace(plant=entry.plant._replace(**functions))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "notes"), [("cart/white", {"axes"}), ("csth/10s-noise", set()), ("arm/sampled", set()),
                                              ("helicopter/constant", {"rest"})])  # fmt: skip
 def test_every_built_in_plant_passes(name, notes):
@@ -200,7 +200,7 @@ def test_the_error_of_a_tick_is_what_scipy_finds_and_the_tick_that_is_advised_wi
     assert "is off by" in CHECKS["tick"](trial._replace(scenario=scenario))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_plant_given_by_its_step_has_no_tick_to_be_asked():
     own = swing(field=None, step=lambda p, now, x: x + now.dt * field(p, now, x), tick=0.01)
     found = {f.check: f for f in findings("swing", alone(own))}

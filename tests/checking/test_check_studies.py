@@ -97,7 +97,7 @@ def test_an_observer_that_slips_in_a_loop_has_an_error_or_says_so_and_stays_with
         in_lqr(modest, bound=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_observer_that_knows_the_schedule_has_no_error_in_a_loop():
     assert in_lqr(ENTRY) == "no error in lti under lqr"
 
@@ -158,7 +158,7 @@ def test_what_cannot_be_asked_is_one_sentence(folder, name):
         checking.check(*given)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_each_kind_is_asked_what_it_should_be(folder):
     """A plant with a scenario of its own, a scenario as data, an observer in a loop that a file says."""
     (folder / "fall.toml").write_text(

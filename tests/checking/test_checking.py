@@ -33,7 +33,9 @@ def failing(found):
     return {f.check: f.why for f in found.values() if f.verdict == "fails"}
 
 
-@pytest.mark.parametrize("name", [pytest.param(o, marks=pytest.mark.slow) if o not in QUICK else o for o in OBSERVERS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(o, marks=pytest.mark.nightly) if o not in QUICK else o for o in OBSERVERS]
+)
 def test_every_built_in_observer_passes(name):
     found = verdicts(OBSERVERS[name], WHERE.get(name, "cart/white"))
     assert not failing(found)
@@ -41,7 +43,7 @@ def test_every_built_in_observer_passes(name):
         assert found["perfect start"].verdict == "passes"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("name", "scenario"),
     [("ekf", "helicopter/constant"), ("dkf", "csth/10s-noise"), ("chain", "csth/10s-noise"), ("dkf", "arm/sampled")],

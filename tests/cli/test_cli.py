@@ -139,7 +139,7 @@ def test_an_unwritable_folder_is_one_sentence(tmp_path):
     assert "cannot be written" in sentence
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_toml_study_with_axes_and_options_runs(tmp_path):
     path = tmp_path / "noise-map.toml"
     path.write_text(
@@ -164,7 +164,7 @@ def test_run_shows_a_table_and_says_where_the_files_are(tmp_path):
     ]  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_quiet_says_only_where_the_result_is(tmp_path):
     done = call("run", *SMALL, "--seeds", "2", "--quiet", "--out", tmp_path / "q")
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{tmp_path / 'q'}\n", "")
@@ -185,7 +185,7 @@ def test_a_name_without_its_table_is_answered_with_the_table(change, tmp_path):
     assert HINTS[change] in refused(call("run", "quick", "--set", change, cwd=tmp_path))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_names_may_be_written_with_either_dash_and_an_axis_with_one_value(tmp_path):
     texts = (
         "noise-std = 0.1\nplant.lam = 110.0\n[options.kfbo]\nlag-aware = true",
@@ -275,7 +275,7 @@ def test_trace_writes_every_tick(tmp_path):
     assert abs(frame["y1"][400] - frame["position"][200]) < 5 * 0.6, "it is the noisy position of its own time"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_trace_is_the_run_of_the_tables(tmp_path):
     call("trace", "cart/white", "--observer", "kfbo", "--seed", "3", "--out", tmp_path / "t.parquet")
     call("run", "cart/white", "--seeds", "4", "--quiet", "--out", tmp_path / "r")
@@ -302,7 +302,7 @@ def test_list_names_everything():
     assert "kfbo" in call("list", "observers").stdout
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reproduce_prints_every_claim_with_a_verdict():
     done = call("reproduce", "cart", "--json")
     assert done.returncode == 0, done.stderr
@@ -318,7 +318,7 @@ def test_reproduce_prints_every_claim_with_a_verdict():
     assert verdicts["6.3: PCCEBO less sensitive to the parameters, MAE"] == "does not hold"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ctrl_c_leaves_complete_files_only(tmp_path):
     out = tmp_path / "out"
     words = [*PCBENCH, "run", *SMALL, "--seeds", "64000", "--block", "256", "--out", str(out)]

@@ -166,7 +166,7 @@ def interrupted(words, cwd, ready, number=signal.SIGINT):
     return {p.name for p in (cwd / "out").rglob("*")}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signal_during_replay_leaves_no_file(tmp_path, number):
     many = 400_000
@@ -181,7 +181,7 @@ def test_signal_during_replay_leaves_no_file(tmp_path, number):
     assert interrupted(words, tmp_path, (tmp_path / "out" / ".estimates.parquet.part").exists, number) == set()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ctrl_c_in_an_export_leaves_all_of_its_files_or_none(tmp_path):
     whole = {"dkf.c", "dkf.h", "dkf_gains.h", "gains.json", "gains.mat", "main.c", "vector.h"}
     for wait in (1.5, 2.5, 3.5, 4.5):

@@ -19,7 +19,7 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_observer_passes_every_check(here, capsys):
     creating.new("observer", "gentle-push")
     assert "pcbench check gentle_push.py:gentle_push" in capsys.readouterr().out
@@ -34,7 +34,7 @@ def commands(said):
     return [line.split()[1:] for line in said.splitlines() if line.startswith("  pcbench")]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_plant_passes_every_check_and_its_study_is_read(here, capsys):
     creating.new("plant", "heavy-swing")
     assert capsys.readouterr().out.startswith("heavy_swing.py and heavy_swing.toml are written. Next:")
@@ -60,7 +60,7 @@ def test_a_controller_passes_every_check_and_closes_a_loop(here, capsys):
     assert (cell.scenario.loop.controller, cell.scenario.name) == ("brake", "cart/white")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["plant", "controller", "observer", "scenario"])
 def test_the_commands_that_are_printed_work_as_they_stand(here, kind):
     said = call("new", kind, "mine", cwd=here).stdout
@@ -70,7 +70,7 @@ def test_the_commands_that_are_printed_work_as_they_stand(here, kind):
         assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_plants_study_is_worth_running(here):
     """`ekf` beats the linear filter, both beat the model alone, and it finds the friction, of which it knew half a value."""
     creating.new("plant", "swing")
@@ -80,7 +80,7 @@ def test_the_plants_study_is_worth_running(here):
     assert stats.query("signal == 'friction'")["mean"].item() < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_observer_of_ones_own_passes_on_a_plant_of_ones_own_in_a_loop(here):
     for kind, name in (("observer", "gentle"), ("plant", "swing"), ("controller", "brake")):
         creating.new(kind, name)

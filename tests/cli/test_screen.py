@@ -125,7 +125,7 @@ def test_signals_can_be_chosen(whole):
     assert "error of position" not in shown(result, signals=["velocity"])
 
 
-@pytest.mark.slow  # what it prints is tested above, and what it refuses in test_cli
+@pytest.mark.nightly  # what it prints is tested above, and what it refuses in test_cli
 def test_the_command_takes_signals_and_a_metric(tmp_path):
     """And another name is one sentence, before anything runs."""
     words = ["run", "cart/slow", "--seeds", "3", "--observers", "dkf,open-loop", "--out", tmp_path / "out"]
@@ -232,7 +232,7 @@ def test_signals_are_a_list_with_commas_or_all():
     assert shared.chosen(None) is None
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_narrow_terminal_shows_the_readmes_motor_whole(tmp_path):
     """What a newcomer sees first fits 80 columns, even where more are free."""
     done = call("run", "cart/white", "--seeds", "8", "--out", tmp_path / "out")
@@ -287,7 +287,7 @@ def test_a_list_fits_a_screen_line_each():
     assert STUDY["scenarios"][0] in text
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gains_that_nothing_proves_are_named_with_the_reason(tmp_path, monkeypatch):
     proof = 'Certificate("none: for tests", 1.0, "none", "none")'
     text = OWN.read_text()

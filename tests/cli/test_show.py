@@ -39,7 +39,7 @@ def test_a_tail_is_said_even_where_it_is_the_records_default():
     assert "\ntail = 3.0" in scenario_toml.as_study(SCENARIOS["cart/white"].having(horizon=20.0))
 
 
-@pytest.mark.slow  # by default its identity is enough: equal in every field that a number depends on
+@pytest.mark.nightly  # by default its identity is enough: equal in every field that a number depends on
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_it_gives_the_same_numbers_bit_for_bit(name, tmp_path):
     printed = tmp_path / "mine.toml"

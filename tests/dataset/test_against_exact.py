@@ -78,7 +78,7 @@ def test_the_quantile_plot_has_a_point_for_every_mean():
     np.testing.assert_allclose(sorted(points[:, 0]), norm.ppf([1 / 6, 0.5, 5 / 6]), atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_cart_passes_and_exact_results_have_nothing_to_compare(tmp_path):
     axes = {"delay": [0.2, 0.6], "drift": [0.0, 1.0]}
     pcbench.run("cart/gaussian", seeds=512, axes=axes, out=tmp_path / "runs")

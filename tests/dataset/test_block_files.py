@@ -164,7 +164,7 @@ def test_a_column_of_lists_is_as_it_was_written(tmp_path):
     assert block_files.digest(changed, said) != said["digest"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_study_with_noise_by_channel_has_nothing_left_to_do(tmp_path):
     study = {
         "name": "s",

@@ -26,7 +26,7 @@ def told(done, code=2):
 
 
 @pytest.mark.parametrize(
-    "text", ["[1, 2]", *(pytest.param(t, marks=pytest.mark.slow) for t in ("3", "", "{", '{"schema": "5"}', "null"))]
+    "text", ["[1, 2]", *(pytest.param(t, marks=pytest.mark.nightly) for t in ("3", "", "{", '{"schema": "5"}', "null"))]
 )
 def test_a_provenance_that_is_none_is_seen_and_made_anew(whole, copy, text):
     (copy / "provenance.json").write_text(text)
@@ -78,7 +78,7 @@ def _alike(spoilt, content):
         return False
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     study = pcbench.opened(copy).study
     made = one_run.of(study, "cart/slow", copy)
@@ -94,7 +94,7 @@ def test_a_flipped_bit_in_an_example_is_seen_and_made_anew(copy):
     assert path.read_bytes() == content
 
 
-@pytest.mark.parametrize("cut", [50, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("cut", [50, pytest.param(1, marks=pytest.mark.nightly)])
 def test_a_block_cut_short_is_one_sentence_wherever_it_is_read(whole, copy, cut):
     block = sorted((copy / "runs").rglob("*.parquet"))[2]
     block.write_bytes(block.read_bytes()[:-cut])

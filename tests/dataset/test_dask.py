@@ -26,14 +26,14 @@ def whole(tmp_path_factory):
     return tables(out)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("workers", [1, 2, 4])
 def test_workers_leave_the_same_bytes(whole, tmp_path, workers):
     pcbench.run(STUDY, out=tmp_path / "out", dask="local", workers=workers, **SMALL)
     assert tables(tmp_path / "out") == whole
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_killed_worker_costs_nothing_but_time(tmp_path):
     study = STUDY | {"scenarios": ["cart/white"], "seeds": 8192, "axes": {"noise_std": [0.1, 0.2, 0.4, 0.8]}}
     out, killed, over = tmp_path / "out", [], threading.Event()
@@ -79,7 +79,7 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(address, monkeypatch):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_script_that_workers_cannot_import_is_one_sentence(tmp_path):
     """They are spawned: each imports the script, and would start workers of its own."""
     (tmp_path / "mine.py").write_text(

@@ -21,8 +21,10 @@ def test_more_seeds_extend_a_study(copy, tmp_path):
 
 GROWN = [
     {"axes": {"noise_std": [0.1, 0.5, 1.0]}},
-    pytest.param({"axes": {"noise_std": [0.1, 0.5], "drift": [0.0, 1.0]}}, marks=pytest.mark.slow),
-    pytest.param({"axes": {"noise_std": [0.05, 0.1, 0.5], "delay": [1.0, 2.0]}, "seeds": 44}, marks=pytest.mark.slow),
+    pytest.param({"axes": {"noise_std": [0.1, 0.5], "drift": [0.0, 1.0]}}, marks=pytest.mark.nightly),
+    pytest.param(
+        {"axes": {"noise_std": [0.05, 0.1, 0.5], "delay": [1.0, 2.0]}, "seeds": 44}, marks=pytest.mark.nightly
+    ),
 ]
 
 
@@ -39,7 +41,7 @@ def test_more_cells_extend_a_study_and_old_ones_keep_their_numbers(copy, tmp_pat
     pd.testing.assert_frame_equal(a, b, check_exact=True)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_another_observer_extends_a_study(copy, tmp_path):
     more = STUDY | {"observers": ["pccebo", "kfbo", "open-loop"]}
     pcbench.run(more, out=copy)
@@ -120,7 +122,7 @@ def test_nor_is_a_folder_taken_that_holds_nothing_but_such_a_text(tmp_path, text
     assert (tmp_path / "study.toml").read_text() == text
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_columns_keep_their_kind_when_a_study_grows(tmp_path):
     """One number for all channels stays one: a list beside it could not be read together."""
     tank = {"name": "tank", "scenarios": ["csth/10s-noise"], "observers": ["dkf"], "seeds": 2}

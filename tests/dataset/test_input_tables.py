@@ -29,7 +29,7 @@ def done(tmp_path_factory):
     return pcbench.run({"name": "arm", "scenario": short}, observers=NAMES, seeds=3, out=out)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_rows_exist_for_what_an_observer_estimates(done):
     for table in (done.runs, done.stats):
         signals = table.groupby("observer").signal.unique()
@@ -64,7 +64,7 @@ def test_the_closing_table_shows_both_headlines_and_says_what_is_carried(done):
     assert done.runs.recovery_time.isna().all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_trace_has_the_input_beside_the_states():
     frame = pcbench.trace("arm/sawtooth", ["smo", "open-loop"])
     assert {"input", "smo.input"} <= set(frame.columns)
@@ -94,7 +94,7 @@ def test_recovery_is_the_longest_time_from_a_jump_to_the_last_exit_before_the_ne
     np.testing.assert_array_equal(watch.recovery, want)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_compilation_for_every_period_delay_and_noise_and_one_more_for_drift():
     axes = {"sampling_period": [0.005, 0.1], "delay": [0.0, 0.1], "noise_std": [0.0, 1e-3], "drift": [0.0, 0.05]}
     chosen = read.parse({"name": "arm", "scenarios": ["arm/sampled"], "observers": ["smo"], "axes": axes}, "arm")
@@ -114,7 +114,7 @@ def test_a_verdict_is_what_the_page_defines():
     assert arm_table.judge(".0048", 0.0028, 0.0027, 0.0035) == "differs"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reproduce_arm_prints_forty_entries_of_which_two_differ():
     rows = arm.claims()
     table = {row.claim.removeprefix("Table 2, "): row.verdict for row in rows if row.claim.startswith("Table 2")}

@@ -114,7 +114,7 @@ def test_another_version_is_refused_with_what_changed(here, out):
     assert len(list((out / "code").rglob("*.py"))) == 1, "the old copy went with the old runs"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_study_refuses_a_changed_imported_file_by_its_name(here):
     source = (here / "mine.py").read_text().replace("share: float = 0.1", "share: float = pcbench.tunable(SHARE, gt=0)")
     (here / "mine.py").write_text(source.replace("import pcbench\n", "import pcbench\nfrom part import SHARE\n", 1))
@@ -165,7 +165,7 @@ def test_only_what_is_named_is_copied(here):
 LOOP = {"name": "s", "scenarios": ["mine.py:late"], "observers": ["mine.py:nudge", "dkf"], "seeds": 4}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_plants_and_laws_are_kept_likewise(here):
     """One dataset of an observer, a plant, a law and a scenario: read without the file, come out again by the copy."""
     loop = SOURCE.with_name("own_loop.py").read_text().replace("Options", "Gentle")
@@ -192,7 +192,7 @@ def test_plants_and_laws_are_kept_likewise(here):
     assert tables(here / "out") == before
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_report_has_the_run_in_time_that_was_kept(here):
     """By the command line: the code is at hand when the study is run, and gone when it is reported."""
     call = [sys.executable, "-m", "pcbench"]
@@ -206,7 +206,7 @@ def test_a_report_has_the_run_in_time_that_was_kept(here):
     assert "Seed 0" in page or "seed 0" in page
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("study", [STUDY, LOOP | {"observers": ["dkf"], "seeds": 8}], ids=["observer", "plant and law"])
 def test_workers_need_no_file(here, study):
     """Two Dask workers that stand in another folder leave the bytes that this process leaves."""

@@ -156,7 +156,9 @@ def test_two_writers_of_one_name_leave_one_whole_file(place):
     assert store.names(place) == ["runs/a.parquet"]
 
 
-@pytest.mark.parametrize("uri", ["nosuch://a/b", pytest.param("s3://", marks=pytest.mark.slow), "hdfs://nowhere:1/x"])
+@pytest.mark.parametrize(
+    "uri", ["nosuch://a/b", pytest.param("s3://", marks=pytest.mark.nightly), "hdfs://nowhere:1/x"]
+)
 def test_a_place_that_cannot_be_reached_is_one_sentence(uri):
     with pytest.raises(UserError, match=r"cannot be|no place") as caught:
         store.names(store.target(uri))

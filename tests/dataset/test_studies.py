@@ -129,7 +129,7 @@ def test_files_that_other_systems_leave_are_passed_over(copy):
     assert verify.status(copy).closed
 
 
-@pytest.mark.parametrize("made", [hurried.programs, pytest.param(hurried.not_here, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("made", [hurried.programs, pytest.param(hurried.not_here, marks=pytest.mark.nightly)])
 def test_a_cell_has_the_same_bits_alone_and_among_others(tmp_path, made):
     """Room for a longer delay, for more samples at a time, and for drift changes no number; slowly, as users have it."""
     alone = STUDY | {"seeds": 16}
@@ -156,7 +156,7 @@ ELSEWHERE = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("scenario", ELSEWHERE)
 def test_every_scenarios_cells_have_the_same_bits_alone_and_among_others(scenario, tmp_path):
     axes, more = ELSEWHERE[scenario]

@@ -113,7 +113,7 @@ def test_efficiency_stands_only_where_there_is_a_bound(done):
     assert set(rows.signal) == {"position"}, "velocity's bound is zero for every purpose"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_there_is_no_bound_where_the_model_is_wrong():
     result = pcbench.run(
         "cart/white", seeds=4, observers=["dkf"], axes={"plant.lam": [110.0, 122.0], "drift": [0.0, 1.0]}

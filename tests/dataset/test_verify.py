@@ -51,7 +51,7 @@ def test_verify_finds_a_number_that_was_changed_and_nothing_else(mine):
     assert [w.split(":")[0] for w in found.wrong] == ["stats.parquet", "pairs.parquet"], "they do not follow any more"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_commands_on_a_dataset_answer(copy, tmp_path):
     assert "Every run is there" in call("status", str(copy)).stdout
     done = call("verify", str(copy), "--sample", "1")

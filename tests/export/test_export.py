@@ -25,7 +25,7 @@ QUICK = ("dkf",)
 
 
 def _once(names):
-    return [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in names]
+    return [pytest.param(name, marks=() if name in QUICK else pytest.mark.nightly) for name in names]
 
 
 @pytest.mark.parametrize("name", _once(name for name in EXPORTED if name not in exports.REGULAR))
@@ -47,7 +47,7 @@ def test_a_published_scenario_is_replayed_to_rounding(name):
     assert all(np.isfinite(line.differs) and line.differs > 0 for line in single.values()), "float is not double"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", [*EXPORTED, "mhe-bounded"])
 def test_products_and_bytes_are_those_of_the_cost_column(name):
     found = exports.of(name)
@@ -58,7 +58,7 @@ def test_products_and_bytes_are_those_of_the_cost_column(name):
     assert 0 <= numbers[0] - cost["memory"] < 24, "numbers, and what is put behind flags to align those that follow"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_command_leaves_files_that_compile_as_its_line_says(tmp_path):
     done = call("export", "cart/slow", "dkf", "--out", "c", cwd=tmp_path)
     assert done.returncode == 0, done.stderr

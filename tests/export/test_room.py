@@ -67,7 +67,7 @@ def driven(found, folder, every, late, at, ticks, age):
 
 
 @pytest.mark.parametrize(
-    "name", ["dkf", *(pytest.param(each, marks=pytest.mark.slow) for each in ("ekf", "kf-rewind", "mhe"))]
+    "name", ["dkf", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("ekf", "kf-rewind", "mhe"))]
 )
 def test_jump_refuses_measurement_older_than_room_and_changes_nothing(name, tmp_path):
     """Before, one such measurement made every estimate NaN for good (the servo that was asked about, 0.3 s)."""
@@ -123,7 +123,7 @@ def _recording(folder):
 
 
 @pytest.mark.parametrize(
-    "name", ["dkf", *(pytest.param(each, marks=pytest.mark.slow) for each in ("ekf", "pccebo", "kf-cloning", "mhe"))]
+    "name", ["dkf", *(pytest.param(each, marks=pytest.mark.nightly) for each in ("ekf", "pccebo", "kf-cloning", "mhe"))]
 )
 def test_c_of_recording_equals_its_replay(name, tmp_path):
     log = _recording(tmp_path / "flight")

@@ -139,7 +139,7 @@ def test_the_command_writes_a_study_that_runs_and_says_what_is_promised(tmp_path
     assert "cart/gaussian-pccebo" in out.read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_trade_off_is_a_row_for_each_value_and_says_what_is_refused(tmp_path):
     out = tmp_path / "curve.parquet"
     words = ["design", "cart/gaussian", "pccebo", "--method", "h2", "--sweep", "decay=0.5,1,1000"]

@@ -81,7 +81,7 @@ KNOWN = {
 }
 
 
-@pytest.mark.parametrize("metric", ["tail_pooled_rmse", pytest.param("mae", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("metric", ["tail_pooled_rmse", pytest.param("mae", marks=pytest.mark.nightly)])
 def test_value_and_gradient_are_those_of_impulses_sent_one_by_one(metric):
     """The value to 1e-10; the gradient to what central differences of the other give: 1e-7."""
     of = KNOWN[metric]
@@ -95,7 +95,7 @@ def test_value_and_gradient_are_those_of_impulses_sent_one_by_one(metric):
     assert slope @ way.ravel() / np.abs(there).max() == pytest.approx(apart, rel=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_loops_gradient_is_that_of_its_values():
     """Where tuning by runs has none."""
     with process.float64():
@@ -153,7 +153,7 @@ def test_an_observer_that_is_not_affine_is_tuned_on_runs():
     assert said.endswith("leave exact out, and it is tuned on runs.")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_going_down_needs_no_seeds_and_what_is_found_runs_as_a_study(tmp_path):
     how = {"objective": "tail_pooled_rmse", "signal": "b", "exact": True}
     found = pcbench.tune(STUDY, "pccebo", budget=8, out=tmp_path / "out", **how)

@@ -11,7 +11,7 @@ from pcbench.machine import process
 from pcbench.observers import entry_of
 from pcbench.study import options_of, read
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 HALF = {"training": (3_000_000_000, 3_000_000_256), "judges": (3_500_000_000, 3_500_000_256)}
 
 

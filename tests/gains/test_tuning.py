@@ -109,7 +109,7 @@ def asked(way, start, budget, value_only=False):
 
 
 @pytest.mark.parametrize(
-    "start", [(2.9, -4.0), *(pytest.param(p, marks=pytest.mark.slow) for p in ((0.0, 0.0), (-3.0, 2.9)))]
+    "start", [(2.9, -4.0), *(pytest.param(p, marks=pytest.mark.nightly) for p in ((0.0, 0.0), (-3.0, 2.9)))]
 )
 def test_both_ways_go_down_past_what_is_refused_and_keep_to_their_budget(start):
     for way, alone, budget in ((minimise.descent, False, 60), (minimise.search, True, 150)):
@@ -122,7 +122,7 @@ def test_both_ways_go_down_past_what_is_refused_and_keep_to_their_budget(start):
             assert x == y
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_tuning_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
     whole = pcbench.tune("cart/slow", "pccebo", out=tmp_path / "whole", **SMALL)
     count = stop_tuning_at(4, monkeypatch)
@@ -152,7 +152,7 @@ def test_a_tuning_that_was_stopped_goes_on_where_it_was(tmp_path, monkeypatch):
         pcbench.tune("cart/slow", "pccebo", out=tmp_path / "out", **SMALL)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_is_found_runs_as_a_study_and_gives_the_numbers_it_was_judged_by(tmp_path):
     found = pcbench.tune("cart/gaussian", "pccebo", out=tmp_path / "out", **SMALL)
     (training, judging) = found.judged
@@ -165,7 +165,7 @@ def test_what_is_found_runs_as_a_study_and_gives_the_numbers_it_was_judged_by(tm
     assert judging.tuned < 0.8 * judging.start
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_start_that_cannot_be_bettered_is_kept_and_said(monkeypatch, tmp_path):
     """What was found is made worse than it is: nothing that is worse on other seeds is handed out."""
     real = tune.judge
@@ -175,7 +175,7 @@ def test_a_start_that_cannot_be_bettered_is_kept_and_said(monkeypatch, tmp_path)
     assert "L" not in (tmp_path / "out" / "tuned.toml").read_text().partition("options")[2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_observer_without_slopes_is_searched():
     given = SMALL | {"training": (0, 4), "judges": (10, 14), "budget": 5}
     found = pcbench.tune("cart/slow", "pccebo", **given | {"objective": "settling_time"})
@@ -210,7 +210,7 @@ def test_mistakes_are_one_sentence(words, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_command_says_what_it_found(tmp_path):
     words = ["cart/slow", "pccebo", "--budget", "2", "--train", "0:4", "--judge", "4:8", "--out", str(tmp_path / "out")]
     done = call("tune", *words)

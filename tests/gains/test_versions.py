@@ -124,7 +124,7 @@ def test_a_folder_that_is_another_studys_is_left_alone(tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["notes.txt"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_versions_are_compared_on_two_ranges_of_seeds_and_against_the_bound(tmp_path):
     result = pcbench.run(FAIR | {"tuning": ["paper", "design"]}, out=tmp_path / "out")
     fair = result.fair.set_index("label")
@@ -144,7 +144,7 @@ def test_versions_are_compared_on_two_ranges_of_seeds_and_against_the_bound(tmp_
     pd.testing.assert_frame_equal(stored, result.fair)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_is_tuned_exactly_is_held_against_its_expected_value(tmp_path):
     study = FAIR | {"tuning": ["paper", "tuned"], "tune": {"budget": 4, "exact": True}}
     result = pcbench.run(study, out=tmp_path / "out")
@@ -156,7 +156,7 @@ def test_what_is_tuned_exactly_is_held_against_its_expected_value(tmp_path):
     assert (fair.gap.abs() < 4 * fair.gap_se).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_fair_study_goes_on_where_it_was_stopped_and_is_a_dataset_like_any_other(tmp_path, monkeypatch):
     whole = pcbench.run(FAIR, out=tmp_path / "whole")
     (tuned,) = whole.fair[whole.fair.tuning == "tuned"].to_dict("records")
@@ -180,7 +180,7 @@ def test_a_fair_study_goes_on_where_it_was_stopped_and_is_a_dataset_like_any_oth
     assert set(fresh.fair.tuning) == set(TUNINGS)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_command_prints_all_versions_and_their_gap(tmp_path):
     words = ["--set", "tune.budget=2", "--set", "tune.training=16", "--seeds", "16", "--observers", "pccebo,dkf"]
     done = call("run", "fair", *words, "--out", str(tmp_path / "out"))
@@ -190,7 +190,7 @@ def test_the_command_prints_all_versions_and_their_gap(tmp_path):
     assert {row["tuning"] for row in said["fair"]} == set(TUNINGS)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nothing_beats_the_bound_and_tuned_is_not_worse_than_its_start():
     """The study as it stands: every version, on 1024 runs that none was tuned on."""
     study = STUDIES["fair"]

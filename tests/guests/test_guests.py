@@ -94,7 +94,7 @@ def test_samples_that_arrive_are_those_of_the_simulation(study):
     assert not {"position", "x"} & set(samples.columns), "what is true is not told"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_simulations_own_estimates_score_as_in_the_simulation(study, tmp_path):
     folder, said = study[0], []
     traces(STUDY).to_parquet(tmp_path / "dkf.parquet", index=False)
@@ -213,7 +213,7 @@ def test_csv_draws_suffice_for_a_filter_with_process_noise(tmp_path):
     assert not list(folder.glob("*.csv")), "no table of an earlier call remains"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_guest_enters_the_tables_marked_and_its_mistakes_are_sentences(tmp_path):
     (tmp_path / "mine.py").write_text(KALMAN + WRONG)
     folder = tmp_path / "out"

@@ -31,7 +31,7 @@ def test_every_name_has_a_docstring_that_stands_alone():
         assert len((getattr(pcbench, name).__doc__ or "").split()) > 4, name
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_type_checker_reads_a_users_module(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     creating.new("observer", "mine")

@@ -65,7 +65,7 @@ def test_it_names_nothing_outside_the_repository():
     assert "http" not in TEXT
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(importlib.util.find_spec("pdoc") is None, reason="the group docs is not installed")
 def test_the_reference_has_a_page_for_every_module_and_no_warning(tmp_path):
     done = subprocess.run(

@@ -27,7 +27,7 @@ def command(*words, cwd, **environment):
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_terminal_without_our_letters_has_the_table_in_its_own(tmp_path):
     done = command(*RUN, "--out", "out", cwd=tmp_path, **ASCII)
     assert done.returncode == 0, done.stderr
@@ -50,7 +50,7 @@ def test_a_platform_that_jax_does_not_have_is_one_sentence(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_jax_told_not_to_compile_computes_the_same(tmp_path):
     for name, more in (("as it is", {}), ("disabled", {"JAX_DISABLE_JIT": "1"})):
         assert command(*RUN, "--out", name, cwd=tmp_path, **more).returncode == 0
@@ -58,7 +58,7 @@ def test_jax_told_not_to_compile_computes_the_same(tmp_path):
     assert one == two
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_the_compiler_was_told_is_said(tmp_path):
     """With other flags bits differ: a dataset knows its own, and verify says whose numbers they are."""
     for name, flags in (("plain", "--xla_dump_hlo_as_text=false"), ("fast", "--xla_cpu_enable_fast_math=true")):
@@ -116,7 +116,7 @@ SLOW_TO_LOAD = ("jax", "numpy._core._multiarray_umath", "pyarrow.lib")
 
 
 @pytest.mark.parametrize(
-    "module", ["typer", "jaxlib._jax", *(pytest.param(m, marks=pytest.mark.slow) for m in SLOW_TO_LOAD)]
+    "module", ["typer", "jaxlib._jax", *(pytest.param(m, marks=pytest.mark.nightly) for m in SLOW_TO_LOAD)]
 )
 def test_ctrl_c_while_a_library_is_being_loaded_stops_in_one_sentence(module, tmp_path):
     """Extensions crash, or make another error of it, where Python is interrupted in the middle of them."""

@@ -49,7 +49,7 @@ def sitting(tmp_path_factory):
     return folder, said
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_its_numbers_come_out(sitting):
     folder, said = sitting
     (camera,) = json.loads(said["log"])["channels"]
@@ -78,7 +78,7 @@ def test_its_numbers_come_out(sitting):
     assert {p.name for p in folder.glob("*.svg")} == {"delays.svg", "angle.svg"}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(not shutil.which("cc"), reason="there is no C compiler on this machine")
 def test_filter_in_c_equals_replay_of_bag(sitting):
     folder, said = sitting

@@ -31,7 +31,7 @@ def test_the_pendulums_file_is_a_study(pendulum):
     assert not read.unstable(read.grid_of("pendulum.py:late_camera", {}, []))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_for_small_angles_it_is_the_linear_plant_that_the_page_writes_down(pendulum):
     (pendulum / "same.py").write_text(blocks("python", PAGE)[1])
     done = subprocess.run([sys.executable, "same.py"], capture_output=True, text=True, check=True)
@@ -39,7 +39,7 @@ def test_for_small_angles_it_is_the_linear_plant_that_the_page_writes_down(pendu
     assert apart < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_pendulums_observers_are_as_the_page_says(pendulum):
     """The two filters are one; the shortcut is off by less than pccebo and costs more."""
     result = pcbench.run("pendulum.py:late_camera", seeds=64)

@@ -41,7 +41,7 @@ def test_the_observers_that_a_sentence_names_are_all_of_them(page, begin, holds)
     assert sorted(named(page, begin)) == sorted(observers(holds))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_observers_whose_gains_nothing_proves_are_all_of_them():
     elsewhere = {"high-gain": "helicopter/constant", "smo": "arm/sampled", "pio": "arm/sampled"}
     asked = {"cart/gaussian": [name for name in OBSERVERS if name not in elsewhere]}

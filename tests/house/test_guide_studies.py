@@ -18,7 +18,7 @@ from pcbench.study import cells, read
 OBSERVERS_PAGE = PAGES["which_observer.md"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_study_runs_as_written(tmp_path):
     (text,) = [b for b in blocks("toml") if "noise-map" in b]
     path = tmp_path / "noise-map.toml"
@@ -37,7 +37,7 @@ def test_the_slower_camera_is_a_scenario_as_written(tmp_path):
     assert (measured.noise_std, cell.scenario.plant) == (base.sampling.noise_std, base.plant)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
     (text,) = [b for b in blocks("toml") if '"motor"' in b]
     path = tmp_path / "motor.toml"
@@ -55,7 +55,7 @@ def test_the_motor_runs_as_written_and_is_what_the_text_says(tmp_path):
     assert (lost.p_holm < 0.05).all(), "the model alone loses on every signal"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_there_is_a_longest_period_of_the_motors_camera_that_suffices(tmp_path):
     """The error grows with the period, surely, and passes what is asked for between two of them."""
     (text,) = [b for b in blocks("toml") if '"motor"' in b]
@@ -66,7 +66,7 @@ def test_there_is_a_longest_period_of_the_motors_camera_that_suffices(tmp_path):
     assert rows.ci_high.iloc[1] < 0.014 < rows.ci_low.iloc[2]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_longest_period_of_the_motors_camera_is_found(tmp_path):
     path = tmp_path / "motor.toml"
     path.write_text(next(b for b in blocks("toml") if '"motor"' in b))
@@ -77,7 +77,7 @@ def test_the_longest_period_of_the_motors_camera_is_found(tmp_path):
     assert found.answer["open-loop"] == "no value"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_answer_shown_is_the_one_that_comes_out(tmp_path):
     found = pcbench.suffices("cart/white", over="sampling_period", below=0.15, observers=["dkf", "pccebo"])
     (shown,) = [b for b in blocks("text") if b.startswith("cart/white: tail_rmse of position below")]
@@ -88,7 +88,7 @@ def test_the_answer_shown_is_the_one_that_comes_out(tmp_path):
         assert line.split()[0] == row["observer"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tuning_finds_the_motors_noise_by_channel_from_ten_times_wrong(tmp_path):
     """The two ratios of R to the current's Q, within 10 %: on 128 runs they scatter by a third of that."""
     (text,) = [b for b in blocks("toml") if '"motor"' in b]
@@ -108,7 +108,7 @@ def test_tuning_finds_the_motors_noise_by_channel_from_ten_times_wrong(tmp_path)
     assert made.judged[1].difference < -10 * made.judged[1].difference_se
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_pushed_cart_runs_as_written_and_its_push_is_found(tmp_path):
     (text,) = [b for b in blocks("toml") if '"pushed"' in b]
     path = tmp_path / "pushed.toml"
@@ -120,7 +120,7 @@ def test_the_pushed_cart_runs_as_written_and_its_push_is_found(tmp_path):
     assert rms["position"].idxmax() == "open-loop"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_plant_of_python_control_runs(capsys):
     (example,) = [b for b in blocks("python") if b.startswith("import control")]
     exec(compile(example, "your_own_plant.md", "exec"), {})
@@ -144,7 +144,7 @@ def test_the_observer_example_is_short_and_knows_its_schedule(tmp_path, monkeypa
 ROW = re.compile(r"^\| .*? \| .*? \| (`.*?) \| `([a-z0-9/-]+)` (\w+) \[.*?\] \|$", re.M)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("errors", "scenario", "signal"), ROW.findall(OBSERVERS_PAGE))
 def test_the_decision_table_is_what_comes_out(errors, scenario, signal):
     said = {name: float(value) for name, value in re.findall(r"`([a-z-]+)` ([\d.]+)", errors)}
@@ -174,7 +174,7 @@ def test_the_table_of_beliefs_has_what_the_study_has():
     assert told["noise-over"]["options"]["kfbo"]["R"] == 16 * told["as-believed"]["options"]["kfbo"]["R"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_table_of_beliefs_is_what_comes_out():
     """Every number within one of its standard errors (the draws are the same), and what the text says of them."""
     result = pcbench.run("beliefs")

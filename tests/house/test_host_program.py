@@ -20,7 +20,7 @@ assert before[0] == jnp.float32
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_float32_host_gets_float64_numbers_and_keeps_its_settings(tmp_path):
     """One device and float32 in the host, two and float64 here: the same bits."""
     env = {k: v for k, v in os.environ.items() if k != "JAX_NUM_CPU_DEVICES"}

@@ -11,9 +11,9 @@ FIRST, *LATER = NOTEBOOKS
 
 
 @pytest.mark.parametrize(
-    "path", [FIRST, *(pytest.param(p, marks=pytest.mark.slow) for p in LATER)], ids=lambda p: p.stem
+    "path", [FIRST, *(pytest.param(p, marks=pytest.mark.nightly) for p in LATER)], ids=lambda p: p.stem
 )
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_notebook_runs_and_draws(path, tmp_path):
     import nbformat  # seconds of every collection
     from nbclient import NotebookClient

@@ -40,7 +40,7 @@ def test_its_study_is_the_one_it_says(tmp_path):
     assert {cell.scenario.sampling.noise_std for cell in found.cells} == {SCENARIOS["cart/white"].sampling.noise_std}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_its_study_runs(tmp_path):
     (text,) = blocks("toml", "README.md")
     (tmp_path / "camera.toml").write_text(text)

@@ -35,7 +35,7 @@ def is_kept(drawn, name):
     assert (new < 250).mean() > 0.1, "something is drawn"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_first_picture_in_the_readme_is_of_these_runs():
     result = pcbench.run("quick", observers=["kfbo", "pccebo", "dkf"], seeds=32)
     figures = [plots.time(result, scenario=s, paper=plots.Paper(width=4.2)) for s in ("cart/nominal", "cart/white")]
@@ -46,7 +46,7 @@ def test_the_first_picture_in_the_readme_is_of_these_runs():
     is_kept(both, "first_look.png")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(CHROMIUM is None, reason="no browser here")
 def test_the_picture_in_the_readme_is_of_this_report(tmp_path):
     pcbench.run("cart/white", seeds=256, out=tmp_path / "run")

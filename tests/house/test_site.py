@@ -54,7 +54,7 @@ def read(path):
     return parsed
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_every_link_of_the_site_leads_somewhere(site):
     pages = {path.resolve(): read(path) for path in site.rglob("*.html") if path.name != "404.html"}
     assert len(pages) > 300
@@ -71,7 +71,7 @@ def test_every_link_of_the_site_leads_somewhere(site):
     assert broken == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_has_every_page_and_module(site):
     for name in PAGES:
         html = name.replace("README.md", "index.html").replace(".md", ".html")
@@ -81,13 +81,13 @@ def test_it_has_every_page_and_module(site):
             assert (site / "reference" / f"pcbench.observers.{path.stem}.html").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_notebooks_have_their_figures(site):
     for path in sorted((ROOT / "notebooks").glob("*.ipynb")):
         assert "data:image/png;base64" in (site / "notebooks" / f"{path.stem}.html").read_text(), path.stem
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(CHROMIUM is None, reason="no browser here")
 @pytest.mark.parametrize("name", SHOWN)
 def test_a_browser_shows_it_without_a_complaint(site, name):

@@ -27,7 +27,7 @@ def test_its_short_form_has_every_scenario_and_observer(name):
     assert set(part.axes) == set(whole.axes)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", STUDIES)
 def test_it_runs(name, tmp_path):
     words = [sys.executable, "-m", "pcbench", "run", name, *short(name), "--quiet", "--out", str(tmp_path / "out")]

@@ -40,7 +40,7 @@ def alone(as_users_have_it):
     return results(SEVEN)["cart/gaussian-fast0"]
 
 
-@pytest.fixture(scope="module", params=[TWO, pytest.param(EVERYONE, marks=pytest.mark.slow)], ids=str)
+@pytest.fixture(scope="module", params=[TWO, pytest.param(EVERYONE, marks=pytest.mark.nightly)], ids=str)
 def some(request, as_users_have_it):
     """Observers, and their run alone."""
     return request.param, results(SEVEN, request.param)["cart/gaussian-fast0"]
@@ -51,7 +51,7 @@ def test_alone_equals_in_a_block(some):
     same(alone, results(np.arange(20), observers)["cart/gaussian-fast0"], 7, observers)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
     """Alone in a call of 64 lanes."""
     block = results(np.concatenate([np.arange(100, 100 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"]
@@ -70,21 +70,21 @@ def test_alone_equals_without_another_observer(some):
     same(results(SEVEN, observers[-1:])["cart/gaussian-fast0"], among, 0, observers[-1:])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("observers", [["kfbo", "pccebo"], ["pccebo"], ["kfbo"], ["dkf"]], ids=str)
 def test_alone_equals_without_the_other_observers(alone, observers):
     only = results(SEVEN, observers=observers)["cart/gaussian-fast0"]
     same(only, alone, 0, observers)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_alone_equals_among_other_cells_and_scenarios(alone):
     """Other cells make the network's ring larger: another program, the same bits."""
     many = results(SEVEN, scenarios=("cart/nominal", "cart/gaussian-fast"), axes={"delay": [0.6, 3.0]})
     same(alone, many["cart/gaussian-fast0"], 0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_on_the_arm_with_drift_too(monkeypatch):
     """Each run's own stiffness, a heavy plant's narrower calls, unknown inputs."""
     arm, three = SCENARIOS["arm/sampled"], ["smo", "pio", "dkf"]
@@ -99,7 +99,7 @@ def test_on_the_arm_with_drift_too(monkeypatch):
     same(alone, found(SEVEN, devices=1), 0, three)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_other_seeds_and_root_seeds_draw_other_noise():
     a, b, c = (np.asarray(measurement_noise(root, seed, 5)) for root, seed in ((0, 0), (0, 1), (1, 0)))
     assert len({a.tobytes(), b.tobytes(), c.tobytes()}) == 3
@@ -109,7 +109,7 @@ def test_other_seeds_and_root_seeds_draw_other_noise():
     assert len(np.unique(several)) == 15
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_uses_the_studys_root_seed():
     raw = {"name": "roots", "scenarios": ["cart/white"], "observers": ["pccebo"], "seeds": 1}
     zero, one = (pcbench.run(raw | {"root_seed": root}).runs.mae[0] for root in (0, 1))

@@ -51,7 +51,7 @@ REST = (((4, 4), (9, 2)), ((6, 9), (0, 0)), ((1, 3), (2, 50)))
 
 @pytest.mark.parametrize(
     ("period", "delay"),
-    [((7, 5), (3, 20)), *(pytest.param(*t, marks=pytest.mark.slow) for t in REST)],
+    [((7, 5), (3, 20)), *(pytest.param(*t, marks=pytest.mark.nightly) for t in REST)],
 )
 def test_each_channel_gets_its_own_samples(period, delay):
     ticks = 120

@@ -44,7 +44,7 @@ def test_gains_are_traced():
 
 
 @pytest.fixture(
-    scope="module", params=[False, pytest.param(True, marks=pytest.mark.slow)], ids=["fixed start", "random start"]
+    scope="module", params=[False, pytest.param(True, marks=pytest.mark.nightly)], ids=["fixed start", "random start"]
 )
 def loops(request):
     """The text of every computation that the compiled loops run."""

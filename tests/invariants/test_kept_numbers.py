@@ -51,7 +51,7 @@ def digest(study):
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-@pytest.mark.parametrize("name", [QUICK, *(pytest.param(n, marks=pytest.mark.slow) for n in STUDIES if n != QUICK)])
+@pytest.mark.parametrize("name", [QUICK, *(pytest.param(n, marks=pytest.mark.nightly) for n in STUDIES if n != QUICK)])
 def test_numbers_are_what_they_were(name):
     study, kept = STUDIES[name]
     assert digest({"name": "kept", "seeds": 6, **study}) == kept

@@ -91,7 +91,7 @@ def test_the_cost_of_lqg_with_a_late_measurement(monkeypatch):
     assert row["mean"] == pytest.approx(sampled(0.1, 0.05), abs=4 * row["se"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_cost_of_lqg_without_seeds(monkeypatch):
     """Exact at every delay once nothing is left of the start; and that by Richardson's rule comes to what is printed."""
     stats = pcbench.exact(study(monkeypatch, 0.05, list(LATE), 2, 24.0, 23.0)).stats
@@ -105,7 +105,7 @@ def test_the_cost_of_lqg_without_seeds(monkeypatch):
         assert each[0] == pytest.approx(known, abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_cost_of_lqg_with_a_late_measurement_at_every_delay(monkeypatch):
     found = costs(monkeypatch, 0.01, list(LATE), 1024, 60.0)
     for tau, row in found.iterrows():
@@ -149,7 +149,7 @@ def two_gains(T):
     return Entry(observer, NoOptions, lambda setting, options: Design((), proof), True, "two gains", "any schedule")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_asynchronous_filter_costs_what_jittertime_computes(monkeypatch):
     h, seeds = 0.005, 4096
     keys = {"sampling_period": [0.15, 0.5], "delay": 0.0, "noise_std": [0.1**0.5, 0.1]}

@@ -33,12 +33,12 @@ def agree(scenario, seeds, observers):
             assert abs(row["mean"] - value) < 4 * row["se"], (observer, metric)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_gaussian_scenario_agrees_with_the_propagated_covariance():
     agree("cart/gaussian", 2048, ["dkf"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("scenario", ["cart/gaussian", "cart/gaussian-fast", "cart/white"])
 def test_other_noise_scenarios_agree_with_the_propagated_covariance(scenario):
     agree(scenario, 4096, OBSERVED)

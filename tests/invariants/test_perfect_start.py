@@ -23,7 +23,7 @@ del KNOWING[
     "chain"
 ]  # needs whole samples, and from a perfect start sees only zeros: its slips are caught in test_chain
 SLIPPED = [
-    pytest.param(name, marks=pytest.mark.slow) if name in ("pco", "pi-pco") else name  # theirs: test_pco_forms too
+    pytest.param(name, marks=pytest.mark.nightly) if name in ("pco", "pi-pco") else name  # theirs: test_pco_forms too
     for name in KNOWING
     if name != "open-loop"
 ]

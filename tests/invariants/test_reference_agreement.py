@@ -71,7 +71,7 @@ def test_cart_with_noise_equals_the_reference(observer, options, te, d):
 
 
 @pytest.mark.parametrize(
-    ("te", "d"), [(20, 70), *(pytest.param(*t, marks=pytest.mark.slow) for t in ((30, 30), (26, 0)))]
+    ("te", "d"), [(20, 70), *(pytest.param(*t, marks=pytest.mark.nightly) for t in ((30, 30), (26, 0)))]
 )
 @pytest.mark.parametrize(("observer", "options"), VARIANTS, ids=str)
 def test_three_states_two_inputs_two_outputs_equal_the_reference(observer, options, te, d):
@@ -79,7 +79,7 @@ def test_three_states_two_inputs_two_outputs_equal_the_reference(observer, optio
     agree(case, observer, options)
 
 
-@pytest.mark.parametrize(("te", "d"), [pytest.param(100, 100, marks=pytest.mark.slow), (50, 150)])
+@pytest.mark.parametrize(("te", "d"), [pytest.param(100, 100, marks=pytest.mark.nightly), (50, 150)])
 @pytest.mark.parametrize(("observer", "options"), VARIANTS, ids=str)
 def test_drifting_cart_equals_the_reference(observer, options, te, d):
     params = cart.prepare(PLANTS["cart"].numbers._replace(drift=0.8), 1e-3, 900)

@@ -60,7 +60,7 @@ def table(many):
     return pa.table({"channel": channel, "sampled": t, "arrived": t + 0.0625, "value": value})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["csv", "parquet of one group", "parquet of a million a group"])
 def test_a_table_longer_than_memory_is_read(kind, tmp_path):
     many = (10 if kind == "csv" else 18) * 10**6
@@ -75,7 +75,7 @@ def test_a_table_longer_than_memory_is_read(kind, tmp_path):
     assert row["delay_mean"] == pytest.approx(0.0625, abs=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_table_longer_than_memory_is_replayed(tmp_path):
     """Lines with a remark each, as loggers leave them; for a smoother, which holds the whole log, memory does not suffice."""
     many, path = 3_500_000, tmp_path / "flight.csv"
@@ -91,7 +91,7 @@ def test_a_table_longer_than_memory_is_replayed(tmp_path):
     assert pq.ParquetFile(tmp_path / "out" / "estimates.parquet").metadata.num_rows == summary["ticks"] + 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("write", [recorded.FORMATS[k] for k in recorded.FORMATS if k not in ("MATLAB", "flight log")],
                          ids=[k for k in recorded.FORMATS if k not in ("MATLAB", "flight log")])  # fmt: skip
 def test_a_recording_longer_than_memory_is_read(write, tmp_path):

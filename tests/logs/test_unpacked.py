@@ -27,7 +27,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_matlab_file_that_unpacks_to_much_memory_is_refused(tmp_path):
     path = tmp_path / "zeros.mat"
     savemat(path, {"x": np.zeros(12_000_000)}, do_compression=True)

@@ -30,7 +30,7 @@ def test_a_study_says_how_many_runs_there_are_and_steps_over_all_of_them():
     assert heard[-1] == ("note", "statistics")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_tuning_steps_once_a_point():
     progress, heard = listener()
     found = tune.tune(

@@ -6,7 +6,7 @@ from loops import Q1, Q2, study
 
 import pcbench
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 GRIDS = {
     "cart": {"study": "cart/white", "axes": {"sampling_period": [0.1, 0.3], "delay": [0.2, 0.5], "drift": [0.0, 1.0]}},
     "jitter": {

@@ -23,7 +23,7 @@ def stats():
     return pcbench.exact(STUDY).stats.set_index(["observer", "signal", "metric"])["mean"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_apart_or_together_the_numbers_are_the_same_and_two_of_a_kind_share_a_program(monkeypatch):
     together = stats()
     assert together["dkf", "a", "mse"] != together["dkf-wary", "a", "mse"]

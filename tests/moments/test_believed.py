@@ -33,7 +33,7 @@ def expected_of(study):
     return stats[stats.method == "exact"].set_index(["observer", "metric", "signal"]).sort_index()["mean"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_expected_squares_are_those_of_the_reference(expected):  # noqa: F811
     """Told R = (0.1, 0.05) where (0.09, 0.04) is true: a little cautious."""
     exact = expected_of(ASKED)
@@ -65,7 +65,7 @@ def test_runs_come_to_it_and_who_is_told_when_a_sample_is_taken_is_told_here_too
     assert exact["dkf", "nees", "a"] > 1.3
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_all_that_are_told_are():
     """The true model's filter with a copy of the state for each sample is the optimum, and Larsen's believes what is so."""
     names = ["dkf", "kf-cloning", "kf-larsen", "kf-alexander", "open-loop"]

@@ -53,7 +53,7 @@ def mean_square(times, driven):
     return np.mean((found.base**2 + variance)[:N], 0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_they_are_the_mean_over_schedules_with_the_error_that_remains(monkeypatch):
     """As they are where there are too many modes for a recursion (`test_modes`)."""
     monkeypatch.setattr(modes, "MOST", 0)
@@ -66,7 +66,7 @@ def test_they_are_the_mean_over_schedules_with_the_error_that_remains(monkeypatc
     np.testing.assert_allclose(stats.se, np.std(each, 0, ddof=1) / np.sqrt(SCHEDULES), rtol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_in_turn_they_are_those_of_the_one_schedule_with_its_losses():
     later = [0, 16, "lost", 5]
     lti = {k: v for k, v in STUDY["lti"].items() if k not in ("delay_steps", "delay_stay")}

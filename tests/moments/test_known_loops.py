@@ -50,7 +50,7 @@ def two_gains(gains, memory, now, arrival):
     return jnp.where(used[0], first, second)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_asynchronous_filter_in_the_loop():
     pendulum = Loop(
         np.array([[0.0, 1.0], [1.0, 0.0]]), np.array([[0.0], [1.0]]), np.eye(2), [0.1**0.5, 0.1], H, 1920,
@@ -91,7 +91,7 @@ def cascade(params, tick, memory, kept):
     return jnp.append(pid, jnp.where(tick % inner == 0, 4.0 * (pid[2] - phi), u))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ball_and_beam_at_three_rates():
     """The slowest mode decays at 0.1 1/s: after 160 s nothing is left of the start in the digits printed."""
     A = np.array([[0.0, 0.0, 0.0], [-9.0, 0.0, 0.0], [0.0, 1.0, 0.0]])

@@ -45,7 +45,7 @@ def pooled(stats):
     return stats[stats.metric == "tail_pooled_rmse"]["mean"].to_numpy()
 
 
-@pytest.mark.parametrize("name", [*list(PLANTS)[:2], pytest.param("operating", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [*list(PLANTS)[:2], pytest.param("operating", marks=pytest.mark.nightly)])
 def test_exact_errors_keep_their_digits_beside_a_large_start(name):
     """The bound that `efficiency` needs is a covariance recursion, which keeps six digits of an unstable plant's."""
     stats = pcbench.exact(study(name)).stats
@@ -54,14 +54,14 @@ def test_exact_errors_keep_their_digits_beside_a_large_start(name):
     np.testing.assert_allclose(stats[stats.metric == "efficiency"]["mean"], 1.0, rtol=rtol)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_exact_errors_keep_their_digits_in_a_loop():
     closed = study("unstable", controller={"use": "lqr", "Q1": [1.0, 1.0], "Q2": 1.0})
     del closed["lti"]["input"]
     np.testing.assert_allclose(pooled(pcbench.exact(closed).stats), expected("unstable"), rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_runs_agree_with_exact_errors_beside_a_large_start(tmp_path):
     pcbench.run(study("integrator", seeds=256), out=tmp_path / "runs")
     checked = against_exact.check(tmp_path / "runs")

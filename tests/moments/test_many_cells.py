@@ -18,7 +18,7 @@ STUDY = {
 }
 
 
-SLOW = [pytest.param(observer, 1.0, marks=pytest.mark.slow) for observer in ("kfbo", "dkf")]
+SLOW = [pytest.param(observer, 1.0, marks=pytest.mark.nightly) for observer in ("kfbo", "dkf")]
 
 
 @pytest.mark.parametrize(("observer", "drift"), [("pccebo", 0.0), *SLOW])

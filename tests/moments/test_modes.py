@@ -88,12 +88,12 @@ def agrees(observer):
     assert (stats.loc["mse"][["n", "se"]].to_numpy() == 0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_filter_with_overtaking_samples_is_the_mean_over_every_sequence_of_delays():
     agrees("dkf")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_observer_with_a_gain_of_its_own_is_too():
     agrees("pccebo")
 
@@ -261,7 +261,7 @@ def test_who_asks_when_the_last_arrival_was_has_no_recursion_over_losses(tmp_pat
         assert (over_losses(p) is not None) is there
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "changes", [{}, {"delay_steps": None, "delay_stay": None, "delay_jitter": 0.1}], ids=["chain", "jitter"]
 )

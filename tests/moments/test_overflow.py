@@ -53,7 +53,7 @@ def test_where_linear_maps_overflow_and_the_run_does_not_an_observer_is_not_affi
     assert said in affine.refusal(m._replace(sums=sums), "dkf")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_bands_in_time_are_those_without_it():
     each = [
         pcbench.exact(asked).moments() for asked in (study({}, "dkf"), study({"nudge": {"share": 1e11}}, "dkf", WILD))

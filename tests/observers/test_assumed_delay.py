@@ -44,7 +44,7 @@ def test_kfbo_follows_its_believed_delay_too(traces):
     np.testing.assert_allclose(steps, 0.05 * v, rtol=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_axis_works_for_every_observer_of_a_study():
     result = pcbench.run(
         "cart/white", observers=["pccebo", "kfbo", "pco", "pi-pco", "dkf", "open-loop"], seeds=8,

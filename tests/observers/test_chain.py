@@ -21,13 +21,13 @@ from pcbench.simulation.schedule import shared
 from pcbench.simulation.schedule.shared import NEVER
 
 CASES = [
-    pytest.param(i, id=str(each), marks=[pytest.mark.slow] if each in SLOW else []) for i, each in enumerate(DELAYS)
+    pytest.param(i, id=str(each), marks=[pytest.mark.nightly] if each in SLOW else []) for i, each in enumerate(DELAYS)
 ]
 
 
 @pytest.mark.parametrize("label", OUTPUTS)
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("plant", ["tank", pytest.param("odd", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("plant", ["tank", pytest.param("odd", marks=pytest.mark.nightly)])
 def test_it_equals_the_index_based_reference(plant, case, label):
     cells, runs = recorded(plant)
     p, run, delays = cells[case], runs[case], DELAYS[case]
@@ -45,7 +45,7 @@ def test_it_equals_the_index_based_reference(plant, case, label):
 
 
 @pytest.mark.parametrize("case", CASES)
-@pytest.mark.parametrize("plant", ["tank", pytest.param("odd", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("plant", ["tank", pytest.param("odd", marks=pytest.mark.nightly)])
 def test_perfect_start_is_exact(plant, case):
     run = recorded(plant, True)[1][case]
     for label in OUTPUTS:
@@ -84,7 +84,7 @@ def expected(label, model, u, r, believed, xhat0):
     return ref.chain(model, links, u, r, believed, xhat0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_between_samples_they_follow_the_model():
     """The reference at the samples, the held model's motion between them."""
     study, fine, model = slow()
@@ -101,7 +101,7 @@ def test_between_samples_they_follow_the_model():
                 np.testing.assert_allclose(got[k + 1], fine[0] @ got[k] + fine[1] @ u[k], atol=1e-12)
 
 
-@pytest.mark.parametrize("error", [pytest.param(0.1, marks=pytest.mark.slow), -0.1])
+@pytest.mark.parametrize("error", [pytest.param(0.1, marks=pytest.mark.nightly), -0.1])
 def test_with_a_wrongly_believed_delay_they_are_the_references_with_that_belief(error):
     """What arrives is believed a sample older or younger than it is; none is believed taken before 0.
 

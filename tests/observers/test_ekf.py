@@ -26,7 +26,7 @@ def arm(z, u):
 
 
 @pytest.mark.parametrize(
-    ("period", "delay"), [pytest.param(*times, marks=pytest.mark.slow) for times in ((30, 75), (40, 40), (50, 0))]
+    ("period", "delay"), [pytest.param(*times, marks=pytest.mark.nightly) for times in ((30, 75), (40, 40), (50, 0))]
 )
 def test_on_the_arm_it_equals_the_reference(period, delay):
     base = SCENARIOS["arm/sampled"]
@@ -54,7 +54,7 @@ def test_its_design_says_how_far_a_tick_lets_states_and_unknowns_walk():
     np.testing.assert_allclose(gains.P0, np.diag([1.0, 1.0, 1.0, 1.0, 9.0]), rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_on_the_arm_it_is_no_worse_than_the_linear_filter():
     """The arm's gravity is nearly linear there: tail errors of both filters within 5 %."""
     stats = pcbench.run("arm/sampled", observers=["ekf", "dkf"], seeds=64).stats

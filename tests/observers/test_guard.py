@@ -77,7 +77,7 @@ def test_a_gate_that_leaves_out_everything_opens_after_so_many():
     assert stats["dkf-opens", "tail_rmse", "a"] < 5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_where_samples_are_outliers_both_are_better_and_without_hardly_worse():
     options = {"dkf-gate": {"gate": 3.0}, "dkf-huber": {"huber": 1.5}}
     study = STUDY | {"observers": ["dkf", *options], "options": options}

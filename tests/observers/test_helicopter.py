@@ -88,7 +88,7 @@ def assert_page(case, got):
     np.testing.assert_allclose(estimate(got)[k], z, rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("observer", OBSERVERS)
 @pytest.mark.parametrize("name", ["constant", "varying"])
 def test_twenty_seconds_equal_the_reference(name, observer):
@@ -105,7 +105,7 @@ def test_twenty_seconds_equal_the_reference(name, observer):
         np.testing.assert_allclose(rmse, [0.0132608, 0.00916999, 0.0986503, 0.1009805], rtol=2e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @settings(max_examples=3)
 @given(
     observer=st.sampled_from(sorted(OBSERVERS)),
@@ -132,17 +132,17 @@ BOTH = {"feedforward": True, "predictor": True}
     ("name", "choices"),
     [
         ("constant", {"feedforward": True}),
-        *(pytest.param("constant", c, marks=pytest.mark.slow) for c in ({"predictor": True}, BOTH)),
-        pytest.param("varying", BOTH, marks=pytest.mark.slow),
+        *(pytest.param("constant", c, marks=pytest.mark.nightly) for c in ({"predictor": True}, BOTH)),
+        pytest.param("varying", BOTH, marks=pytest.mark.nightly),
     ],
 )
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_controllers_options_equal_the_reference(name, choices):
     assert gap(planned("high-gain", SHORT, name=name, choices=choices)) < 1e-9
 
 
 @pytest.mark.parametrize("form", [forms.blocks(), forms.predictor()], ids=["two blocks", "predictor"])
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_other_forms_of_the_observer_are_the_same(form):
     assert gap(planned("high-gain", SHORT, name="varying"), form) < 1e-10
 
@@ -153,7 +153,9 @@ def test_a_misprint_would_be_seen(misprint):
     assert not gap(planned("high-gain", SHORT), forms.high_gain(tuning)) < 1e-3
 
 
-@pytest.mark.parametrize("observer", [pytest.param(o, marks=pytest.mark.slow) if o == "ekf" else o for o in OBSERVERS])
+@pytest.mark.parametrize(
+    "observer", [pytest.param(o, marks=pytest.mark.nightly) if o == "ekf" else o for o in OBSERVERS]
+)
 @settings(max_examples=4)
 @given(period=st.integers(1, 250), delay=st.integers(0, 60), feedforward=st.booleans())
 def test_a_perfect_start_has_no_error(observer, period, delay, feedforward):
@@ -191,7 +193,7 @@ def slipped(p, what):
     ("observer", "what"),
     [
         *(("high-gain", what) for what in ("line", "whole tick", "path", "note", "sense")),
-        *(pytest.param("ekf", what, marks=pytest.mark.slow) for what in ("line", "age")),
+        *(pytest.param("ekf", what, marks=pytest.mark.nightly) for what in ("line", "age")),
     ],
 )
 def test_one_tick_off_is_seen(observer, what):
@@ -200,7 +202,7 @@ def test_one_tick_off_is_seen(observer, what):
     assert np.abs(estimate(got) - want.z).max() > 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_process_noise_of_another_state_is_seen():
     p = planned("ekf", SHORT)
     gains = p.problem.gains["ekf"]

@@ -40,7 +40,7 @@ def squares(schedule):
     return {name: np.array(each) for name, each in out.items()}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_guides_table_of_what_they_lie_above_the_optimum_is_what_comes_out():
     said = re.findall(r"^\| ([a-z ,]+) \| ([\d. |]+) \|$", PAGES["how_late.md"].split("## By how much")[1], re.M)
     assert [row for row, _ in said] == list(ROWS)

@@ -283,7 +283,7 @@ def test_options_that_are_no_times_or_counts_are_refused(name, option, value):
         OBSERVERS[name].options(**{option: value})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_guides_table_is_what_comes_out():
     rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+ \|.*?) \| (\d+) \|$", PAGES["how_late.md"], re.M)
     stats, costs = pcbench.run("late").stats, pcbench.costs("late").set_index(["cell", "observer"])

@@ -30,7 +30,7 @@ LINEAR = [("iekf", {}), ("ukf", {}), ("ukf", CUBATURE)]
 @pytest.mark.parametrize(
     ("name", "options", "schedule"),
     [
-        pytest.param(*each, schedule, marks=() if each == LINEAR[1] and schedule == "wild" else pytest.mark.slow)
+        pytest.param(*each, schedule, marks=() if each == LINEAR[1] and schedule == "wild" else pytest.mark.nightly)
         for each in LINEAR
         for schedule in TIMES
     ],
@@ -56,20 +56,23 @@ def agrees(got, want):
     assert squares[:, 1].sum() > 6
 
 
-@pytest.mark.parametrize("iterations", [pytest.param(1, marks=pytest.mark.slow), 4])
+@pytest.mark.parametrize("iterations", [pytest.param(1, marks=pytest.mark.nightly), 4])
 def test_iterating_equals_the_reference(iterations):
     want = reference.by_slopes(swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), iterations)
     agrees(swinging.found("iekf", iterations=iterations), want)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_iterating_once_is_the_extended_filter():
     for a, b in zip(swinging.found("iekf", iterations=1), swinging.found("ekf"), strict=True):
         same(a, b)
     assert np.abs(swinging.found("iekf", iterations=4)[0] - swinging.found("ekf")[0]).max() > 1e-3
 
 
-WEIGHTS = [{"alpha": 0.6, "beta": 1.3, "kappa": 0.4}, pytest.param({"alpha": 1.0, "beta": 2.0}, marks=pytest.mark.slow)]
+WEIGHTS = [
+    {"alpha": 0.6, "beta": 1.3, "kappa": 0.4},
+    pytest.param({"alpha": 1.0, "beta": 2.0}, marks=pytest.mark.nightly),
+]
 
 
 @pytest.mark.parametrize("options", WEIGHTS, ids=str)
@@ -78,7 +81,7 @@ def test_unscented_points_equal_the_reference(options):
     agrees(swinging.found("ukf", **options), want)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_cubature_points_equal_the_reference():
     want = reference.by_points(
         swinging.model(), *swinging.prior(), swinging.samples(), swinging.inputs(), cubature=True
@@ -86,7 +89,7 @@ def test_cubature_points_equal_the_reference():
     agrees(swinging.found("ukf", **CUBATURE), want)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_start_that_is_known_has_no_points():
     """P0 = 0 and no process noise: the points are one, and nothing is divided by 0."""
     known = swinging.told(P0=np.zeros((2, 2)), process_std=(), unknown_std=(0.0,))
@@ -132,7 +135,10 @@ def test_options_that_are_no_sizes_or_counts_are_refused(name, option, value):
 
 @pytest.mark.parametrize(
     ("schedule", "window"),
-    [("wild", 4), *(pytest.param(*each, marks=pytest.mark.slow) for each in (("now", 1), ("wild", 1), ("late", 15)))],
+    [
+        ("wild", 4),
+        *(pytest.param(*each, marks=pytest.mark.nightly) for each in (("now", 1), ("wild", 1), ("late", 15))),
+    ],
 )
 def test_looking_back_without_bounds_is_the_optimum_of_a_linear_plant_whatever_the_window(schedule, window):
     there = driven.traffic(TIMES[schedule], plant(schedule)[1], TICKS, 2)
@@ -143,7 +149,7 @@ def test_looking_back_without_bounds_is_the_optimum_of_a_linear_plant_whatever_t
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("iekf", {}), pytest.param("ukf", CUBATURE, marks=pytest.mark.slow), ("mhe", {"window": 4})],
+    [("iekf", {}), pytest.param("ukf", CUBATURE, marks=pytest.mark.nightly), ("mhe", {"window": 4})],
     ids=str,
 )
 def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_overtaking(name, options):
@@ -158,7 +164,7 @@ def test_from_a_perfect_start_there_is_no_error_whatever_is_late_lost_or_overtak
 ANYWHERE = {"unknown_range": ((-np.inf, np.inf),)}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("window", "iterations"), [(1, 1), (3, 3)])
 def test_looking_back_equals_the_reference(window, iterations):
     model = swinging.model()._replace(low=np.full(3, -np.inf), high=np.full(3, np.inf))
@@ -201,7 +207,7 @@ def test_windows_and_bounds_that_cannot_be_are_refused_in_a_sentence(options, ch
         pcbench.run("helicopter/constant", observers=["mhe"])
 
 
-@pytest.mark.parametrize(("many", "share"), [(40, 0.6), pytest.param(25, 0.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("many", "share"), [(40, 0.6), pytest.param(25, 0.0, marks=pytest.mark.nightly)])
 def test_particles_equal_the_reference_on_the_same_draws(many, share):
     """Late and overtaking samples move the same particles by the same draws again."""
     xhat, P, _ = swinging.found("particle", particles=many, resample=share)
@@ -234,7 +240,7 @@ def test_of_one_particle_too_many_it_says_how_many_fit():
         OBSERVERS["particle"].design(swinging.told(), OBSERVERS["particle"].options(particles=10**10))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_difference_from_kalmans_filter_falls_as_one_over_the_particles():
     """In mean square over 64 runs, each with draws of its own: a slope of -1 +- 0.2 over three doublings twice."""
     options = {f"particle-{S}": {"particles": S} for S in (50, 200, 800)}

@@ -81,7 +81,7 @@ def run(plant, schedule):
 
 
 @pytest.mark.parametrize("schedule", SCHEDULES)
-@pytest.mark.parametrize("plant", ["odd", *(pytest.param(p, marks=pytest.mark.slow) for p in GIVEN if p != "odd")])
+@pytest.mark.parametrize("plant", ["odd", *(pytest.param(p, marks=pytest.mark.nightly) for p in GIVEN if p != "odd")])
 def test_the_observers_are_the_theta_form_and_the_reference(plant, schedule):
     """To 1e-12 of the largest state: some ten samples, each a product of matrices of size 1."""
     case, got, model, samples = run(plant, schedule)
@@ -223,7 +223,7 @@ def test_gains_are_certified_exactly_where_they_are_stable(F, k):
             OBSERVERS["pi-pco"].design(known, options)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_closed_form_is_what_many_runs_leave():
     """Position on the cart over intervals of 0.2 s, start known: within four standard errors of 1024 runs."""
     case = Case(CART, 20, 20, ticks=3000, h=0.01, noise_std=0.3, x0=[5.0, 10.0], xhat0=[5.0, 10.0])

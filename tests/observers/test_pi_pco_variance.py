@@ -13,14 +13,14 @@ def found():
         return list(pi_pco.monte_carlo(pi_pco.GRID, 1024))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_monte_carlo_confirms_the_closed_form_within_four_standard_errors(found):
     for c in found:
         assert max(np.abs(c.deviations)) < 4, c
         assert max(c.errors[:2]) < 0.02 * max(c.pi, c.pco), "an error bar that proves something"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_sign_of_the_integrals_effect_changes_where_the_theorem_says(found):
     lowers = {(c.F, c.k): c.difference < 0 for c in found if abs(c.difference) > 4 * c.errors[2]}
     assert len(lowers) >= len(found) - 2, "nearly every difference is significant"
@@ -28,14 +28,14 @@ def test_the_sign_of_the_integrals_effect_changes_where_the_theorem_says(found):
     assert set(lowers.values()) == {True, False}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_printed_ordering_holds_for_an_amplifying_gain_only():
     with process.float64():
         claims = pi_pco._ordering()
     assert [c.verdict for c in claims] == ["does not hold", "does not hold", "reproduced", "does not hold"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_every_claim_has_its_verdict():
     claims = pi_pco.claims()
     verdicts = [c.verdict for c in claims if c.verdict != "finding"]

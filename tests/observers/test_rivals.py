@@ -68,7 +68,8 @@ def expected(label, u, r, delays):
 
 @pytest.mark.parametrize("label", LABELS)
 @pytest.mark.parametrize(
-    "delays", [pytest.param(each, id=str(each), marks=[pytest.mark.slow] if each in SLOW else []) for each in VECTORS]
+    "delays",
+    [pytest.param(each, id=str(each), marks=[pytest.mark.nightly] if each in SLOW else []) for each in VECTORS],
 )
 def test_they_equal_the_reference(label, delays):
     u, found = recorded()[tuple(delays)]
@@ -119,7 +120,7 @@ def test_those_who_pretend_one_delay_start_perfectly_where_it_is_so():
         assert (np.abs(x - estimates(d, label)) < 1e-13 * np.abs(x).max(0)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_aligned_is_reported_as_diverged_with_its_time_and_the_others_stay_clean():
     result = pcbench.run("csth/10s", observers=["chain", "no-delay"], seeds=2)
     assert result.runs.groupby("observer").diverged.all().to_dict() == {"chain": False, "no-delay": True}
@@ -142,7 +143,7 @@ def test_the_radius_with_the_delays_as_they_are_is_reported_and_decides_whether_
     assert pcbench.design("csth/10s", "equal-delay").certificate.numbers["radius"] == pytest.approx(2 / 3, abs=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_losses_and_feedthrough_are_what_the_page_says():
     """No correction from a channel that brings nothing; D u of the believed time is taken off."""
     rng = np.random.default_rng(5)

@@ -135,7 +135,7 @@ def test_a_drifting_arm_is_the_references_and_all_observers_see_its_samples(seed
     filter_agrees(got, arm(0.05, seed), 20, 40, 1e-3, seed)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_runs_that_drift_are_their_traces():
     """Each lane has its own drift and noise: what the tables say of a seed is what its trace shows. Compiles for 15 s."""
     p = planned(20, 40, drift=0.05, noise_std=(1e-3, 1e-3))
@@ -232,7 +232,7 @@ def test_delivering_the_neighbouring_packet_is_caught():
 # ---------------------------------------------------------------- numbers worked out beforehand
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_worked_sampled_errors_come_out():
     """Root mean squares of the x2 error over 6 .. 10 s: SMO and PIO, printed to two or three digits."""
     raw = {"name": "page", "scenarios": ["arm/sampled"], "seeds": 1}
@@ -256,7 +256,7 @@ def test_the_worked_sampled_errors_come_out():
             assert abs(value - float(text)) <= max(0.01 * float(text), 0.5 * unit), (te, d, way, name, value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_worked_error_of_dkf_comes_out():
     rows = pcbench.run("arm/sampled", observers=["dkf"], seeds=64).stats.query("signal == 'link_velocity'")
     assert rows.set_index("metric")["mean"]["tail_rmse"] == pytest.approx(0.00258, rel=0.02)

@@ -101,7 +101,7 @@ def test_remark_2_certifies_what_grows():
     assert "grows by 1.0759" in row.reproduced
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reproduce_chain_from_the_command_line():
     done = call("reproduce", "chain", "--json")
     verdicts = {row["claim"]: row["verdict"] for row in json.loads(done.stdout)["claims"]}
@@ -126,7 +126,7 @@ SD = {  # worked out beforehand; dkf's stands in test_csth
 }
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_worked_stationary_errors_come_out_by_monte_carlo_and_in_the_worked_order():
     """Riccati chains forget their start slowly: the tail is read from sample 200 on. Four standard errors."""
     s = SCENARIOS["csth/10s-noise"]
@@ -150,7 +150,7 @@ def test_the_worked_stationary_errors_come_out_by_monte_carlo_and_in_the_worked_
     assert abs(companion["mean"] - 47437) < 4 * companion["se"] + 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_study_of_delay_vectors_takes_one_program():
     before = batch.compilations()
     result = pcbench.run("unequal-delays", seeds=8)
@@ -159,7 +159,7 @@ def test_the_study_of_delay_vectors_takes_one_program():
     assert result.stats.delay.map(len).eq(3).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_with_losses_a_run_among_many_is_the_run_alone():
     study = {"name": "lost", "scenarios": ["csth/10s-noise"], "axes": {"loss": [0.2]}}
     study["options"] = {"no-delay-plain": {"variant": "plain"}}

@@ -75,7 +75,7 @@ def test_the_bound_of_a_sampled_sine_is_the_printed_one():
     assert delay_bound(np.zeros(3), noise) == float("inf")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_bank_comes_to_the_bound_where_the_signal_is_known():
     """The cart from a known start under a known sine: 512 runs, whose variance is known to 6 %; steps of half the bound."""
     known = {"xhat0": [0.0, 0.0], "prior_std": [1e-6, 1e-6], "drift_intensity": 0.0, "noise_std": [0.5]}
@@ -94,7 +94,7 @@ def test_a_bank_comes_to_the_bound_where_the_signal_is_known():
     assert abs(delay.mean() - 0.2) < 4 * delay.std() / np.sqrt(len(delay))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_guides_table_is_what_comes_out():
     stats = pcbench.run(SCENARIO, seeds=256, options={"scenario": {"random_start": True}}).stats
     mean = stats.set_index(["observer", "signal", "metric"])["mean"]
@@ -106,7 +106,7 @@ def test_the_guides_table_is_what_comes_out():
             assert mean[name, "delay", "tail_rmse"] == pytest.approx(float(delay), rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_begun_near_the_delay_as_a_state_is_honest_and_begun_far_it_is_biased_and_over_confident():
     """Of 256 runs, as the guide has it: nees within a tenth of 1 where it is near; a bias of ten standard errors where not."""
     far, noisy = {"unknown0": [0.6], "unknown_std": [0.2]}, {"noise_std": 0.5}
@@ -122,7 +122,7 @@ def test_begun_near_the_delay_as_a_state_is_honest_and_begun_far_it_is_biased_an
     assert off["ekf-delay"][3] > 2 > 1.1 > loud["bank"][3]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_where_delays_vary_the_mean_is_found_and_who_reads_no_stamps_is_over_confident():
     """The guide's table; 256 runs, in which nees is known to a sixth."""
     blind = {"bank-blind": {"stamps": False, "delays": [round(0.02 * i, 2) for i in range(1, 31)]}}
@@ -143,7 +143,7 @@ def test_where_delays_vary_the_mean_is_found_and_who_reads_no_stamps_is_over_con
         assert (values[2] > 1.5) == name.endswith("blind")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_study_of_it_has_no_bound():
     """Who is told the delay does better than who looks for it: their bound is not his."""
     assert "efficiency" not in set(pcbench.run(SCENARIO, seeds=2).stats.metric)

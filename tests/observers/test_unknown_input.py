@@ -233,7 +233,7 @@ def test_the_largest_error_under_the_sawtooth_is_the_fall_itself(table):
     assert table.unit["arm/sine", "smo", "input"] == "rad/s^2"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("scenario", "d"), [("arm/sine", ui.d1), ("arm/sawtooth", ui.d2)])
 def test_the_whole_horizon_equals_the_reference(scenario, d):
     """To 1e-10, PIO too: of its 10^6 signs of an s of some 1e-7, hardly one is that of a rounding error of 1e-16.
@@ -253,7 +253,7 @@ def test_the_whole_horizon_equals_the_reference(scenario, d):
     np.testing.assert_array_equal(frame["t"], np.arange(ui.STEPS + 2) * ui.DT)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_worked_last_digits_come_out():
     frame = pcbench.trace("arm/sine", "smo")
     e = frame[SIGNAL_NAMES[:4]].to_numpy() - frame[[f"smo.{signal}" for signal in SIGNAL_NAMES[:4]]].to_numpy()

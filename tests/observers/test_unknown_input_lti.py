@@ -141,7 +141,7 @@ def test_smo_and_pio_with_designed_gains_equal_a_loop_in_numpy(times, variant):
         np.testing.assert_allclose(got.estimates[name], want, rtol=0, atol=1e-10 * np.abs(want).max(), err_msg=name)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("times", TIMES, ids=str)
 def test_dkf_with_the_input_as_a_random_walk_equals_the_reference(times):
     te, d = times
@@ -199,7 +199,7 @@ def test_a_known_input_that_is_one_tick_late_is_caught():
     assert min(errors(got).values()) > 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_table_and_a_trace_hold_the_unknown_input_of_a_plant_of_ones_own():
     raw = study(sampling_period=0.012, delay=0.03) | {"observers": ["smo", "dkf"], "seeds": 2}
     runs = pcbench.run(raw).runs.set_index(["observer", "seed", "signal"])

@@ -93,7 +93,7 @@ def expected(observer, options, model, u, samples, xhat0, design, case):
 
 FAST = {("pccebo", "loss"), ("dkf", "turns")}  # on the cart; `test_events_per_lane` has more
 EVERY = [
-    pytest.param(plant, o, options, clock, marks=[] if plant == "cart" and (o, clock) in FAST else pytest.mark.slow)
+    pytest.param(plant, o, options, clock, marks=[] if plant == "cart" and (o, clock) in FAST else pytest.mark.nightly)
     for plant in ("cart", "odd")
     for o, choices in CHOICES.items()
     for options in choices
@@ -130,7 +130,7 @@ def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, obse
     ],
     ids=["uniform", "disorder", "believed older", "believed younger"],
 )
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
     """`events_per_lane` against `events_shared` through the recorded run on that seed's schedule."""
     names = ["pccebo", "pi-pco", "dkf", "dkf-bias"]

@@ -72,7 +72,7 @@ def test_without_an_observer_that_can_run_the_first_reason_is_the_sentence(monke
         all_observers.grid_of(STUDY, {"observers": "all"}, [])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.usefixtures("few")
 def test_suffices_takes_all():
     table = pcbench.suffices(STUDY, over="delay", below=10.0, between=(0.1, 0.2), observers="all", seeds=2, max_seeds=2)

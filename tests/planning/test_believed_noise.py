@@ -36,7 +36,7 @@ def test_a_filter_that_believes_in_a_quarter_of_the_variance_is_the_one_told_so_
     np.testing.assert_allclose(by_axis["dkf"].R, by_option["dkf"].R, rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_who_is_told_a_quarter_is_over_confident_and_who_is_told_four_times_cautious():
     study = KNOWN | {"options": {"scenario": {"random_start": True, "consistency": True}}, "seeds": 256}
     stats = pcbench.run(study, axes={"assumed_noise_scale": [0.5, 1.0, 2.0]}).stats

@@ -132,7 +132,7 @@ def test_what_no_loop_depends_on_is_not_computed():
     assert counted(f, A, X) == 12
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tables_have_what_observers_cost_where_that_is_asked():
     result = pcbench.run("cart/slow", observers=["open-loop"], seeds=2)
     costs = pcbench.costs("cart/slow", observers=["open-loop"])

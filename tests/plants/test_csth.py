@@ -63,7 +63,7 @@ def noisy():
     return d, v, w
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_process_noise_is_added_at_every_tick_from_its_own_stream(noisy):
     d, v, w = noisy
     x, y = chain.simulate(chain.csth("10s"), table(d, "u", (1, 2)), np.array([0.5, 2e4, 5.0]), w, v)
@@ -73,7 +73,7 @@ def test_process_noise_is_added_at_every_tick_from_its_own_stream(noisy):
     assert not np.isclose(np.abs(w).max(), 0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_dkf_equals_the_reference_with_process_noise_and_unequal_delays(noisy):
     d, v, w = noisy
     plant = chain.csth("10s")
@@ -101,7 +101,7 @@ def test_dkf_is_designed_for_the_process_noise_that_there_is():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_dkf_has_the_worked_stationary_errors_and_attains_the_bound():
     result = pcbench.run("csth/10s-noise", observers=["dkf"], seeds=512, options={"scenario": {"random_start": True}})
     rows = result.stats.set_index(["signal", "metric"])

@@ -61,7 +61,7 @@ def test_its_run_is_scipys(own):
     assert np.abs(got[-1, 1]) > 1.0, "far from upright: the equations count"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_observers_run_on_it_and_those_that_cannot_say_why(own):
     observers = ["ekf", "dkf", "pccebo", "open-loop"]
     stats = pcbench.run(own(observers=observers, seeds=16)).stats
@@ -74,7 +74,7 @@ def test_observers_run_on_it_and_those_that_cannot_say_why(own):
         pcbench.run(own(observers=["high-gain"]))
 
 
-@pytest.mark.parametrize("observer", [pytest.param("ekf", marks=pytest.mark.slow), "open-loop"])
+@pytest.mark.parametrize("observer", [pytest.param("ekf", marks=pytest.mark.nightly), "open-loop"])
 def test_perfect_start_holds(own, observer):
     """True model, true start, no noise: `ekf` has no error far from upright, the linear ones near it."""
     x0 = [0.1, 0.5, -0.2, 0.3] if observer == "ekf" else [1e-7, 2e-7, 0.0, 0.0]
@@ -121,7 +121,7 @@ def test_signals_are_deviations_from_the_operating_point(own):
     np.testing.assert_array_equal(hover.nominal(hover.numbers).B[:, 0], [0.0, 1.0, 0.0, 0.0])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_away_from_an_equilibrium_linear_observers_refuse_and_ekf_runs(own):
     slope = pendulum(operating_point=([0.0, 0.5, 0.0, 0.0], [0.0]))
     with pytest.raises(UserError, match=r"dkf in mine got an operating point that is no equilibrium \(rate changes by"):
@@ -132,7 +132,7 @@ def test_away_from_an_equilibrium_linear_observers_refuse_and_ekf_runs(own):
         read.parse(own({"drift": 1.0}), "mine.toml")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_unknown_parameters_are_found_beside_the_state(own):
     """Friction, declared and not programmed: `ekf` finds it, and linear observers do without it."""
     entry = pendulum(unknown_parameters={"b": ("N s/m", 0.0, 5.0)})
@@ -156,7 +156,7 @@ def test_unknown_parameters_are_found_beside_the_state(own):
     assert frame["ekf.b"].iloc[-1] == pytest.approx(0.4, abs=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_unknown_inputs_are_a_signal_that_observers_may_find(own):
     entry = pendulum(unknown_inputs={"push": "N"})
     np.testing.assert_allclose(entry.nominal(entry.numbers).E, matrices()[1], atol=1e-12)
@@ -181,7 +181,7 @@ def test_unknown_inputs_are_a_signal_that_observers_may_find(own):
     assert set(stats[stats.observer == "dkf"].signal) == states, "it looks for inputs only, and shows all or none"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_plant_given_by_its_step_moves_by_it(own):
     """x one tick later is the user's; the linear model is discrete, and `ekf` takes the step's slope."""
     euler = {"field": None, "step": lambda p, now, x: x + now.dt * field(p, now, x), "tick": 0.01}
@@ -200,7 +200,7 @@ def test_a_plant_given_by_its_step_moves_by_it(own):
         pcbench.trace(own({}, entry), ["ekf"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_sensor_that_is_not_linear_is_measured_by_its_slope(own):
     """The camera's image of the bob, position + l sin(angle): at its prediction `ekf` takes the derivative."""
     import jax.numpy as jnp
@@ -225,7 +225,7 @@ def test_its_numbers_are_axes_and_observers_keep_the_nominal_ones(own):
         read.parse(own(axes={"plant.mass": [1.0]}), "mine.toml")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_lqr_holds_it_upright_by_what_a_late_camera_sees(own):
     """The law is designed for the Jacobians; the plant it holds is the nonlinear one."""
     law = {"use": "lqr", "Q1": [10.0, 10.0, 1.0, 1.0], "Q2": [0.1], "actuator_delay": 0.01}

@@ -27,7 +27,7 @@ def test_its_run_is_scipys():
 
 
 @pytest.mark.parametrize(
-    "name", ["ekf", pytest.param("iekf", marks=pytest.mark.slow), pytest.param("mhe", marks=pytest.mark.slow)]
+    "name", ["ekf", pytest.param("iekf", marks=pytest.mark.nightly), pytest.param("mhe", marks=pytest.mark.nightly)]
 )
 def test_from_a_perfect_start_there_is_no_error_though_samples_are_late_lost_and_overtaking(name):
     """Without noise and from the true pressures; a point of `ukf` is off them, so it has one."""
@@ -47,7 +47,7 @@ def test_it_has_equilibria_below_zero_that_no_total_pressure_tells_apart():
     assert sorted(np.sign(np.roots([25.0, 1.0, -2.6]))) == [-1, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_from_a_poor_start_the_extended_filter_fails_unless_it_doubts_its_model_and_bounds_help():
     runs = pcbench.run("reactor", seeds=64).runs
     rows = runs[runs.signal == "pressure_a"].set_index("observer")
@@ -61,7 +61,7 @@ def test_from_a_poor_start_the_extended_filter_fails_unless_it_doubts_its_model_
     assert rows.loc["mhe-bounded", "tail_rmse"].mean() < 0.2 * rows.loc["ekf-doubts", "tail_rmse"].mean()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_filter_that_is_tuned_does_not_fail_and_bounds_need_no_tuning():
     """Study `fair-reactor`, as the guide has it: minutes."""
     result = pcbench.run("fair-reactor")
@@ -81,7 +81,7 @@ def test_a_filter_that_is_tuned_does_not_fail_and_bounds_need_no_tuning():
     assert 8 < tuned / bounds < 10
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_guides_table_is_what_comes_out():
     rows = re.findall(r"^\| `([\w-]+)` \| ([\d.]+) \| (\d+) % \| (\d+) \|$", PAGES["nonlinear.md"], re.M)
     runs = pcbench.run("reactor").runs
@@ -94,7 +94,7 @@ def test_the_guides_table_is_what_comes_out():
         assert costs[name] == int(products)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tuning_finds_an_extended_filter_that_does_not_fail():
     """Forty looks at 64 runs, judged on others."""
     found = pcbench.tune(

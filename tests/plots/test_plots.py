@@ -127,7 +127,7 @@ def test_a_share_of_runs_is_of_all_of_them_and_ends_where_the_rest_diverged():
     assert part[part.observer == "b"][["value", "share"]].to_numpy().tolist() == [[4.0, 0.25]]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_tie_is_blank_and_a_win_is_what_a_paired_test_says(result):
     """Two observers alike to the bit never win; without the twin pccebo wins where the t-test on the same draws says so."""
     won = frames.standings(result, metric="tail_rmse").set_index("cell")
@@ -146,7 +146,7 @@ def test_a_tie_is_blank_and_a_win_is_what_a_paired_test_says(result):
     assert "pccebo" in set(again.winner)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_diverged_runs_lose_and_are_said_in_per_cent():
     unstable = {"sampled_innovation": True, "R": 1e-6}
     study = STUDY | {
@@ -234,7 +234,7 @@ def test_mistakes_are_one_sentence(call, sentence, result):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_map_wants_two_axes():
     with pytest.raises(UserError, match="expected two"):
         plots.heatmaps(pcbench.run(STUDY | {"axes": {}, "seeds": 2}))

@@ -45,7 +45,7 @@ PAGE = {  # setup, tick: pitch, yaw, rates | their estimates and those of the vi
     " 1.23509468 .79347545 .45823204 .43660498 .80000002 .31799998",
 }
 QUICK = [("constant", 200), ("constant", 1000), ("robust", 1000)]
-ROWS = [pytest.param(*key, marks=[] if key in QUICK else [pytest.mark.slow]) for key in PAGE]
+ROWS = [pytest.param(*key, marks=[] if key in QUICK else [pytest.mark.nightly]) for key in PAGE]
 
 
 @cache
@@ -158,13 +158,13 @@ def test_page_table(setup, tick):
     np.testing.assert_allclose([*trace.x[tick, 0], *trace.z[tick, 0]], expected, rtol=0, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_page_rmse():
     expected = [0.0132608, 0.00916999, 0.0986503, 0.1009805]
     np.testing.assert_allclose(he.rmse(run("constant", 20_000))[0], expected, rtol=5e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("setup", "times"), [("constant", [2.43, 2.02]), ("varying", [1.38, 4.25])])
 def test_viscosities_stay_within_five_percent_from(setup, times):
     trace = run(setup, 20_000)
@@ -173,7 +173,7 @@ def test_viscosities_stay_within_five_percent_from(setup, times):
     assert not he.unconverged(trace).any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pd_without_gravity_misses_the_pitch():
     assert tracking(run("constant", 20_000))[0] == pytest.approx(0.3485, abs=5e-4)
 
@@ -182,7 +182,7 @@ def test_pd_without_gravity_misses_the_pitch():
 
 
 @pytest.mark.parametrize("setup", SETUPS)
-@pytest.mark.parametrize(("ticks", "period"), [(90, 37), pytest.param(5000, 200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(("ticks", "period"), [(90, 37), pytest.param(5000, 200, marks=pytest.mark.nightly)])
 def test_forms_are_the_same_observer(setup, ticks, period):
     scenario, tuning = SETUPS[setup]
     whole, blocks, predictor = (
@@ -240,7 +240,7 @@ def test_blows_up_at_a_constant_set_point():
     assert np.isnan(trace.z[:, 0, 0]).argmax() * he.H == pytest.approx(0.43, abs=0.006)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_holds_a_constant_set_point_from_the_truth():
     trace = he.simulate(hg.blocks(), 20_000, he.Scenario(path=he.still(he.circle(0.0)[0])), z0=TRUTH)
     assert np.abs(trace.z[..., 4:] - he.B_TRUE).max() < 1e-9
@@ -261,7 +261,7 @@ def test_wrong_sign_of_the_output_s_rate_blows_up_at_once():
     assert np.isnan(trace.z[-1]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "ticks"), [("history", 4000), ("innovation", 4000), ("index", 20_000)])
 def test_misprints_fail(name, ticks):
     trace = he.simulate(hg.blocks(hg.Tuning(misprint=name)), ticks)
@@ -269,7 +269,7 @@ def test_misprints_fail(name, ticks):
     assert np.isnan(trace.z[-1]).any() or he.rmse(trace, ticks // 2)[0, 0] > 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_printed_sign_of_the_products_leaves_a_bias():
     trace = he.simulate(hg.blocks(hg.Tuning(misprint="products")), 20_000)
     right = np.abs(run("constant", 20_000).z[15_000:, 0, 4] - 0.8).max()
@@ -279,7 +279,7 @@ def test_printed_sign_of_the_products_leaves_a_bias():
 # ---------------------------------------------------------------- random starts
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_random_starts_lose_a_tenth_printed_and_none_robust():
     z0 = he.random_start(np.random.default_rng(0), 300)
     x0 = np.tile(he.X0, (300, 1))
@@ -290,7 +290,7 @@ def test_random_starts_lose_a_tenth_printed_and_none_robust():
     assert not he.unconverged(robust).any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_random_starts_lose_depends_on_the_box():
     rng = np.random.default_rng(0)
     z0 = he.random_start(rng, 300)
@@ -305,7 +305,7 @@ def test_what_random_starts_lose_depends_on_the_box():
 # ---------------------------------------------------------------- better control
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_feedforward_and_predictor_track():
     trace = he.simulate(hg.blocks(), 20_000, he.Scenario(feedforward=True, predictor=True))
     assert (tracking(trace) < 2e-5).all()
@@ -363,7 +363,7 @@ def test_ekf_keeps_viscosities_in_their_interval():
     assert B.max() == 2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("scenario", [he.Scenario(), VARYING], ids=["constant", "varying"])
 def test_ekf_finds_the_viscosities(scenario):
     trace = he.simulate(kf.ekf(), 8000, scenario)
@@ -371,7 +371,7 @@ def test_ekf_finds_the_viscosities(scenario):
     assert np.abs(trace.z[-1, 0, 4:] - he.B_TRUE).max() < 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_ekf_beats_the_high_gain_under_noise_but_not_without():
     std, runs = 5e-3, 16
     noise = std * np.random.default_rng(7).standard_normal((101, runs, 2))

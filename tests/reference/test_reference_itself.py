@@ -106,7 +106,7 @@ def test_dkf_is_gaussian_conditioning_on_all_measurements_at_once(te, d, intensi
     assert worst.max() < 1e-11
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_moments_agree_with_random_draws():
     """Those of kfbo, lag-aware, within four standard errors."""
     model, rng = plant(4)

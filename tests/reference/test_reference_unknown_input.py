@@ -123,7 +123,7 @@ def test_plant_matches_an_adaptive_solver_under_drift():
     assert np.allclose(x[-1, 0], expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_joint_run_carries_the_plant():
     d = ui.d2(ui.stage_times(3000, 1e-3))[:, None]
     assert np.allclose(ui.joint(ui.PIO, d, ui.X0[None], 1e-3).x, ui.plant(d, ui.X0[None], 1e-3), rtol=0, atol=1e-13)
@@ -148,7 +148,7 @@ def test_joint_rates_match_the_field_written_out():
 # ---------------------------------------------------------------- Table 2
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("key", [key for key in PRINTED if key[1] == "smo"], ids="-".join)
 def test_smo_rows_of_table_2(key):
     assert np.allclose(entries(key), REPRODUCED[key], rtol=1e-6, atol=0)
@@ -156,7 +156,7 @@ def test_smo_rows_of_table_2(key):
         assert abs(value - float(text)) <= max(1e-3 * float(text), unit(text))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("key", [key for key in PRINTED if key[1] == "pio"], ids="-".join)
 def test_smooth_pio_entries_of_table_2(key):
     smooth = [0, 3] if key[0] == "d1" else [0, 1, 3, 4]
@@ -168,7 +168,7 @@ def test_smooth_pio_entries_of_table_2(key):
         assert (np.abs(entries(key) / expected - 1) <= rtol)[smooth].all()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("which", "low", "high"), [("max", 2.5e-3, 4e-3), ("mean", 6e-4, 7.3e-4)])
 def test_pio_disturbance_under_the_sine_differs_from_print(which, low, high):
     key = ("d1", "pio", which)
@@ -176,7 +176,7 @@ def test_pio_disturbance_under_the_sine_differs_from_print(which, low, high):
     assert low < REPRODUCED[key][4] < high
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pio_chatter_is_a_band_not_a_number():
     largest, mean = ui.table(long_run("pio")[1])
     for d, column in [(0, 1), (0, 2), (1, 2)]:  # x2, x3 under d1; x3 under d2
@@ -188,7 +188,7 @@ def test_pio_chatter_is_a_band_not_a_number():
             assert printed / 3 < band.min() < band.max() < 3 * printed
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_largest_disturbance_error_under_the_sawtooth_is_the_jump_itself():
     for name in OBSERVERS:
         late = np.abs(long_run(name)[1][ui.TAIL :, 1, 4])
@@ -196,7 +196,7 @@ def test_largest_disturbance_error_under_the_sawtooth_is_the_jump_itself():
         assert late[0] == pytest.approx(late.max(), rel=1e-2)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "seconds"), [("smo", 10.5e-3), ("pio", 42e-3)])
 def test_recovery_after_a_jump(name, seconds):
     after = np.abs(long_run(name)[1][ui.TAIL : ui.TAIL + 10_000, 1, 4])
@@ -214,7 +214,7 @@ def test_golden_decay_of_the_reduced_error():
     assert np.linalg.eigvals(A11b).real.max() == pytest.approx(-1.245, abs=5e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_golden_smo():
     trace, e = long_run("smo")
     assert_digits(e[10_000, 0, :4], "-.30934764616 .062219271073 .0048433197700 .034746338006")
@@ -222,7 +222,7 @@ def test_golden_smo():
     assert_digits(e[-1, 0, :4], "5.5610703928e-6 -6.7067271606e-4 1.5151976782e-6 1.7083586380e-5")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_golden_pio():
     e = long_run("pio")[1]
     assert_digits(e[5000, 0, :4], "-.080768389829 .011462509784 .048295092679 1.2070130178")
@@ -233,7 +233,7 @@ def reduced_error(e):
     return e[..., [0, 3]] - e[..., 2:3] * ui.L1_PAPER[:, 0]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_reduced_error_decays_freely(name):
     ebar = reduced_error(long_run(name)[1])
@@ -241,7 +241,7 @@ def test_reduced_error_decays_freely(name):
         assert np.allclose(ebar[i], ebar[0] @ expm(A11B * i * ui.DT).T, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_reduced_error_decays_freely_whatever_d_and_v_do():
     rng = np.random.default_rng(2)
     steps, h = 2000, 1e-3
@@ -253,7 +253,7 @@ def test_reduced_error_decays_freely_whatever_d_and_v_do():
     assert np.allclose(ebar[-1], ebar[0] @ expm(A11B * steps * h).T, rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_x1_and_x4_columns_are_the_initial_error():
     t = ui.DT * np.arange(ui.TAIL, ui.STEPS + 1, 100)
     ebar0 = ui.X0[[0, 3]] - ui.L1_PAPER[:, 0] * ui.X0[2]
@@ -380,7 +380,7 @@ def assert_about(value, text):
     assert abs(value - float(text)) <= max(0.01 * float(text), 0.5 * unit(text)), (value, text)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", OBSERVERS)
 @pytest.mark.parametrize("case", SAMPLED, ids=str)
 def test_sampled_without_delay(case, name):
@@ -390,7 +390,7 @@ def test_sampled_without_delay(case, name):
     assert_about(rms(error)[1], SAMPLED[case][name == "pio"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("name", "without", "carried"), [("smo", ".0078", ".0044"), ("pio", ".0066", ".0026")])
 def test_delayed_estimate_predicted_to_now(name, without, carried):
     xd, fhat = (part[:, [2]] for part in sampled(name, "predict"))
@@ -405,7 +405,7 @@ def test_prediction_to_now_solves_the_plant_with_a_constant_input():
     assert np.allclose(ahead[0, 0], solved.y[:, -1], rtol=0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", OBSERVERS)
 def test_a_sample_every_tick_is_near_the_continuous_measurement(name):
     xd, _ = sampled(name, "predict")
@@ -413,7 +413,7 @@ def test_a_sample_every_tick_is_near_the_continuous_measurement(name):
     assert np.allclose(arm()[:, 0] - xd[:, 3], continuous, rtol=0, atol=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_nothing_arrives_before_the_delay():
     y = ui.samples_of(arm()[:101], 10, 25)
     arrivals = ui.deliver(y, 100, 10, 25)
@@ -428,7 +428,7 @@ def test_nothing_arrives_before_the_delay():
         assert fhat[25].any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_unknown_measurement_option_is_refused():
     with pytest.raises(ValueError, match="want 'hold' or 'predict'"):
         ui.sampled(ui.PIO, np.zeros((2, 1, 2)), TICK, "innovation")
@@ -437,7 +437,7 @@ def test_an_unknown_measurement_option_is_refused():
 # ---------------------------------------------------------------- dkf
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_dkf_with_noise():
     noise = 1e-3 * np.random.default_rng(3).standard_normal((501, 64, 2))
     y = ui.samples_of(np.repeat(arm(), 64, axis=1), 40, 40, noise)
@@ -445,7 +445,7 @@ def test_dkf_with_noise():
     assert rms(arm() - xhat)[:, 1].mean() == pytest.approx(0.0025, rel=0.06)  # worked out beforehand: about .0025
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_dkf_is_the_conditional_mean():
     te, d, h, R, q, count = 30, 45, 1e-2, 0.04, 1.7, 5
     A = np.block([[ui.ARM.A, ui.ARM.D], [np.zeros((1, 5))]])
@@ -474,7 +474,7 @@ def test_dkf_is_the_conditional_mean():
 # ---------------------------------------------------------------- minutes
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_bands_of_64_nearby_runs_against_print():
     """Chatter and the d2 entries are within reach of print, the d entries under the sine are not."""
     parts = [ui.table(simulate("pio", seed, 16)[1][:, 2:]) for seed in range(1, 5)]

@@ -56,7 +56,7 @@ def test_a_recording_is_its_tables_again_bit_for_bit(run, write, tmp_path):
         np.testing.assert_allclose(tabled[column], frame[column], rtol=0, atol=1e-14 * np.abs(frame[column]).max())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("write", recorded.FORMATS.values(), ids=recorded.FORMATS)
 def test_a_recording_is_the_run_again_bit_for_bit(run, wild, write, tmp_path):
     for name, study, (frame, _, known) in (("plain", MOTOR, run), ("wild", WILD, wild)):

@@ -94,7 +94,7 @@ def test_what_is_not_judged_is_counted_and_named(replayed):
     assert [s.split()[0] for s in said] == ["kf-discard", "iekf"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_likelihood_that_is_tuned_is_the_joint_density(replayed):
     folder, samples, _ = replayed
     record = likelihood.recorded(asked(folder, PLANT, ["dkf"]))

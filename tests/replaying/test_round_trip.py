@@ -55,7 +55,7 @@ def test_estimates_are_those_of_the_run(traced, name, kind, tmp_path):
     same(pcbench.replay(log, study, OBSERVERS).estimates, frame)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", ["parquet", "csv"])
 @pytest.mark.parametrize("name", ["plain", "wild"])
 def test_estimates_are_those_of_the_run_bit_for_bit(traced, name, kind, tmp_path):
@@ -68,7 +68,7 @@ def test_estimates_are_those_of_the_run_bit_for_bit(traced, name, kind, tmp_path
         np.testing.assert_array_equal(found[column], frame[column], err_msg=column)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_parts_change_no_bit(traced, monkeypatch):
     study, frame, folder = traced["wild"]
     monkeypatch.setattr(replaying, "LENGTH", 64)
@@ -98,7 +98,7 @@ def test_a_slip_of_one_tick_is_seen(traced, tmp_path):
     assert not np.array_equal(found["dkf.angle"][: len(frame)], frame["dkf.angle"][: len(found)])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_errors_against_truth_are_those_of_the_study(traced):
     study, _, folder = traced["plain"]
     found = pcbench.replay(folder, study, OBSERVERS).metrics.set_index(["observer", "signal", "metric"]).value

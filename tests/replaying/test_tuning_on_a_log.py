@@ -191,7 +191,7 @@ def test_a_tuning_that_was_stopped_goes_on_and_its_json_is_that_of_one_in_a_piec
         tune_log(tmp_path / "log", tmp_path / "lag.toml", "dkf", out=tmp_path / "tuned")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_of_3000_logs_the_method_by_itself_holds_the_truth_in_95_percent():
     """The book's filter alone, compiled by numba: to which the intervals of pcbench are equal."""
 
@@ -214,7 +214,7 @@ def test_of_3000_logs_the_method_by_itself_holds_the_truth_in_95_percent():
     assert np.all((low <= share) & (share <= high)), share
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_intervals_hold_the_truth_of_95_of_100_logs(tmp_path):
     held = []
     for seed in range(100):

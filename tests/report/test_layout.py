@@ -71,20 +71,20 @@ def quiet(folder, width, paper):
     assert told["complaints"] == told["console"] == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("width", "paper"), WIDTHS)
 def test_a_motors_page_is_whole(drawn, width, paper):
     quiet(drawn("motor"), width, paper)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(("width", "paper"), WIDTHS)
 @pytest.mark.parametrize("study", ["map", "quick", "plants", "helicopter", "unequal-delays", "fair"])
 def test_the_page_of_a_study_is_whole(drawn, study, width, paper):
     quiet(drawn(study), width, paper)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_what_overlaps_or_is_cut_off_is_seen(drawn, tmp_path):
     """The measure itself: a page that is broken in five ways is told so."""
     text = (drawn("motor") / "report.html").read_text()

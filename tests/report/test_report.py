@@ -132,7 +132,7 @@ def test_it_says_the_experiment_that_was_run_not_the_one_that_was_published(text
     assert re.findall(r"<td>([^<]+)</td>", model) == ["0", "1", "0", "-122"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_signals_the_metric_and_the_cell_can_be_chosen(folder, tmp_path):
     done = call(
         "report", str(folder), "-o", str(tmp_path / "p.html"), "--signal", "all", "--metric", "peak", "--cell", "5"
@@ -150,7 +150,7 @@ def test_signals_the_metric_and_the_cell_can_be_chosen(folder, tmp_path):
         assert sentence in call("report", str(folder), "-o", str(tmp_path / "q.html"), *words).stderr
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_few_cells_stand_in_full_with_significance_against_the_best(tmp_path):
     result = pcbench.run(STUDY | {"axes": {}}, out=tmp_path / "one")
     text = page.page(pcbench.opened(tmp_path / "one"))
@@ -225,7 +225,7 @@ def series(out):
     return figure(page.page(pcbench.opened(out)), "cart-white-position-time")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_in_time_is_of_the_study_as_it_stands(tmp_path):
     """A study that has grown, or was started over with other draws, is not shown with the run of before."""
     out = tmp_path / "grow"
@@ -240,7 +240,7 @@ def test_a_run_in_time_is_of_the_study_as_it_stands(tmp_path):
     assert series(out) != second
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_run_is_sure_of_nothing_and_divergence_is_said(tmp_path):
     unstable = {"sampled_innovation": True, "R": 1e-6}
     study = {"name": "lost", "scenarios": ["cart/slow"], "observers": ["pccebo", "kfbo"], "options": {"kfbo": unstable}}

@@ -142,7 +142,7 @@ def test_tail_rms_under_gaussian_noise(stats):
         assert abs(row["mean"] - value) < 4 * row["se"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_efficiency_against_the_bound():
     """3.03, 5.12 and 5.34 times worse for pccebo; dkf attains the bound. Averaged over the prior of x(0).
 

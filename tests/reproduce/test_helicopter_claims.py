@@ -19,7 +19,7 @@ def numbers(text):
     return [float(n) for n in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", text)]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_claims_hold_but_for_the_pitch(claims):
     failed = {name for name, row in claims.items() if row.verdict == "does not hold"}
     pitch = {f"{which} delay: pitch follows its path" for which in ("constant", "varying")}
@@ -33,7 +33,7 @@ def test_claims_hold_but_for_the_pitch(claims):
         assert numbers(claims[f"{which} delay: pitch follows its path"].reproduced)[0] == pytest.approx(0.348, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_misprints_taken_literally_fail(claims):
     wrong = [name for name, row in claims.items() if row.verdict == "misprint"]
     assert len(wrong) == 4, wrong
@@ -42,7 +42,7 @@ def test_misprints_taken_literally_fail(claims):
     assert numbers(claims["f_1 with + m l^2 sin cos psi'^2"].reproduced)[0] == pytest.approx(0.802, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_findings_of_the_readme(claims):
     off = numbers(claims["what keeps the pitch off its path"].reproduced)
     assert off[0] < 1e-5
@@ -75,7 +75,7 @@ def test_the_linear_limit_of_the_sampling_period():
     assert found["radius"] < 1
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_half_a_tick_more_of_the_commands_delay_moves_the_yaw_rate():
     """Up to 0.4 rad/s for commands held from a tick's start; half a tick more of delay gives half of that."""
     runs = [record(planned("high-gain", 20.0, name="varying", actuator_delay=d)) for d in (0.03, 0.0305)]

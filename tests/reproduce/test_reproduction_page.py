@@ -104,7 +104,7 @@ def test_every_command_line_mistake_is_one_sentence(tmp_path):
         assert done.stderr.count("\n") == 1, done.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_page_is_what_comes_out(tmp_path):
     done = call("reproduce", "all", "--json", "--page", tmp_path / "page.md")
     assert done.returncode == 0, done.stderr

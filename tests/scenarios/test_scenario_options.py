@@ -10,7 +10,7 @@ from pcbench.plants import PLANTS
 from pcbench.plants import cart as plant
 
 
-@pytest.mark.parametrize("observer", ["pccebo", pytest.param("kfbo", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("observer", ["pccebo", pytest.param("kfbo", marks=pytest.mark.nightly)])
 def test_the_rising_sawtooth_equals_the_reference(observer):
     got = pcbench.trace("cart/nominal", observer, overrides=["options.scenario.input=rising"])
     x, xhat = cart.run("cart/nominal", observer, u=cart.sawtooth(rising=True))
@@ -19,7 +19,7 @@ def test_the_rising_sawtooth_equals_the_reference(observer):
     assert got["u1"][0] == -10
 
 
-@pytest.mark.parametrize("sign", [-1, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("sign", [-1, pytest.param(1, marks=pytest.mark.nightly)])
 def test_the_drifts_sign_equals_the_reference(sign):
     got = pcbench.trace("cart/drift", "dkf", overrides=[f"axes.plant.drift_sign={sign}"])
     x, xhat = cart.run("cart/drift", "dkf", sign=float(sign), substeps=plant.SUBSTEPS)
@@ -46,7 +46,7 @@ def test_no_other_plant_has_a_sign_that_print_has_lost():
     assert [name for name, plant in PLANTS.items() if "drift_sign" in plant.numbers._asdict()] == ["cart"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_four_runge_kutta_steps_a_tick_are_enough_for_the_drift():
     """Against twenty: below 3e-9 m and 3e-7 m/s at every tick, where one step is 4e-7 m off."""
     u = cart.sawtooth()

@@ -39,7 +39,7 @@ read = jax.jit(actuator.read)
     st.floats(0.0005, 0.08), st.floats(0.0, 0.4), st.floats(0.1, 3.0), st.integers(0, N), st.integers(0, 100),
 )  # fmt: skip
 @settings(max_examples=60)
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_input_is_the_command_of_the_middle_of_the_tick(mean, part, pace, k, age):
     def delay(t):
         return mean * (1 - part * np.sin(pace * t) ** 2) + 0.0005 * part  # never below half a tick

@@ -29,7 +29,7 @@ def test_a_cache_keeps_the_entries_that_were_asked_for_last():
     assert list(cache) == [*range(2, compiling.MOST), 0, "new"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="mappings are counted on Linux")
 def test_mappings_stay_bounded_after_40_programs(tmp_path):
     command = [sys.executable, str(MAPPED), "40"]

@@ -89,7 +89,7 @@ def test_losses_in_a_row_have_no_recursion():
         assert realised.losses_alone(p) is alone
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "given",
     [{"loss": 0.3, "burst": 4.0}, {"delay_gamma": 0.4}, {"delay_steps": [0.0, 0.9], "delay_share": [0.8, 0.2]}],

@@ -34,7 +34,7 @@ def blown():
     return planned("high-gain", SECOND, choices={"path": "still"})
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_diverged_run_is_frozen_and_its_time_kept(blown):
     got = record(blown)
     bad = np.flatnonzero(~(np.abs(got.x - estimate(got)) <= 1e6).all(1))
@@ -51,7 +51,7 @@ def test_a_diverged_run_is_frozen_and_its_time_kept(blown):
     assert not found["unsettled"].any(), "counted apart"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_sums_are_those_of_the_recorded_run():
     p = planned("high-gain", SECOND)
     got, found, tail = record(p), swept(p), p.cell.times.tail
@@ -72,7 +72,7 @@ def test_sums_are_those_of_the_recorded_run():
     np.testing.assert_array_equal(found["unsettled"][:, 0], np.array(last) > tail)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_random_starts_are_those_of_the_box():
     """z(0) = x(0) + U(-0.5, 0.5), viscosities 0, x(0) as it is: one draw a run, whoever observes."""
     p = planned("high-gain-robust", SECOND, choices=BOX)
@@ -90,7 +90,7 @@ def test_random_starts_are_those_of_the_box():
         np.testing.assert_allclose(found["mae"][:, seed], want, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("observer", ["high-gain-robust", "ekf"])
 def test_lanes_of_a_closed_loop_have_the_same_numbers_alone_and_in_a_block(observer):
     p = planned(observer, SECOND, choices=BOX, noise_std=5e-3)
@@ -128,7 +128,7 @@ def short(monkeypatch):
         monkeypatch.setitem(SCENARIOS, name, SCENARIOS[name].having(horizon=1.0, tail=0.5))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_tables_of_a_study_hold_status_fractions_and_tracking(short, tmp_path):
     raw = {
         "name": "loops", "scenarios": ["helicopter/constant"], "observers": ["high-gain", "high-gain-robust"], "seeds": 6,
@@ -157,7 +157,7 @@ def test_tables_of_a_study_hold_status_fractions_and_tracking(short, tmp_path):
     assert order == ["high-gain", "high-gain-robust"]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_observer_that_always_diverges_is_shown_and_loses(short, capsys):
     """All runs alike: the printed observer diverges in each of them, the robust one in none."""
     raw = {
@@ -185,7 +185,7 @@ def test_a_ring_has_room_for_what_is_believed_to_be_older():
         assert reach.back >= 200 + 25 + round(error * 1e3) + 26
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_filter_that_believes_samples_to_be_older_has_its_inputs():
     got = record(planned("ekf", SECOND, assumed_delay_error=0.05))
     assert np.isfinite(estimate(got)).all()

@@ -44,7 +44,7 @@ def planned(scenario, observers):
     return study, p._replace(layout=p.layout._replace(width=len(SEEDS)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("scenario", CASES)
 def test_they_are_the_metrics_of_the_tables(scenario):
     study, p = planned(scenario, tuple(CASES[scenario]))
@@ -57,7 +57,7 @@ def test_they_are_the_metrics_of_the_tables(scenario):
             np.testing.assert_allclose(values, want[name], rtol=1e-12, atol=1e-14, err_msg=f"{label} {name}")
 
 
-@pytest.mark.parametrize(("ticks", "tail"), [(60, 25), pytest.param(63, 1, marks=pytest.mark.slow), (8, 7)])
+@pytest.mark.parametrize(("ticks", "tail"), [(60, 25), pytest.param(63, 1, marks=pytest.mark.nightly), (8, 7)])
 def test_they_are_sums_over_the_ticks_of_a_recorded_run(ticks, tail):
     """Whatever is left of the last chunk; every error differs from all others."""
     case = Case(ODD, 7, 12, ticks=ticks, h=0.02, noise_std=0.3, seed=4)
@@ -94,7 +94,7 @@ def test_every_smooth_observer_has_its_gradient_checked():
 
 
 @pytest.mark.parametrize(
-    "observer", ["pccebo", *(pytest.param(o, marks=pytest.mark.slow) for o in SLOPES if o != "pccebo")]
+    "observer", ["pccebo", *(pytest.param(o, marks=pytest.mark.nightly) for o in SLOPES if o != "pccebo")]
 )
 def test_gradients_are_those_of_finite_differences(observer):
     scenario, given, metric = SLOPES[observer]
@@ -125,7 +125,7 @@ def test_gradients_are_those_of_finite_differences(observer):
         assert got[i] == pytest.approx((ahead - behind) / 2e-5, rel=2e-6, abs=1e-9 * mean), (observer, i)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_memory_of_a_gradient_grows_slower_than_the_horizon():
     """Every tick kept would be 4 times as much for 4 times the ticks."""
     _, p = planned("cart/gaussian", ("pccebo",))

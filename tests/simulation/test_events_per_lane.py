@@ -149,7 +149,7 @@ def spying(width):
 
 @pytest.mark.parametrize("error", [0, 13, -1])
 @pytest.mark.parametrize("name", PAIRS)
-@pytest.mark.parametrize("width", [pytest.param(8, marks=pytest.mark.slow), WIDE])
+@pytest.mark.parametrize("width", [pytest.param(8, marks=pytest.mark.nightly), WIDE])
 def test_every_run_is_delivered_exactly_its_own_samples(width, name, error):
     ticks, clocks = 90, PAIRS[name]
     if error < 0:  # no age may fall below 0
@@ -232,7 +232,7 @@ def block():
     return dict(zip(clocks, everyone([job(clock, np.arange(WIDE)) for clock in clocks]), strict=True))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_a_run_has_the_same_bits_alone_among_others_and_in_another_order(block, clock):
     order = np.random.default_rng(1).permutation(WIDE)
@@ -245,7 +245,7 @@ def test_a_run_has_the_same_bits_alone_among_others_and_in_another_order(block, 
         assert len(set(final[0])) == WIDE, "every run has its own numbers"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_device_has_the_bits_of_two_whoever_else_runs():
     """Three jobs on two devices: the last call has one of them twice."""
     jobs = [job(clock, np.arange(WIDE)) for clock in CLOCKS]
@@ -253,14 +253,14 @@ def test_one_device_has_the_bits_of_two_whoever_else_runs():
         same(one["pi-pco"], two["pi-pco"])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_one_device_has_the_bits_of_two_for_every_observer(block):
     for devices in (1, 2):
         for clock, got in zip(CLOCKS, outcomes([job(c, np.arange(WIDE)) for c in CLOCKS], devices, RUN), strict=True):
             same({o: block[clock][o] for o in RUN}, got)
 
 
-@pytest.mark.slow  # test_variable_sampling has the reference for every observer
+@pytest.mark.nightly  # test_variable_sampling has the reference for every observer
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_every_run_has_the_numbers_of_the_reference(block, clock):
     model, u = by_hand.Model(CART.A, CART.B, CART.C, CASE.h), inputs(CASE)

@@ -99,7 +99,7 @@ def test_a_call_leaves_the_same_with_maps_that_were_kept(one):
     assert bits(first) == bits(again)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_call_leaves_the_same_with_maps_that_it_makes_itself(one):
     with process.float64():
         _, layout, p, (first, _) = calls(one, OBSERVERS)

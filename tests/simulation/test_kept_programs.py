@@ -162,7 +162,7 @@ def test_what_calls_lapack_is_not_kept(where, what, stays):
     np.testing.assert_allclose(made(A), what(A), rtol=1e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("way", ["run", "exact"])
 def test_a_second_process_runs_what_calls_lapack(way, tmp_path):
     """`oosm-lag` inverts a covariance at a jump, a study with `consistency` solves for it."""

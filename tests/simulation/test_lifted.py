@@ -74,7 +74,7 @@ def test_lifted_equals_stepped_and_who_leaves_its_bound_does_so_at_the_same_tick
     assert (bad < 0).any()
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("spread", [0.0, 1.0])
 @pytest.mark.parametrize("bound", [4.0, 1e9], ids=["some leave", "none leaves"])
 @pytest.mark.parametrize("jumps", [(), (210, 300)])
@@ -112,7 +112,7 @@ def test_who_keeps_a_schedule_of_its_own_is_stepped(label):
     assert ways(label=label) == ("stepped" if label in STEPPED else "lifted")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("label", sorted({*LIFTED, *STEPPED}))
 def test_who_goes_by_products(label):
     assert ways(label=label) == ("stepped" if label in STEPPED else "lifted")

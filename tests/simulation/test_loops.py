@@ -43,7 +43,7 @@ def feedback(p, every, ahead, aims=None, limit=np.inf):
 LQR = {"use": "lqr", "Q1": Q1, "Q2": Q2}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_lqr_with_jitter_and_loss_on_both_sides_is_the_references_run_by_run():
     p, controller = plant(), LQR | BOTH | {"set_point": AIMS}
     law = feedback(p, 2, 3 + 5 // 2, [STEP, SINE])
@@ -69,7 +69,7 @@ def test_lqr_with_jitter_and_loss_on_both_sides_is_the_references_run_by_run():
 STAMPS = {"stamp_offset": -0.02, "stamp_drift": -3e4, "stamp_jitter": 0.02}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_loop_whose_stamps_are_wrong_is_the_references():
     """An offset, a drift and a jitter at once, beside random networks on both sides."""
     p, law, stamp = plant(), feedback(plant(), 2, 3 + 5 // 2), (-2, -3e-2, 2)
@@ -82,7 +82,7 @@ def test_a_loop_whose_stamps_are_wrong_is_the_references():
 
 @pytest.mark.parametrize(
     ("late", "knows"),
-    [(4, True), (0, False), *(pytest.param(*case, marks=pytest.mark.slow) for case in ((0, True), (4, False)))],
+    [(4, True), (0, False), *(pytest.param(*case, marks=pytest.mark.nightly) for case in ((0, True), (4, False)))],
 )
 def test_state_feedback_over_a_constant_delay(late, knows):
     p = plant()
@@ -95,7 +95,7 @@ def test_state_feedback_over_a_constant_delay(late, knows):
     assert gap(pcbench.trace(study(controller), "dkf"), want) < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_pid_with_a_filter_a_limit_and_a_table_of_set_points():
     p = plant()
     table = [[0.1, 0.2], [0.6, -0.3], [1.0, 0.4]]
@@ -112,7 +112,7 @@ def test_pid_with_a_filter_a_limit_and_a_table_of_set_points():
     assert gap(pcbench.trace(study(controller), "dkf"), want) < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_perfect_start_holds_in_a_loop_whose_inputs_are_lost_and_late_and_acknowledged():
     """True model, true start, no noise: no error, whatever the networks do; a noise of commands would make one."""
     raw = study(LQR | BOTH | {"command_std": 0.0, "set_point": AIMS}, RANDOM, 2, ("dkf", "pccebo", "ekf"))
@@ -125,7 +125,7 @@ def test_perfect_start_holds_in_a_loop_whose_inputs_are_lost_and_late_and_acknow
     assert pcbench.run(raw).runs.peak.min() > 1e-4
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_observers_each_have_a_plant_of_their_own_on_the_same_draws():
     """A worse estimate is a dearer loop; the draws are those of the observer alone."""
     raw = study(LQR | BOTH, seeds=8, observers=("dkf", "open-loop"))

@@ -43,7 +43,7 @@ def test_the_samples_are_those_of_the_addresses_and_all_else_is_as_without():
     np.testing.assert_allclose(apart, 0.3 * (t * np.sqrt(1 / 3) - w), rtol=0, atol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_of_it_there_is_no_bound_and_no_exact_answer():
     assert "efficiency" not in set(pcbench.run(tailed(3.0), seeds=2).stats.metric)
     (why,) = set(pcbench.exact(tailed(3.0)).stats.reason.dropna())

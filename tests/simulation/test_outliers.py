@@ -28,7 +28,7 @@ def test_outliers_are_the_samples_that_the_address_says_and_all_else_is_as_witho
     assert 0 < (u < 0.3).sum() < len(u)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_run_among_others_on_a_schedule_of_its_own_is_the_run_alone():
     study = odd(loss=0.2, delay_jitter=0.4)
     runs = pcbench.run(study, seeds=3).runs.set_index(["seed", "signal"])

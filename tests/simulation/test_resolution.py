@@ -61,7 +61,7 @@ def test_a_step_of_0_is_none():
     np.testing.assert_array_equal(error(np.linspace(-1, 1, 7), 0.0, 1.0), np.zeros(7))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_of_dithered_samples_a_filter_that_is_told_their_variance_knows_how_wrong_it_is():
     """D^2/12 beside the noise's own: with the scale that says so its nis is near 1; told nothing it is over-confident."""
     axes = {"assumed_noise_scale": [1.0, float(np.sqrt(1 + 1.5**2 / 12 / 0.3**2))]}
@@ -72,7 +72,7 @@ def test_of_dithered_samples_a_filter_that_is_told_their_variance_knows_how_wron
     assert told == pytest.approx(1.0, abs=0.06)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_of_it_there_is_no_bound_and_no_exact_answer_and_a_run_among_others_is_the_run_alone():
     study = rounded([0.5], 1.0, loss=0.2, delay_jitter=0.4)
     runs = pcbench.run(study, seeds=3).runs.set_index(["seed", "signal"])

@@ -41,7 +41,7 @@ def said(taken, wrong, seed):
     "names",
     [
         list(WRONG),
-        *(pytest.param([name], marks=pytest.mark.slow) for name in WRONG),
+        *(pytest.param([name], marks=pytest.mark.nightly) for name in WRONG),
     ],
     ids=",".join,
 )
@@ -68,7 +68,7 @@ def test_all_else_is_as_without_and_an_offset_is_a_delay_error_that_nobody_assum
     np.testing.assert_allclose(older["dkf.a"], offset["dkf.a"], rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("wrong", [WRONG, {"stamp_jitter": 2 * TICK}], ids=["all", "jitter"])
 def test_a_run_among_others_is_the_run_alone(wrong):
     study = stamped(**wrong, loss=0.2, delay_jitter=0.1, noise_std=[0.1, 0.1])
@@ -78,7 +78,7 @@ def test_a_run_among_others_is_the_run_alone(wrong):
         assert runs.loc[(seed, "b"), "final"] == pytest.approx((trace["b"] - trace["dkf.b"])[N - 1], rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_jitter_costs_what_noise_of_the_signals_slope_costs_to_first_order():
     """A stamp off by d makes a sample wrong by y' d: noise of variance y'^2 s^2, s^2 = J (J + 1) / 3 ticks^2.
 
@@ -145,7 +145,7 @@ def test_an_axis_of_them_is_refused_where_nothing_is_sampled():
         pcbench.run("arm/sine", axes={"stamp_drift": [5.0]}, seeds=1)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_in_a_loop_of_the_paper_an_offset_is_a_delay_error_that_nobody_assumes():
     older, offset = (
         pcbench.run("helicopter/constant", observers=["ekf"], axes={name: [late]}, seeds=1).runs.set_index("signal")

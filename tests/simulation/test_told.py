@@ -8,7 +8,7 @@ import pcbench
 AXES = [{"delay": [0.3], "loss": [0.3], "delay_jitter": [0.4]}, {"delay": [0.5]}]
 
 
-@pytest.mark.slow  # with less in the way: tests/observers/test_late_samples.py
+@pytest.mark.nightly  # with less in the way: tests/observers/test_late_samples.py
 @pytest.mark.parametrize("axes", AXES, ids=str)
 def test_cloning_is_the_optimum_in_every_run(axes):
     runs = pcbench.run("cart/gaussian", observers=["dkf", "kf-cloning"], seeds=3, axes=axes).runs

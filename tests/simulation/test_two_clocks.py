@@ -42,7 +42,7 @@ def test_cloning_equals_the_optimum_run_by_run_and_runs_equal_traces():
     np.testing.assert_allclose(rmse["kf-cloning"], rmse["dkf"], rtol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "observers", [CLONES, ["ekf", "ekf-delay"], ["iekf", "ukf"], ["kf-rewind", "oosm-a1", "oosm-b1"]]
 )

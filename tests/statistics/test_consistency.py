@@ -99,7 +99,7 @@ def share_called(runs, metric, degrees, word):
     return np.mean([verdict(mean, b) == word for mean, b in zip(studies, within, strict=True)])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_of_studies_of_a_true_model_one_in_twenty_is_called_inconsistent_of_a_quarter_of_the_noise_nearly_all():
     """256 studies of 64 runs; three standard errors of that share are .041."""
     runs = pcbench.run(HONEST | {"observers": ["dkf", "dkf-bold", "ekf", "kf-cloning"]}, seeds=64 * 256).runs
@@ -111,7 +111,9 @@ def test_of_studies_of_a_true_model_one_in_twenty_is_called_inconsistent_of_a_qu
         assert share_called(runs[runs.observer == "dkf-bold"], metric, degrees, "over-confident") > 0.97
 
 
-@pytest.mark.parametrize("names", [("dkf",), pytest.param(("dkf", "kf-cloning", "open-loop"), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "names", [("dkf",), pytest.param(("dkf", "kf-cloning", "open-loop"), marks=pytest.mark.nightly)]
+)
 def test_samples_are_judged_on_schedules_of_each_runs_own(names):
     """Lost, late and overtaking samples: of a true model nis is 1, over as many as came in order, in which runs differ."""
     lossy = {"lti": HONEST["lti"] | {"loss": 0.2, "delay_jitter": 0.8}}

@@ -93,7 +93,7 @@ def test_the_guides_table_closes_the_loop_of_the_cart():
     assert unstable(found) == []
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("scenario", ["cart/white", "csth/10s-noise", "arm/sampled"])
 def test_a_published_plant_in_a_loop_of_ones_own_is_regulated(scenario):
     """Its tables have the input and the cost; the axes of commands are columns; the same study open has neither."""
@@ -114,7 +114,7 @@ def test_a_published_plant_in_a_loop_of_ones_own_is_regulated(scenario):
 SHAPES = {"cart/white": (1, 2), "csth/10s-noise": (2, 3), "arm/sampled": (1, 4)}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_loop_is_extended_verified_and_reported(tmp_path):
     raw = study(LQR | {"command_loss": 0.2, "period": 0.02}, {"loss": 0.1}, seeds=2) | {
         "axes": {"command_jitter": [0.0, 0.04]}

@@ -82,7 +82,7 @@ def test_a_file_is_planned_or_refused_in_one_sentence(what, data, folder):
     outcome(written(folder, data.draw(content)), most=most)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("what", CONTENT)
 @settings(max_examples=2_000, **MANY)
 @given(data=st.data())
@@ -101,7 +101,7 @@ def test_a_change_by_set_is_made_or_refused_in_one_sentence(folder, change, stud
     outcome(written(folder, study), [change])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @settings(max_examples=2_000, **MANY)
 @given(change=changes, study=st.sampled_from(OWN))
 def test_many_changes_by_set_are_made_or_refused_in_one_sentence(folder, change, study):
@@ -128,14 +128,14 @@ def test_a_plant_of_extreme_numbers_runs_or_is_refused_in_one_sentence(content, 
     tables_hold_numbers(written(folder, content))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @settings(max_examples=1_000, **MANY)
 @given(content=extreme)
 def test_many_plants_of_extreme_numbers_run_or_are_refused_in_one_sentence(content, folder):
     tables_hold_numbers(written(folder, content))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @settings(max_examples=25, **MANY)
 @given(content=changed([study for study in OWN if "lti" in study]))
 def test_studies_with_changes_run_to_the_end_or_are_refused_in_one_sentence(content, folder):

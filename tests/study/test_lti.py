@@ -38,7 +38,7 @@ SAMPLED = signal.cont2discrete(
 )  # the same plant, known at its ticks only
 DISCRETE = DIRECT | {"A": SAMPLED[0].tolist(), "B": SAMPLED[1].tolist(), "dt": 0.01}
 PLANTS = {"motor": MOTOR, "direct": DIRECT, "discrete": DISCRETE}
-FEW = ["motor", pytest.param("direct", marks=pytest.mark.slow), pytest.param("discrete", marks=pytest.mark.slow)]
+FEW = ["motor", pytest.param("direct", marks=pytest.mark.nightly), pytest.param("discrete", marks=pytest.mark.nightly)]
 ONE_CLOCK = ["pccebo", "pccebo-riccati", "pco", "pi-pco", "dkf", "dkf-bias", "open-loop"]
 TWO_CLOCKS = ["dkf", "dkf-bias", "open-loop"]
 OPTIONS = {"pccebo-riccati": {"gain": "riccati"}, "dkf-bias": {"bias_variance": 0.5}}
@@ -146,7 +146,7 @@ def reference(plant, observer, model, u, samples, D):
     return irregular.pco(model, u, samples, start, gains.T, gains.Kp, Ki, D)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("noisy", ["direct"], indirect=True)
 def test_kfbo_equals_the_reference_on_a_plant_of_ones_own_with_feedthrough(noisy):
     plant, _, model, u, samples, D = noisy

@@ -83,7 +83,7 @@ def test_a_changed_file_is_another_study(tmp_path):
         pcbench.run(study(input=str(file)), seeds=4, out=tmp_path / "out")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_unknown_input_is_said_likewise_and_its_unit_is_the_signals():
     given = {"signal": "square", "frequency": 2.0, "amplitude": 0.5, "unit": "m/s^2"}
     pushed = study(E=[[0.0], [1.0]], unknown_input=given)

@@ -54,11 +54,11 @@ def drawn(seed):
     ("given", "root"),
     [
         (FULL, np.real(sqrtm(linear.process_noise(MODEL.A, W, TICK)))),
-        pytest.param(PLANT | {"process_std": [0.1, 0.0, 0.3]}, np.diag([0.1, 0.0, 0.3]), marks=pytest.mark.slow),
+        pytest.param(PLANT | {"process_std": [0.1, 0.0, 0.3]}, np.diag([0.1, 0.0, 0.3]), marks=pytest.mark.nightly),
         pytest.param(
             PLANT | {"dt": TICK, "A": SLOW.tolist(), "QN": [0.04, 0.0, 0.09]},
             np.diag([0.2, 0.0, 0.3]),
-            marks=pytest.mark.slow,
+            marks=pytest.mark.nightly,
         ),
     ],
     ids=["G and QN", "process_std", "discrete"],
@@ -116,7 +116,7 @@ def test_it_is_an_axis_of_which_designers_are_told():
     assert "process_std" not in the_cell().values, "a column only where it is an axis"
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_tables_say_the_noise_of_every_cell_and_a_filter_attains_the_bound():
     """256 runs from the prior: efficiency 1 within four of its standard errors; none at all where the model is wrong."""
     asked = study(PLANT, horizon=2.0, tail=0.5) | {

@@ -90,7 +90,7 @@ def test_a_plant_settles_alone_where_nothing_but_its_input_pushes_it(what):
     assert settles_alone(scenario(**changes)) is want
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_closing_table_says_where_the_model_alone_wins(tmp_path):
     path = tmp_path / "own.toml"
     path.write_text(tomli_w.dumps({"lti": PLANT | {"horizon": 1.0}, "seeds": 4}))

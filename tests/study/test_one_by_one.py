@@ -62,7 +62,7 @@ def test_what_is_borne_is_where_the_model_alone_becomes_better():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_picture_has_a_panel_for_each_axis_and_the_report_no_map():
     axes = {"noise_std": [0.3, 0.6, 0.9], "process_std": [[0.02, 0.1]], "assumed_noise_scale": [1.0, 2.0]}
     result = pcbench.run(EACH | {"axes": axes})
@@ -94,7 +94,7 @@ def test_losses_in_a_row_are_no_fault_that_stands_alone():
         read.grid_of("faults", {"axes": axes}, [])
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
     section = PAGES["outliers.md"].split("## Losses in a row")[1]
     study = tomllib.loads(section.split("```toml")[1].split("```")[0]) | {"seeds": 256}
@@ -109,7 +109,7 @@ def test_the_guides_figures_of_losses_in_a_row_are_what_comes_out():
         assert mean["open-loop", "tail_rmse", float(burst)] == pytest.approx(4.16, rel=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_guides_figures_of_faults_are_what_comes_out():
     """One run of the whole study: three tables."""
     result, page = pcbench.run("faults"), PAGES["outliers.md"]

@@ -109,7 +109,7 @@ def test_an_installed_package_offers_observers_by_plain_names(here, monkeypatch)
     assert cell.entry("gentle").observer is sys.modules["gentle_package"].nudge
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_it_is_the_program_of_the_same_observer_built_in(here):
     """Not merely as fast: compiled to the same text, for a copy of pcbench's own file."""
     shutil.copy(Path(pcbench.__file__).parent / "observers" / "open_loop.py", here / "copied.py")

@@ -71,7 +71,7 @@ def test_what_is_left_is_a_study_like_any_other(asked):
     assert all(share.seeds == share.wanted for share in verify.status(out).shares)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_asked_again_it_runs_nothing_and_of_another_limit_only_what_is_new(asked):
     table, out = asked
     before = {p: p.stat().st_mtime_ns for p in out.rglob("cell-*.parquet")}

@@ -22,7 +22,7 @@ from pcbench.synthesis import chain_lyapunov
 
 @pytest.mark.parametrize("case", range(len(DELAYS)), ids=lambda i: str(DELAYS[i]))
 @pytest.mark.parametrize("label", OUTPUTS)
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_its_map_of_one_sample_is_the_certificates_and_the_references(case, label):
     """The map of the functions themselves, column by column, in shift coordinates: all channels known, y - C xbar = 0."""
     cells, _ = recorded("odd")

@@ -122,7 +122,7 @@ def task(name):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("kind", TASKS)
 def test_a_second_solver_agrees_and_is_certified_alike(kind):
     what, rate = TASKS[kind]

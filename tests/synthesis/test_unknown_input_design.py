@@ -200,7 +200,7 @@ def test_a_second_solver_finds_the_sliding_mode_optimum():
     np.testing.assert_allclose(found.L1, BEST_L1, rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_second_solver_finds_the_pi_optimum():
     """Ten seconds of a first-order method."""
     found = pi_lmi.solve(ARM, PRINTED.L1, 1.0, "arm", "SCS")
