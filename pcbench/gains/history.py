@@ -21,6 +21,7 @@ from pcbench.study.as_toml import resolved
 from pcbench.study.cells import Cell
 
 HISTORY, FOUND = "history.parquet", "tuned.toml"
+REFIT = "history-whole.parquet"  # of a second descent, on all data
 ABOUT = b"pcbench.tuning"  # the key in the file's metadata: what was tuned for what
 BASIS = b"pcbench.study"  # and the study in which, to say what has changed
 PAUSE = 2.0  # [s] between two writings
@@ -56,10 +57,12 @@ class Evaluation(NamedTuple):
 class History:
     """The points of a tuning in the order in which they were asked for; those of an earlier run are not evaluated again."""
 
-    def __init__(self, target: store.Target, about: str, names: list[str], basis: dict[str, Any]):
-        self.target, self.about, self.names, self.basis = target, about, names, basis
+    def __init__(
+        self, target: store.Target, about: str, names: list[str], basis: dict[str, Any], file: str = HISTORY
+    ):
+        self.target, self.about, self.names, self.basis, self.file = target, about, names, basis, file
         self.points: list[Evaluation] = []
-        self.before = _read(target, about, basis)
+        self.before = _read(target, about, basis, file)
         self.written = monotonic()
 
     def ask(self, at: Vector, evaluate: Callable[[Vector], tuple[float, Vector]]) -> tuple[float, Vector]:
@@ -87,7 +90,7 @@ class History:
 
     def write(self) -> None:
         """Write the history."""
-        store.put_table(self.target, HISTORY, _table(self.points, self.names, self.about, self.basis))
+        store.put_table(self.target, self.file, _table(self.points, self.names, self.about, self.basis))
         self.written = monotonic()
 
 
@@ -108,11 +111,11 @@ def _table(points: list[Evaluation], names: list[str], about: str, basis: dict[s
     return pa.table(columns).replace_schema_metadata({ABOUT: about.encode(), BASIS: json.dumps(basis).encode()})
 
 
-def _read(target: store.Target, about: str, basis: dict[str, Any]) -> list[Evaluation]:
+def _read(target: store.Target, about: str, basis: dict[str, Any], file: str) -> list[Evaluation]:
     """What an earlier run has seen; raise AnotherTuning where that was another tuning."""
-    content = store.get(target, HISTORY)
+    content = store.get(target, file)
     if content is None:
-        if others := [name for name in store.names(target) if name != FOUND]:
+        if others := [name for name in store.names(target) if name not in (HISTORY, FOUND)]:
             raise UserError(
                 f"{target.name}: holds other files ({others[0]}), expected a new or empty folder; give another one with --out."
             )
@@ -134,7 +137,7 @@ def _read(target: store.Target, about: str, basis: dict[str, Any]) -> list[Evalu
         ]
     except (pa.ArrowException, OSError, ValueError, KeyError):
         raise UserError(
-            f"{target.name}/{HISTORY}: is damaged, expected a tuning's history; remove it, or give another folder with --out."
+            f"{target.name}/{file}: is damaged, expected a tuning's history; remove it, or give another folder with --out."
         ) from None
     if said != about:
         files = before.get("files", {}), basis["files"]

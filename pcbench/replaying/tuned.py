@@ -24,8 +24,8 @@ class Intensity(NamedTuple):
 
     name: str  # of the option, with the place in it: R[0], Q[1]
     start: float
-    found: float
-    low: float  # 95 % interval; NaN: the log does not tell it
+    found: float  # on the whole log
+    low: float  # 95 % interval; NaN: the log does not tell it; 0: `high` is a one-sided limit
     high: float
 
 
@@ -37,15 +37,17 @@ class LogTuning(NamedTuple):
     found: dict[str, Any]
     kept_start: str  # why the start was kept; empty: what was found is chosen
     intensities: list[Intensity]
-    held_out: dict[str, dict[str, Any]]  # start and tuned: what `judging` says, of the held-out part alone
-    gain: float  # in log-likelihood of a held-out number, tuned less start,
+    held_out: dict[
+        str, dict[str, Any]
+    ]  # start and tuned (to the first part): what `judging` says, of the held-out part alone
+    gain: float  # in log-likelihood of a held-out number, tuned to the first part less start,
     gain_se: float  # and its standard error over samples
-    points: list[Evaluation]
+    points: list[Evaluation]  # of the fit to the first part, then of that to the whole log
     said: list[str]
 
 
 class Outcome(NamedTuple):
-    """A descent that has ended."""
+    """Two descents that have ended."""
 
     where: str
     label: str
@@ -53,7 +55,8 @@ class Outcome(NamedTuple):
     said: list[str]
     free: list[parameters.Free]
     start: Vector
-    best: Vector
+    fitted: Vector  # to the first part
+    best: Vector  # of the whole log
     arrived: bool
     points: list[Evaluation]
     look: Callable[[Vector], Found]
@@ -62,7 +65,7 @@ class Outcome(NamedTuple):
 
 def finish(o: Outcome, target: store.Target, about: str) -> LogTuning:
     """Judge what was found, and write it: a study that can be run, and under [resolved.tuning] how it came about."""
-    before, after = o.look(o.start), o.look(o.best)
+    before, after = o.look(o.start), o.look(o.fitted)
     late = before.tick >= o.cut
     less = after.each[late] - before.each[late]
     many = float(before.numbers[late, 1].sum())
@@ -92,17 +95,17 @@ def finish(o: Outcome, target: store.Target, about: str) -> LogTuning:
 def intervals(o: Outcome) -> list[Intensity]:
     """Return each free number with its interval; none where the descent has not arrived."""
 
-    def score(at: Vector) -> Vector:
+    def likelihood(at: Vector) -> tuple[float, Vector]:
         found = o.look(at)
-        return np.asarray(found.score[found.tick < o.cut].sum(0))
+        return float(found.each.sum()), np.asarray(found.score.sum(0))
 
-    sd = np.full(len(o.best), np.nan)
+    low = high = np.full(len(o.best), np.nan)
     if o.arrived:
-        sd = intensities.deviations(intensities.information(score, o.best))
-    low, high = intensities.around(o.best, sd)
-    rows = [_flat(o.free, at) for at in (o.start, o.best, np.where(np.isnan(sd), o.best, low))]
-    rows.append(_flat(o.free, np.where(np.isnan(sd), o.best, high)))
-    rows[2][np.isnan(sd)] = rows[3][np.isnan(sd)] = np.nan
+        low, high = intensities.intervals(likelihood, o.best)
+    untold = np.isnan(high)
+    rows = [_flat(o.free, at) for at in (o.start, o.best, *(np.where(untold, o.best, end) for end in (low, high)))]
+    rows[2][untold | np.isneginf(low)] = 0.0
+    rows[2][untold] = rows[3][untold] = np.nan
     names = parameters.entries(o.free)
     return [Intensity(name, *(float(v) for v in row)) for name, *row in zip(names, *rows, strict=True)]
 
@@ -122,10 +125,15 @@ def remarks(o: Outcome, each: list[Intensity], held_out: dict[str, Any]) -> list
     out = []
     if not o.arrived:
         out.append("the budget ended before the likelihood was flat: no interval is given; give a larger --budget.")
-    elif untold := [i.name for i in each if np.isnan(i.low)]:
-        out.append(
-            f"{', '.join(untold)}: the log does not tell, so no interval is given; --only tunes the others alone."
-        )
+    else:
+        if untold := [i.name for i in each if np.isnan(i.low)]:
+            out.append(
+                f"{', '.join(untold)}: the log does not tell, so no interval is given; --only tunes the others alone."
+            )
+        if limits := [f"{i.name} (below {i.high:.2g})" for i in each if i.low == 0]:
+            out.append(
+                f"{', '.join(limits)}: the log does not exclude 0, so this is a one-sided 95 % limit (profile likelihood)."
+            )
     if held_out["p_white"] < UNLIKELY:
         out.append(
             f"innovations of the held-out part are not white (p = {held_out['p_white']:.2g}): the model or a delay is wrong, "

@@ -1,7 +1,8 @@
-"""Noise intensities that make a log most likely, found on its first part and judged on the rest.
+"""Noise intensities that make a log most likely: fitted to its first part, judged on the rest, then fitted to the whole log.
 
 The same parameters, descent, history and refusals as `gains.tune`; the objective is minus the mean log-likelihood of a number.
-What is held out is the part that a replay holds out (`judging.HELD_OUT` of the ticks).
+What is held out is the part that a replay holds out (`judging.HELD_OUT` of the ticks). The fit to the whole log starts from the
+first one and is the result, since a rare channel needs all samples; the held-out gain is that of the first.
 """
 
 from hashlib import sha256
@@ -16,7 +17,7 @@ from pcbench import planning
 from pcbench.dataset import store
 from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
-from pcbench.gains.history import History, basis_of
+from pcbench.gains.history import REFIT, History, basis_of
 from pcbench.gains.parameters import Vector
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
@@ -48,10 +49,10 @@ def tune_log(
     overrides: list[str] | None = None,
     progress: Progress = SILENT,
 ) -> tuned.LogTuning:
-    """Find an observer's noise intensities (`only` some options) on the first part of a log, and judge them on the rest.
+    """Find an observer's noise intensities (`only` some options) on a log; a fit to its first part is judged on the rest.
 
-    `log`, `plant`, `delay` and `start` are as in `replay`; `budget` is how often the log is replayed. With `out`, a folder, the
-    history stands there, and tuned.toml, which `replay` and `run` take. Raises UserError for whatever the user can mend.
+    `log`, `plant`, `delay` and `start` are as in `replay`; each of the two fits replays the log `budget` times at most. The
+    folder `out` holds the histories and tuned.toml, which `replay` and `run` take. Raises UserError if the user has to act.
     """
     label = label_of(observer)
     with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
@@ -93,6 +94,10 @@ def tune_log(
                 "in its likelihood."
             )
         tune.descend("descent", trials, at, lambda point: _value(look(point), cut), budget, where, progress)
+        fitted, end = np.array(trials.best.at), a.last + 1
+        refit = History(target, f"{about}, fitted to the whole log", names, basis_of(study, a.cell), REFIT)
+        progress.begin("points", budget)
+        tune.descend("descent", refit, fitted, lambda point: _value(look(point), end), budget, where, progress)
         return tuned.finish(
             tuned.Outcome(
                 where=where,
@@ -101,9 +106,10 @@ def tune_log(
                 said=a.said,
                 free=every,
                 start=at,
-                best=np.array(trials.best.at),
-                arrived=not any(trials.best.slope),
-                points=trials.points,
+                fitted=fitted,
+                best=np.array(refit.best.at),
+                arrived=not any(refit.best.slope),
+                points=[*trials.points, *refit.points],
                 look=look,
                 cut=cut,
             ),

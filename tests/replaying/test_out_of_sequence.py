@@ -48,12 +48,12 @@ def recording(folder, samples):
     return rows(folder, measured)
 
 
-def whitened(samples):
+def whitened(samples, variances=R):
     """Each innovation over its deviation, in the order of arrival, and the log-density of all: a Cholesky factor of the joint
     covariance in that order."""
     model = Model(np.zeros((1, 1)), np.zeros((1, 1)), np.ones((2, 1)), DT)
     plant = surprise.Plant(model, np.zeros((TICKS + 2, 1)), np.array([[Q / DT]]))
-    mean, S = surprise.joint(plant, samples, np.zeros(1), np.array([[P0]]), np.array(R))
+    mean, S = surprise.joint(plant, samples, np.zeros(1), np.array([[P0]]), np.array(variances))
     L = np.linalg.cholesky(S)
     z = np.linalg.solve(L, np.array([s.value for s in samples]) - mean)
     return z, -0.5 * (z @ z + len(z) * np.log(2 * np.pi)) - np.log(np.diag(L)).sum()

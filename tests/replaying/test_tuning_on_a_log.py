@@ -5,6 +5,7 @@ import tomllib
 
 import numba
 import numpy as np
+import pandas as pd
 import pytest
 import tomli_w
 from logged import rows
@@ -59,12 +60,12 @@ def run(seed, many=MANY):
 
 
 def most_likely(u, y):
-    """The logarithms of R and Q by the book, of the samples that arrived before the cut, and their deviations."""
+    """The logarithms of R and Q by the book, of all samples, and their deviations."""
     one = np.eye(1)
 
     def cost(z, u, y):
         nu, s = reference.kalman(
-            A * one, B * one, np.exp(z[1]) * one, one, np.exp(z[0]), np.zeros(1), P0 * one, u[:, None], y[: CUT - LATE]
+            A * one, B * one, np.exp(z[1]) * one, one, np.exp(z[0]), np.zeros(1), P0 * one, u[:, None], y
         )
         return 0.5 * np.sum(np.log(s) + nu**2 / s)
 
@@ -114,7 +115,11 @@ def test_the_most_likely_intensities_are_the_books_and_the_record_is_a_study(tmp
     record = tomllib.loads((tmp_path / "tuned" / "tuned.toml").read_text())
     assert record["options"]["dkf"] == found.found
     assert record["resolved"]["tuning"]["intensities"][1] == found.intensities[1]._asdict()
-    (row,) = pcbench.replay(tmp_path / "log", tmp_path / "tuned" / "tuned.toml", "dkf").innovations.to_dict("records")
+    first = pd.read_parquet(tmp_path / "tuned" / "history.parquet").sort_values("objective").iloc[0]
+    options = {"R": float(np.exp(first["free.R"])), "Q": [float(np.exp(first["free.Q"]))]}
+    (row,) = pcbench.replay(tmp_path / "log", PLANT | {"options": {"dkf": options}}, "dkf").innovations.to_dict(
+        "records"
+    )
     assert row["log_likelihood_held_out"] == pytest.approx(found.held_out["tuned"]["log_likelihood"], rel=1e-9)
 
 

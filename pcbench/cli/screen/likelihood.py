@@ -17,14 +17,12 @@ def tuned(found: Any, observer: str, log: str, folder: str | None, console: Cons
         Column("intensity", [i.name for i in rows], left=True),
         Column("start", [f"{i.start:.4g}" for i in rows]),
         Column("found", [f"{i.found:.4g}" for i in rows]),
-        Column("95 % interval", ["-" if np.isnan(i.low) else f"{i.low:.4g} to {i.high:.4g}" for i in rows]),
+        Column("95 % interval", [_interval(i) for i in rows]),
         Column(
             "root", [f"{i.found**0.5:.4g}" if i.name.partition("[")[0] in VARIANCES else "-" for i in rows], spare=1
         ),
     ]
-    printed(
-        f"{observer}: most likely on the first part of {log}, {len(found.points)} points by descent", columns, console
-    )
+    printed(f"{observer}: most likely on {log}, {len(found.points)} points by descent", columns, console)
     held = found.held_out
     columns = [
         Column("held out", list(held), left=True),
@@ -33,7 +31,7 @@ def tuned(found: Any, observer: str, log: str, folder: str | None, console: Cons
         Column("verdict", [each["verdict"] for each in held.values()], left=True),
         Column("p white", [f"{each['p_white']:.3g}" for each in held.values()]),
     ]
-    printed(f"the last part, {held['tuned']['samples']} samples", columns, console)
+    printed(f"tuned on the first part alone: the last part, {held['tuned']['samples']} samples", columns, console)
     _print(f"tuned - start: {found.gain:+.4g} (standard error {found.gain_se:.2g}).", console)
     for sentence in found.said:
         _print(sentence, console)
@@ -44,6 +42,12 @@ def tuned(found: Any, observer: str, log: str, folder: str | None, console: Cons
             f"Now replay it: pcbench replay {log} --plant {folder}/tuned.toml --observers {observer} --out replayed",
             console,
         )
+
+
+def _interval(row: Any) -> str:
+    if np.isnan(row.low):
+        return "-"
+    return f"{row.low:.4g} to {row.high:.4g}" if row.low else f"below {row.high:.4g}"
 
 
 def summary(found: Any) -> dict[str, Any]:
