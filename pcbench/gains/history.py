@@ -57,9 +57,7 @@ class Evaluation(NamedTuple):
 class History:
     """The points of a tuning in the order in which they were asked for; those of an earlier run are not evaluated again."""
 
-    def __init__(
-        self, target: store.Target, about: str, names: list[str], basis: dict[str, Any], file: str = HISTORY
-    ):
+    def __init__(self, target: store.Target, about: str, names: list[str], basis: dict[str, Any], file: str = HISTORY):
         self.target, self.about, self.names, self.basis, self.file = target, about, names, basis, file
         self.points: list[Evaluation] = []
         self.before = _read(target, about, basis, file)
@@ -168,7 +166,7 @@ def finished(target: store.Target, whole: str, about: str, basis: dict[str, Any]
         if said.pop("about") != whole:
             return None
         judged = [_judged(**j) for j in said.pop("judged")]
-        return said | {"study": study, "judged": judged, "points": _read(target, about, basis)}
+        return said | {"study": study, "judged": judged, "points": _read(target, about, basis, HISTORY)}
     except (ValueError, KeyError, TypeError, AttributeError):
         return None  # not there, or damaged: the history is read, and it is written anew
 
