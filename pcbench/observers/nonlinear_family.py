@@ -3,8 +3,6 @@
 from pcbench.observers import iekf, mhe, particle, ukf
 from pcbench.observers.entry import Entry
 
-LANES = 256  # runs a call of those that go by points, whose sums are rounded as the compiler shares out the lanes
-
 NONLINEAR = {
     "iekf": Entry(
         observer=iekf.OBSERVER,
@@ -24,7 +22,7 @@ NONLINEAR = {
         knows_schedule=True,
         summary="unscented Kalman filter: points in place of slopes; or cubature",
         takes="any schedule",
-        lanes=LANES,
+        lanes=particle.LANES,
         heavy=True,
         nonlinear=True,
         smooth=False,
@@ -48,6 +46,7 @@ NONLINEAR = {
         knows_schedule=False,
         summary="bootstrap particle filter with systematic resampling",
         takes="any schedule",
+        lanes=particle.LANES,
         heavy=True,
         nonlinear=True,
         smooth=False,

@@ -34,7 +34,7 @@ from pcbench.protocols import Leaf, Now, Room, Surprise, together
 from pcbench.synthesis.certificate import Design, Setting
 
 START, PROCESS, RESAMPLING = 0, 1, 2  # kinds of draws; resampling has one for each channel
-LANES = 1024  # runs at once
+LANES = 64  # runs a call, always: sums over particles are rounded as the compiler vectorises over runs
 
 
 class Swarm(NamedTuple):

@@ -9,12 +9,12 @@ from pcbench.study import read
 
 def widths(observer):
     """Runs per call for studies of several sizes, and if the size is not known."""
-    (cell,) = read.grid_of("cart/white", {"observers": [observer]}, []).cells
+    (cell,) = read.grid_of("cart/white", {"observers": observer.split(",")}, []).cells
     return {arrays.width(cell, runs) for runs in (1, 16, 128, 1000, None)}
 
 
-def test_width_is_fixed_for_ukf_only():
-    assert len(widths("ukf")) == 1
+def test_width_is_fixed_for_sums_over_points_only():
+    assert widths("ukf") == widths("particle") == widths("particle,ukf") == {64}
     assert len(widths("dkf")) > 1
 
 
@@ -22,8 +22,11 @@ def test_width_is_fixed_for_ukf_only():
 @pytest.mark.usefixtures("as_users_have_it")
 @pytest.mark.parametrize("observer", ["ukf", "iekf", "ekf", "ekf-delay", "dkf", "kf-cloning", "oosm-lag", "particle"])
 def test_a_run_has_the_same_bits_among_16_and_128_others(observer):
+    options = {"particle": {"particles": 8}} if observer == "particle" else {}
     few, many = (
-        pcbench.run("cart/white", observers=[observer], seeds=n).runs.set_index(["seed", "signal"]).sort_index()
+        pcbench.run("cart/white", observers=[observer], seeds=n, options=options)
+        .runs.set_index(["seed", "signal"])
+        .sort_index()
         for n in (16, 128)
     )
     assert few.equals(many.loc[few.index])
