@@ -89,6 +89,8 @@ def run(
         for sentence in read.unstable(grid):
             (say or warnings.warn)(sentence)
         made = versions.prepare(grid, out, fresh, progress)
+        if say and made.study.tuning_sentence:
+            say(made.study.tuning_sentence)
         result = run_study.execute(made.grid, out, how)
         if made.aim is None:
             return result

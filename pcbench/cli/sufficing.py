@@ -14,14 +14,21 @@ def suffices(
     study: Annotated[str, typer.Argument(help="a study of one scenario, a scenario or a TOML file")],
     below: Annotated[float, typer.Option(help="the limit, in the unit of the metric")],
     over: Annotated[
-        str, typer.Option(metavar="AXIS", help="sampling_period, delay[0], plant.lam ...: pcbench list axes")
+        list[str],
+        typer.Option(
+            metavar="AXIS",
+            help="sampling_period, delay[0], plant.lam ...: pcbench list axes; given twice: for each value of the first axis "
+            "the largest of the second",
+        ),
     ],
     metric: Annotated[str, typer.Option(help="what is to stay below: pcbench list metrics")] = RANKS,
     signal: Annotated[str | None, typer.Option(help="of which signal [default: the first of a closing table]")] = None,
     between: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            "--range", metavar="LOW HIGH", help="where to search [default: as the study or the scenario suggests]"
+            "--range",
+            metavar="LOW HIGH",
+            help="where to search, of two axes the first [default: as the study or the scenario suggests]",
         ),
     ] = None,
     within: Annotated[
@@ -52,11 +59,15 @@ def suffices(
     from pcbench.sufficing import asking
 
     name = read.outline(study, changes or []).name
-    into = str(Path("results") / re.sub(r"[^\w.+-]+", "-", f"{name}-{over}").strip("-")) if folder is None else folder
+    into = (
+        str(Path("results") / re.sub(r"[^\w.+-]+", "-", f"{name}-{'-'.join(over)}").strip("-"))
+        if folder is None
+        else folder
+    )
     with bar(quiet or as_json, "designing gains") as progress:
         table = asking.suffices(
             study,
-            over=over,
+            over=over[0] if len(over) == 1 else over,
             below=below,
             metric=metric,
             signal=signal,
@@ -75,6 +86,10 @@ def suffices(
         print(readable(table.attrs | {"answers": table.to_dict("records")}))
     elif quiet:
         print(into)
+    elif len(over) > 1:
+        screen = console()
+        sufficing.frontier(table, screen)
+        screen.print(f"Each value has its own study in {into}", highlight=False, markup=False, soft_wrap=True)
     else:
         screen = console()
         sufficing.answers(table, screen)

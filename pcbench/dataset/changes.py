@@ -16,6 +16,8 @@ GROWS = (
     "schedules",
     "axes",
     "observers",
+    "excluded",
+    "tuned",
     "use",
     "scenarios",
     "scenario",

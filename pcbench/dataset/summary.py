@@ -52,6 +52,7 @@ def close(
         "root_seed": owned.study.root_seed,
         "blocks": len(there),
         **({"excluded": owned.study.excluded} if owned.study.excluded else {}),
+        **({"tuned": owned.study.tuned.model_dump()} if owned.study.tuned else {}),
     }
     said = provenance.describe() | study | about | {"certificates": weakest, "flow": ways, "digests": digests}
     store.put_json(target, PROVENANCE, said | {"digest": _digest(said)})

@@ -27,7 +27,7 @@ from pcbench.gains import expected, named, parameters, tune
 from pcbench.gains.history import FOUND, HISTORY, AnotherTuning
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.study import Study, given, observers_of, scenarios_of
+from pcbench.study import Study, TunedOptions, given, observers_of, scenarios_of
 from pcbench.study.cells import Grid
 from pcbench.study.names import entry_in
 from pcbench.study.read import grid_of, one_cell
@@ -86,12 +86,14 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress 
     named.require_tunable(study, list(paper))
     named.require_free_labels(study, scenario, list(paper))
     versions, options = _untuned(study, paper)
+    found_by: dict[str, dict[str, Any]] = {}
     if "tuned" in study.tunings:
         starts = _better(study, versions, options, aim, progress)
         for observer, start in starts.items():
             note, found = _tuned(study, observer, start, aim, out, progress)
             versions.append(Version(f"{observer}-tuned", observer, "tuned", note))
             options[f"{observer}-tuned"] = start | found
+            found_by[observer] = found
     versions = [v for v in versions if v.tuning in study.tunings]
     if len(study.tunings) == 1:  # no other version to be told from
         options = {v.observer: options[v.label] for v in versions}
@@ -99,12 +101,26 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress 
     order = list(paper)
     versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
     every = {v.label: options[v.label] for v in versions}
-    return ExplicitStudy(_with(study, every, list(every)), versions, aim)
+    record = None
+    if "tuned" in study.tunings:
+        record = TunedOptions(
+            scenario=scenario.name,
+            cell={name: values[0] for name, values in study.axes.items()},
+            metric=aim.metric,
+            signal=aim.name,
+            options={v.label: found_by[v.observer] for v in versions if v.tuning == "tuned"},
+        )
+    return ExplicitStudy(_with(study, every, list(every), record), versions, aim)
 
 
-def _with(study: Study, options: dict[str, dict[str, Any]], observers: list[str] | None = None) -> Grid:
+def _with(
+    study: Study,
+    options: dict[str, dict[str, Any]],
+    observers: list[str] | None = None,
+    record: TunedOptions | None = None,
+) -> Grid:
     changes: dict[str, Any] = {"options": study.options | options, "tuning": "paper"}
-    return grid_of(study, changes | {"observers": observers}, [])
+    return grid_of(study, changes | {"observers": observers, "tuned": record and record.model_dump()}, [])
 
 
 def _at_first(study: Study) -> Study:

@@ -18,7 +18,7 @@ from pcbench.machine.progress import SILENT, Progress
 from pcbench.plots import frames
 from pcbench.plots.files import inline
 from pcbench.plots.words import title_of_scenario
-from pcbench.report import headline, pictures, sentences, summary
+from pcbench.report import headline, pictures, sentences, set_options, summary
 from pcbench.report.experiment import Experiment, experiment
 from pcbench.report.pictures import SHOWN, Picture, Shown
 
@@ -87,6 +87,8 @@ def page(result: Result, progress: Progress = SILENT, shown: Shown = SHOWN) -> s
             several=any(t.of > len(rows) for t in won),
             anchors={name: f"scenario-{i}" for i, name in enumerate(names)},
             sections=sections,
+            options=set_options.rows(result),
+            tuned=result.study.tuning_sentence,
             command=_command(result),
             study=_said(result),
             provenance=_provenance(result),

@@ -66,6 +66,17 @@ class Tune(BaseModel):
         return given
 
 
+class TunedOptions(BaseModel):
+    """`[tuned]` of a study that was run: which options were tuned, and where."""
+
+    model_config = ConfigDict(extra="forbid")
+    scenario: str
+    cell: dict[str, Any] = Field(description="value of each axis with which they were tuned")
+    metric: str
+    signal: str
+    options: dict[str, dict[str, Any]] = Field(description="tuned options by label; none where the start was kept")
+
+
 class Study(BaseModel):
     """A study as it stands in a TOML file; seconds and SI units."""
 
@@ -75,6 +86,9 @@ class Study(BaseModel):
     observers: list[str] | None = None
     excluded: dict[str, str] | None = Field(
         None, description='why observers that `observers = "all"` would have are not among them; pcbench writes it'
+    )
+    tuned: TunedOptions | None = Field(
+        None, description="which options were tuned, in which cell and for which metric; pcbench writes it"
     )
     use: dict[str, str] = Field({}, description="MODULE:NAME of observers of one's own, by label")
     seeds: int = Field(256, gt=0, le=10_000_000, strict=True)
@@ -118,10 +132,23 @@ class Study(BaseModel):
         """Return whose gains are asked for, as a list."""
         return [self.tuning] if isinstance(self.tuning, str) else list(self.tuning)
 
+    @property
+    def tuning_sentence(self) -> str | None:
+        """Return in which cell the gains were tuned; None if none were."""
+        if self.tuned is None:
+            return None
+        cell = ", ".join(f"{name} = {value}" for name, value in self.tuned.cell.items())
+        return (
+            f"The gains of {', '.join(self.tuned.options) or 'no observer'} were tuned for {self.tuned.metric} of "
+            f"{self.tuned.signal} in {self.tuned.scenario}{f' at {cell}' if cell else ''}."
+            + (" The other cells use the same gains." if any(len(v) > 1 for v in self.axes.values()) else "")
+        )
+
 
 KEYS = {  # by table of a study file
     "": [*Study.model_fields],
     "lti": [*Lti.model_fields],
     "scenario": [*ScenarioTable.model_fields],
     "tune": [*Tune.model_fields],
+    "tuned": [*TunedOptions.model_fields],
 }

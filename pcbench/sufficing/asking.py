@@ -4,12 +4,18 @@ An interval that decides may be looked at several times as seeds are added, whic
 (`pcbench.dataset.precision`).
 """
 
+import re
 import tempfile
+from collections.abc import Sequence
 from contextlib import ExitStack
+from numbers import Real
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 
+from pcbench.dataset.columns import AXIS_UNITS
 from pcbench.dataset.run_study import How, Say
 from pcbench.errors import UserError
 from pcbench.gains import versions
@@ -21,9 +27,9 @@ from pcbench.study import cells, observers_of
 from pcbench.study.cells import Grid
 from pcbench.study.own_scenarios import plain
 from pcbench.study.raw import Described, raw_of, where_of
-from pcbench.study.read import FROM_HERE, described
+from pcbench.study.read import FROM_HERE, described, scenario_in
 from pcbench.sufficing import growing
-from pcbench.sufficing.axis import scale_of
+from pcbench.sufficing.axis import axis_of, scale_of
 from pcbench.sufficing.question import Question, notes, question
 from pcbench.sufficing.search import search
 
@@ -34,11 +40,11 @@ BUDGET = 16  # times the study's seeds, where no budget is given
 def suffices(
     study: Described,
     *,
-    over: str,
+    over: str | Sequence[str],
     below: float,
     metric: str = METRIC,
     signal: str | None = None,
-    between: tuple[float, float] | None = None,
+    between: tuple[float, float] | Sequence[tuple[float, float] | None] | None = None,
     within: float | None = None,
     seeds: int | None = None,
     max_seeds: int | None = None,
@@ -59,7 +65,18 @@ def suffices(
     stands in the folder `out`, a study like any other, and is used again: for another limit or metric, more seeds, a wider
     range; stopped, it goes on. The frame's `attrs` say what was asked. Raises UserError, one sentence, for whatever the user
     can mend.
+
+    `over` two axes, such as ["sampling_period", "delay"], returns their frontier: for each value of the first axis the largest
+    value of the second. The first axis takes the study's values or, `between` two, five values and those of the study within.
+    The frame then has a row for each value and observer, with the value in a column of the axis' name. `between` is then the
+    range of the first axis, or a list of two ranges, of which None is the default one. Each value has a folder of its own in
+    `out`.
     """
+    if not isinstance(over, str):
+        each = {"below": below, "metric": metric, "signal": signal, "within": within, "seeds": seeds}
+        each |= {"max_seeds": max_seeds, "fresh": fresh, "progress": progress, "say": say}
+        return frontier(study, list(over), between, observers, out, overrides or [], each)
+    ends = _range(between)
     observers = [observers] if isinstance(observers, str) else observers
     raw = raw_of(study, overrides or [], FROM_HERE)
     where = where_of(study, raw)
@@ -69,7 +86,7 @@ def suffices(
         say(sentence)
     with process.float64(), ExitStack() as stack:
         q = question(described(raw, where, FROM_HERE), where, over, metric, signal, below)
-        scale = scale_of(q.axis, q.scenario, between, within)
+        scale = scale_of(q.axis, q.scenario, ends, within)
         most = _budget(max_seeds, q.study.seeds)
         temporary = None if out is not None else stack.enter_context(tempfile.TemporaryDirectory(prefix="pcbench-"))
         folder = str(out) if temporary is None else temporary
@@ -93,6 +110,59 @@ def suffices(
         "notes": notes(q),
     }
     return table
+
+
+def frontier(
+    study: Described,
+    over: list[str],
+    between: Any,
+    observers: str | list[str] | None,
+    out: str | Path | None,
+    overrides: list[str],
+    how: dict[str, Any],
+) -> pd.DataFrame:
+    """Return the largest values of a second axis for each value of a first one; `how` are the other arguments of `suffices`."""
+    if len(over) == 1:
+        return suffices(study, over=over[0], between=between, observers=observers, out=out, overrides=overrides, **how)
+    if len(over) != 2:
+        raise UserError(f"--over: got {len(over)} axes, expected one or two; ask about two at a time.")
+    raw = raw_of(study, overrides, FROM_HERE)
+    where = where_of(study, raw)
+    raw |= {} if observers is None else {"observers": [observers] if isinstance(observers, str) else observers}
+    raw = all_observers.resolved(raw, where)
+    for sentence in all_observers.sentences(raw.get("excluded")):
+        how["say"](sentence)
+    ends = list(between) if np.iterable(between) else []
+    several = len(ends) == 2 and any(end is None or np.iterable(end) for end in ends)
+    first, second = (_range(each) for each in (ends if several else (between, None)))
+    s = scenario_in(described(raw, where, FROM_HERE), where)
+    axis = axis_of(over[0], s, raw.get("axes", {}).get(over[0].partition("[")[0].strip().replace("-", "_")), where)
+    if axis.name == over[1].partition("[")[0].strip().replace("-", "_"):
+        raise UserError(f"--over: got {axis.name} twice, expected two axes; name another one.")
+    listed = first is None and len(set(axis.own)) > 1
+    values = sorted(set(axis.own)) if listed else scale_of(axis, s, first, None).start()
+    tables = {}
+    for value in values:
+        here = raw | {"axes": raw.get("axes", {}) | {axis.name: [axis.put(value)]}}
+        into = None if out is None else f"{out}/{re.sub(r'[^0-9A-Za-z_.=-]', '-', f'{axis.called}={value:g}')}"
+        tables[value] = suffices(here, over=over[1], between=second, out=into, **how)
+    found = pd.concat([table.assign(**{axis.called: value}) for value, table in tables.items()], ignore_index=True)
+    found.insert(0, axis.called, found.pop(axis.called))
+    last = tables[values[-1]].attrs
+    unit = AXIS_UNITS.get(axis.name, "").replace("1", "")
+    found.attrs |= last | {"over": [axis.called, last["over"]], "over_unit": [unit, last["over_unit"]]}
+    found.attrs |= {"between": [(values[0], values[-1]), last["between"]], "out": None if out is None else str(out)}
+    return found
+
+
+def _range(between: Any) -> tuple[float, float] | None:
+    """Return the two ends of one axis' range; raise UserError if it is anything else."""
+    if between is None:
+        return None
+    ends = list(between) if np.iterable(between) else []
+    if len(ends) != 2 or not all(isinstance(end, Real) for end in ends):
+        raise UserError(f"between: got {between}, expected the two ends of a range for one axis; write (LOW, HIGH).")
+    return ends[0], ends[1]
 
 
 def _budget(most: int | None, seeds: int) -> int:

@@ -125,6 +125,9 @@ def test_a_study_refuses_a_changed_imported_file_by_its_name(here):
     )
     del study["scenarios"]
     pcbench.run(study, out="out")
+    page.write(here / "out", here / "page.html")
+    text = (here / "page.html").read_text()
+    assert "The gains of nudge were tuned for rmse of position" in text
     before = tables(here / "out")
     (here / "part.py").write_text("SHARE = 0.2\n")
     found = r"out/tuning/nudge: holds another tuning \(the code of nudge: part.py has changed since.*; give .* with --fresh.$"

@@ -63,6 +63,20 @@ def test_a_design_alone_keeps_names_and_takes_any_scenarios():
     assert not made.versions
 
 
+@pytest.mark.slow
+def test_tuning_records_its_cell_and_what_it_found():
+    made = prepared(tuning="tuned", axes={"noise_std": [0.3, 0.1]}, options={}, observers=["pccebo"])
+    assert made.study.tuned.cell == {"noise_std": 0.3}
+    (found,) = made.study.tuned.options.values()
+    assert found
+    assert all(made.study.options["pccebo"][name] == value for name, value in found.items())
+    assert made.study.tuning_sentence == (
+        "The gains of pccebo were tuned for tail_pooled_rmse of position in cart/gaussian at noise_std = 0.3. "
+        "The other cells use the same gains."
+    )
+    assert prepared(tuning="design").study.tuning_sentence is None
+
+
 @pytest.mark.parametrize("observer", [o for o in OBSERVERS if entry_of(o).designed])
 def test_a_design_of_its_own_is_made_of_options_that_there_are(observer):
     assert entry_of(observer).options.model_validate(dict(entry_of(observer).designed))

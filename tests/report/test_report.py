@@ -2,6 +2,7 @@
 
 import html
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -12,8 +13,9 @@ import pcbench
 from pcbench import plots
 from pcbench.errors import UserError
 from pcbench.plots import files, frames, scales, sheet
-from pcbench.report import figures, page, pictures, sentences
+from pcbench.report import figures, page, pictures, sentences, set_options
 from pcbench.statistics import wording
+from pcbench.study import read
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -52,6 +54,36 @@ def test_it_is_one_file_that_needs_no_other(text):
     assert "@import" not in text
     ids = re.findall(r' id="([^"]+)"', text)
     assert len(ids) == len(set(ids)), "no picture's name is another's"
+
+
+def test_options_that_differ_from_their_defaults_are_listed_with_their_origin():
+    tuned = {"scenario": "cart/slow", "cell": {"delay": 0.2}, "metric": "rmse", "signal": "position"}
+    study = {
+        "name": "set",
+        "scenarios": ["cart/slow"],
+        "observers": ["dkf-push", "pccebo", "open-loop"],
+        "axes": {"delay": [0.2, 0.4]},
+        "options": {"dkf-push": {"bias_variance": 0.25}, "pccebo": {"L": [[0.5], [0.125]], "gain": "lmi"}},
+        "tuned": tuned | {"options": {"pccebo": {"L": [[0.5], [0.125]]}, "dkf-push": {"bias_variance": 9.0}}},
+    }
+    read_study = read.grid_of(study, {}, []).study
+    rows = set_options.rows(SimpleNamespace(study=read_study))
+    assert [(o.value, o.tuned) for o in rows if (o.observer, o.name) == ("pccebo", "L")] == [("[[0.5], [0.125]]", True)]
+    (push,) = [o for o in rows if o.observer == "dkf-push"]
+    assert push[1:] == ("bias_variance", "0.25", "none", False, "the study"), (
+        "no bias is estimated by default; 0.25 is not the tuned value"
+    )
+    assert not [o for o in rows if o.observer == "open-loop"]
+    assert read_study.tuning_sentence == (
+        "The gains of pccebo, dkf-push were tuned for rmse of position in cart/slow at delay = 0.2. "
+        "The other cells use the same gains."
+    )
+
+
+def test_every_option_that_is_not_a_default_is_in_the_report(folder, text):
+    section = re.search(r'<section id="options">.*?</section>', text, re.S).group(0)
+    assert len(re.findall(r"<tr><td>", section)) == len(set_options.rows(pcbench.opened(folder)))
+    assert "the scenario" in section
 
 
 def test_every_picture_has_its_place_a_text_and_a_unit(text):

@@ -1,14 +1,20 @@
 """What suffices, asked of runs: the answer stands in the tables of a study that goes on; a mistake is one sentence."""
 
+import io
+import re
+
 import numpy as np
 import pytest
 from commands import call
+from rich.console import Console
 
 import pcbench
+from pcbench.cli.screen import sufficing
 from pcbench.dataset import verify
 from pcbench.errors import DesignError, UserError
 from pcbench.planning import once
 from pcbench.scenarios import SCENARIOS
+from pcbench.statistics.sufficing import EXCEEDS, SUFFICES, Point
 from pcbench.study.raw import raw_of
 from pcbench.study.read import FROM_HERE, described
 from pcbench.sufficing import growing
@@ -116,6 +122,60 @@ def test_an_observer_without_gains_at_some_values_is_left_out_there(tmp_path, mo
     monkeypatch.setattr(growing, "_without_gains", lambda cell, o: "nothing works.")
     with pytest.raises(UserError, match="nothing works"):
         pcbench.suffices("cart/slow", observers=["dkf"], **how | {"between": (1.5, 2.0)})
+
+
+def test_a_frontier_has_the_largest_value_at_each_value_of_the_first_axis(tmp_path, monkeypatch):
+    """Runs are replaced by an error of noise_std times sampling_period, below 0.3 up to 0.3 / sampling_period."""
+    folders = []
+
+    def looking(q, folder, how):
+        (period,) = q.study.axes["sampling_period"]
+        folders.append(folder)
+
+        def point(value):
+            verdict = SUFFICES if value * period < q.below else EXCEEDS
+            return Point(value, verdict, value * period, value * period, value * period, 4)
+
+        return lambda values, seeds: {"dkf": [point(v) for v in sorted(values)]}
+
+    monkeypatch.setattr(growing, "looking", looking)
+    how = {"below": 0.3, "within": 0.01, "observers": ["dkf"], "out": tmp_path / "out"}
+    study = {"name": "f", "scenarios": ["cart/slow"], "axes": {"sampling_period": [1.0, 0.5], "noise_std": [0.1, 1.7]}}
+    table = pcbench.suffices(study, over=["sampling_period", "noise_std"], **how)
+    assert list(table.columns[:2]) == ["sampling_period", "observer"]
+    assert list(table.sampling_period) == [0.5, 1.0]
+    np.testing.assert_allclose(table.largest, [0.6, 0.3], atol=0.01)
+    assert (table.largest <= 0.3 / table.sampling_period).all()
+    assert table.attrs["over"] == ["sampling_period", "noise_std"]
+    assert table.attrs["between"] == [(0.5, 1.0), (0.1, 1.7)]
+    assert folders == [f"{tmp_path}/out/sampling_period={v}" for v in ("0.5", "1")]
+    ranges = pcbench.suffices(study, over=["sampling_period", "noise_std"], between=[(0.4, 2.0), (0.05, 0.4)], **how)
+    assert list(ranges.sampling_period) == [0.4, 0.5, 0.6, 0.9, 1.0, 1.3, 2.0], "five of the range, and the study's two"
+    assert list(ranges.answer[:1]) == ["every value"]
+    second = pcbench.suffices(study, over=["sampling_period", "noise_std"], between=[None, (0.05, 0.4)], **how)
+    assert second.attrs["between"] == [(0.5, 1.0), (0.05, 0.4)]
+    screen = Console(file=io.StringIO(), width=100)
+    sufficing.frontier(table, screen)
+    assert re.search(r"0\.5 +0\.59\b.*\n +1 +0\.29\b", screen.file.getvalue()), screen.file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("over", "words"),
+    [
+        (["delay", "loss", "noise_std"], "got 3 axes, expected one or two"),
+        (["delay", "delay[0]"], "got delay twice"),
+        (["delay", "nothing"], "nothing"),
+    ],
+)
+def test_a_frontier_of_other_than_two_axes_is_one_sentence(over, words):
+    with pytest.raises(UserError, match=words):
+        pcbench.suffices("cart/slow", over=over, below=1.0)
+
+
+@pytest.mark.parametrize("between", [(0.1, 0.2, 0.3), (0.1, None), [(0.1, 0.2)], [(0.1, 0.2, 0.3), None], 0.1])
+def test_a_frontier_of_a_malformed_range_is_one_sentence(between):
+    with pytest.raises(UserError, match=r"^between: got .*, expected the two ends of a range for one axis"):
+        pcbench.suffices("cart/slow", over=["sampling_period", "noise_std"], between=between, below=1.0)
 
 
 def asked_of(study, over):

@@ -34,6 +34,29 @@ def answers(table: pd.DataFrame, console: Console) -> None:
         _print(note, console)
 
 
+def frontier(table: pd.DataFrame, console: Console) -> None:
+    """Print for each value of the first axis the largest value of the second, one column for each observer."""
+    said, (first, second) = table.attrs, table.attrs["over"]
+    units = [f" [{unit}]" if unit else "" for unit in said["over_unit"]]
+    values = list(dict.fromkeys(table[first]))
+    columns = [Column(f"{first}{units[0]}", [f"{value:g}" for value in values])]
+    for observer in dict.fromkeys(table.observer):
+        rows = {row[first]: row for row in table[table.observer == observer].to_dict("records")}
+        cells = [_value(rows[value]["largest"], rows[value]) if value in rows else "-" for value in values]
+        columns.append(Column(f"{observer}\nup to{units[1]}", cells))
+    limit = f"{said['below']:g} {said['unit']}".removesuffix(" 1").strip()
+    printed(
+        f"{said['scenario']}: largest {second} with {said['metric']} of {said['signal']} below {limit}",
+        columns,
+        console,
+    )
+    for row in table.to_dict("records"):
+        if row["answer"] not in (PLAIN, "every value", "no value"):
+            _print(f"{first} = {row[first]:g}, {row['observer']}: {row['said']}", console)
+    for note in said["notes"]:
+        _print(note, console)
+
+
 def _value(value: float, row: Any) -> str:
     words = {"no value": "none", "every value": f"{value:g} (all)", PLAIN: f"{value:g}"}
     return words.get(row["answer"], "?")
