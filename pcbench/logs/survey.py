@@ -2,7 +2,8 @@
 
 Intervals are between successive stamps of a channel. A *gap* is an interval of more than five medians. A delay is arrival less
 stamp; it *jumps* where it differs from the one before by more than ten times the middle half of all delays and half an
-interval, and its *drift* is the slope of the line through all delays: a stamping clock that runs slow beside the arrivals'.
+interval. Its *drift* is by how much the clock of the stamps is fast beside that of the arrivals, as in the axis stamp_drift:
+minus the slope of the line through all delays.
 A sample is *out of order* where one with a later stamp stands before it, *doubled* where its stamp stands there twice.
 Stamps are compared within a part of the log, some 65,000 rows, and with the newest of the part before.
 """
@@ -195,6 +196,6 @@ def _row(name: str, seen: Seen) -> dict[str, Any]:
         "jumps": len(stepped),
         "largest_jump": float(stepped[0, 0]) if len(stepped) else np.nan,
         "largest_jump_row": int(stepped[0, 2]) if len(stepped) else None,
-        "drift_ppm": 1e6 * slope,
+        "drift_ppm": -1e6 * slope,
         "drift_ppm_se": 1e6 * se,
     }

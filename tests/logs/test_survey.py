@@ -5,6 +5,7 @@ import pytest
 from logged import log_of
 from reference.logs import delays
 
+import pcbench
 from pcbench.errors import UserError
 from pcbench.logs import spread
 from pcbench.logs.survey import described, survey
@@ -59,8 +60,25 @@ def test_a_gap_a_jump_and_a_drift_are_found_with_their_rows():
     assert (row["gaps"], row["longest_gap"], row["longest_gap_row"]) == (1, 31.0, 61)
     assert (row["jumps"], row["largest_jump_row"]) == (2, 81)
     slope = np.polyfit(t, late, 1)[0]
-    assert row["drift_ppm"] == pytest.approx(1e6 * slope, rel=1e-8)
-    assert abs(row["drift_ppm"] - 100) < 4 * row["drift_ppm_se"]
+    assert row["drift_ppm"] == pytest.approx(-1e6 * slope, rel=1e-8)
+    assert abs(row["drift_ppm"] + 100) < 4 * row["drift_ppm_se"]
+
+
+def test_a_clock_that_is_fast_in_a_simulation_is_fast_in_its_log(tmp_path):
+    plant = {
+        "A": [[-1.0]],
+        "B": [[1.0]],
+        "C": [[1.0]],
+        "tick": 0.01,
+        "sampling_period": 0.1,
+        "delay": 0.2,
+        "noise_std": 0.1,
+        "horizon": 40,
+    }
+    study = {"name": "fast", "observers": ["open-loop"], "lti": plant, "axes": {"stamp_drift": [5000.0]}}
+    pcbench.trace(study, ["open-loop"], log=tmp_path / "log")
+    drift = pcbench.log(tmp_path / "log").drift_ppm[0]
+    assert drift == pytest.approx(1e6 * 5e-3 / (1 + 5e-3), rel=5e-3)  # beside the stamps' own clock
 
 
 def test_a_lost_sample_is_counted_and_has_no_delay():
