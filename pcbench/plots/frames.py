@@ -184,9 +184,10 @@ def convergence(
 def standings(
     result: Result, scenario: str | None = None, signal: str | None = None, metric: str = METRIC
 ) -> pd.DataFrame:
-    """Return for each cell its axes, the `winner` (empty where it is not sure), `best`, `alike`, `p`, `factor`, `mean`, `text`.
+    """Return for each cell its axes, the `winner` (empty where it is not sure), `leaders`, `best`, `alike`, `p`, `factor`, ...
 
-    `best` has the least mean, `alike` names those it is not surely better than; see `statistics.winning.standing`.
+    `best` has the least `mean`, `alike` names those it is not surely better than, `leaders` are both if a test compares them;
+    see `statistics.winning.standing`. `text` is a word for a cell.
     """
     scenario, metric = scenario_of(result, scenario), result.ranks(metric)
     key, known = (scenario, signal_of(result, scenario, signal), metric), _STANDINGS.setdefault(result, {})
@@ -210,7 +211,7 @@ def _standings(result: Result, scenario: str, signal: str, metric: str) -> pd.Da
         out.append(
             known
             | {"cell": cell, "winner": found.winner, "best": "" if lost else found.order[0], "alike": found.alike}
-            | {"p": found.p_value, "factor": found.factor, "mean": best["mean"], "text": text}
+            | {"leaders": found.leaders, "p": found.p_value, "factor": found.factor, "mean": best["mean"], "text": text}
         )
     return pd.DataFrame(out)
 

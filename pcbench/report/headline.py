@@ -21,7 +21,7 @@ class Headline(NamedTuple):
 
     title: str
     heads: list[str]
-    rows: list[dict[str, Any]]  # cells in the order of heads, colour, best: this one is the best, note
+    rows: list[dict[str, Any]]  # cells in the order of heads, colour, best: no other is surely better, note
     note: str
 
 
@@ -56,6 +56,8 @@ def _cell(
     ranked = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
     order, ranked = list(ranked.observer), ranked.set_index("observer")
     beside = [m for m in BESIDE if m != metric]
+    found = frames.standings(result, scenario, signal, metric).set_index("cell")
+    leaders = found.leaders.loc[cell]
     rows = []
     for observer in order:
         row = wide.loc[observer]
@@ -68,7 +70,7 @@ def _cell(
         cells += [wording.interval(row.loc[m]) if m in row.index else "-" for m in beside]
         cells += ["-" if np.isnan(lost["mean"]) else "none" if lost["mean"] == 0 else wording.fraction(lost)]
         cells += _costs(costs, observer)
-        rows.append({"cells": cells, "colour": look[observer].colour, "best": observer == order[0]})
+        rows.append({"cells": cells, "colour": look[observer].colour, "best": observer in leaders})
     here = part[part.cell == cell].iloc[0]
     at = ", ".join(frames.said(a, here[a]) for a in frames.varying(part))
     here_unit = mine[mine.metric == "rmse"].unit.iloc[0]
@@ -103,14 +105,16 @@ def _counted(result: Result, scenario: str, signal: str, metric: str, part: pd.D
         share = 100 * mine.diverged.sum() / max((mine.n + mine.diverged).sum(), 1)
         median = scales.number(float(f"{np.nanmedian(mine['mean']):.4g}")) if mine["mean"].notna().any() else "-"
         name = wording.marked(str(observer), mine.certified)
-        cells = [name, str(wins.get(observer, 0)), median, "none" if not share else f"{share:.3g} %"]
+        led = sum(observer in each for each in won.leaders)
+        cells = [name, str(wins.get(observer, 0)), str(led), median, "none" if not share else f"{share:.3g} %"]
         rank = {"wins": int(wins.get(observer, 0)), "median": float(mine["mean"].median())}
         rows.append({"cells": cells, "colour": look[str(observer)].colour, "best": False} | rank)
     rows.sort(key=lambda row: (-row["wins"], row["median"]))
-    heads = ["observer", "cells won", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
+    heads = ["observer", "cells won", "as good as the best", f"median {metric} [{part.unit.iloc[0]}]", "diverged"]
     ties = int((won.winner == "").sum())
     note = (
-        f"{len(won)} cells, ties among them: {ties}; there the best is not surely better than every other (5 %, Holm)."
+        f"An observer wins a cell if it is significantly better than every other (paired t-test, Holm, 5 %); {ties} of "
+        f"{len(won)} cells have no winner. It is as good as the best if none is significantly better."
     )
     title = f"Over all {len(won)} cells"
     return Headline(title, heads, rows, f"{note} {result.unproven(scenario)}".strip())

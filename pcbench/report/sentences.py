@@ -6,6 +6,7 @@ import pandas as pd
 from pcbench.plots import frames, one_run, scales
 from pcbench.plots.scales import number as exact
 from pcbench.plots.time_series import BANDS, over
+from pcbench.statistics.winning import most_often
 
 WINNERS = (
     "A cell is won where the best is surely better than every other (5 %, Holm); the number says how many times larger the "
@@ -57,9 +58,11 @@ def ranges(part: pd.DataFrame, unit: str) -> str:
 
 
 def winners(found: pd.DataFrame) -> str:
-    """Return how many cells each observer wins."""
+    """Return how many cells each observer wins; if none wins any, which are as good as the best."""
     counted = found.text.value_counts()
-    return f"Of {len(found)} cells: {', '.join(f'{name} {n}' for name, n in counted.items())}."
+    names, most = ([], 0) if (found.winner != "").any() else most_often(found.leaders)
+    shared = f" None is better than {' and '.join(names)} in {most} of them." if most else ""
+    return f"Of {len(found)} cells: {', '.join(f'{name} {n}' for name, n in counted.items())}.{shared}"
 
 
 def convergence(part: pd.DataFrame) -> str:

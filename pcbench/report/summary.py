@@ -12,6 +12,7 @@ from pcbench.plots.palette import styles
 from pcbench.plots.words import times, title_of_scenario
 from pcbench.report.sentences import number
 from pcbench.statistics import wording
+from pcbench.statistics.winning import most_often
 
 MOST = 7  # others that are named in a row
 SURE = 1e-3  # a p-value below it is written as that
@@ -23,10 +24,9 @@ class Row(NamedTuple):
     scenario: str
     title: str
     signal: str
-    best: str  # empty: nobody
-    colour: str
+    best: list[tuple[str, str]]  # name, colour; empty: all diverge
+    sure: bool  # no other is surely better than these
     won: str  # what of it is sure
-    sure: bool
     value: str  # its metric with interval
     others: list[tuple[str, str, str]]  # name, colour, how many times larger
     tells: float  # by which rows are ordered, the largest first
@@ -38,6 +38,7 @@ class Tally(NamedTuple):
     observer: str
     colour: str
     won: int  # cells
+    led: int  # cells in which no other is surely better
     of: int  # cells in which it ran
 
 
@@ -74,15 +75,17 @@ def rows(result: Result, found: list[Stood]) -> list[Row]:
 
 
 def tally(every: list[Stood]) -> list[Tally]:
-    """Return how many cells, of all signals shown, each observer surely wins, the most first."""
+    """Return how many cells, of all signals shown, each observer surely wins and leads, the most first."""
     won: dict[str, int] = {}
+    led: dict[str, int] = {}
     of: dict[str, int] = {}
     for _, _, part, found in every:
         for observer in dict.fromkeys(part.observer):
             of[observer] = of.get(observer, 0) + len(found)
             won[observer] = won.get(observer, 0) + int((found.winner == observer).sum())
+            led[observer] = led.get(observer, 0) + sum(observer in each for each in found.leaders)
     look = styles(of)
-    return sorted((Tally(o, look[o].colour, won[o], of[o]) for o in of), key=lambda t: -t.won)
+    return sorted((Tally(o, look[o].colour, won[o], led[o], of[o]) for o in of), key=lambda t: (-t.won, -t.led))
 
 
 def _row(result: Result, stood: Stood) -> Row:
@@ -97,16 +100,17 @@ def _row(result: Result, stood: Stood) -> Row:
     best = ahead_most[0] if several and len(counted) else str(found.best.iloc[0]) if not several else ""
     deterministic = not frames.distributed(part) and not result.exact
     ahead = np.nanmedian(found.factor) if found.factor.notna().any() else np.nan
-    sure = bool(len(counted))
-    told = (0 if deterministic else 100) + (0 if not sure else 50) + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0)
+    leaders = [best] if several and best else most_often(found.leaders)[0]
+    told = (
+        (0 if deterministic else 100) + (50 if len(counted) else 0) + (min(np.log(ahead), 40.0) if ahead > 0 else 0.0)
+    )
     return Row(
         scenario=scenario,
         title=title_of_scenario(result, scenario),
         signal=signal.replace("_", " "),
-        best=best,
-        colour=look[best].colour if best else "",
+        best=[(o, look[o].colour) for o in leaders or filter(None, [best])],
+        sure=bool(leaders),
         won=_said(found, counted, best, deterministic, int((part.n + part.diverged).max())),
-        sure=sure,
         value=_value(part, best, several),
         others=[(o, look[o].colour, times(m)) for o, m in middle if several or o != best][:MOST],
         tells=told,
@@ -117,32 +121,29 @@ def _said(found: pd.DataFrame, counted: pd.Series, best: str, deterministic: boo
     """How surely, in words."""
     if len(found) > 1:
         ties = int((found.winner == "").sum())
-        share = f"{int(counted.get(best, 0))} of {len(found)} cells" if best else _as_good(found)
+        share = f"{int(counted.get(best, 0))} of {len(found)} cells" if best else _as_good(found, runs)
         rest = [f"{o} {n}" for o, n in counted.items() if o != best]
         return "; ".join(filter(None, [share, ", ".join(rest), f"ties {ties}" if ties and best else ""]))
     row = found.iloc[0]
     if not best:
         return "all diverge"
-    if deterministic:
-        return "runs do not differ" if row.winner else f"as good: {', '.join(row.alike)}"
-    if not runs and row.winner:
-        return "surely: the values are exact"
     if runs == 1:
         return "one run: nothing is sure"
+    if deterministic and row.winner:
+        return "runs do not differ"
+    if not runs and row.winner:
+        return "surely: the values are exact"
     if row.winner:
         return "surely" + (f", p < {SURE:g}" if row.p < SURE else f", p = {row.p:.2g}" if np.isfinite(row.p) else "")
-    return f"not surely better: {', '.join(row.alike)}"
+    return wording.as_good(row.leaders) if row.leaders else f"not compared with {', '.join(row.alike)}"
 
 
-def _as_good(found: pd.DataFrame) -> str:
+def _as_good(found: pd.DataFrame, runs: int) -> str:
     """Which observers are as good as the best in the most cells, where none is surely the best."""
-    sets = [{best, *alike} for best, alike in zip(found.best, found.alike, strict=True) if best]
-    if not sets:
-        return "all diverge"
-    many = {o: sum(o in each for each in sets) for o in sorted(set.union(*sets))}
-    most = max(many.values())
-    names = ", ".join(o for o, n in many.items() if n == most)
-    return f"as good as the best: {names} in {most} of {len(found)} cells"
+    names, most = most_often(found.leaders)
+    if most:
+        return wording.as_good(names, most, len(found))
+    return "all diverge" if not any(found.best) else "one run: nothing is sure" if runs == 1 else "not compared"
 
 
 def _multiples(part: pd.DataFrame) -> list[tuple[str, float]]:

@@ -1,5 +1,7 @@
 """Who wins a cell, and how surely. No jax."""
 
+from collections import Counter
+from collections.abc import Iterable
 from typing import Any, NamedTuple, cast
 
 import numpy as np
@@ -19,11 +21,12 @@ class Standing(NamedTuple):
     alike: tuple[str, ...]  # of the others, those that the best is not surely better than
     p_value: float  # the largest of Holm's adjusted p-values of the best against another; NaN: there is no test
     factor: float  # the second mean over the best; NaN: there is none
+    leaders: tuple[str, ...] = ()  # the best and those alike; empty: all runs diverged, or no test compares these
 
     @property
     def winner(self) -> str:
         """Return the best where it is surely so; empty where it is not."""
-        return self.order[0] if self.order and not self.alike else ""
+        return self.leaders[0] if len(self.leaders) == 1 else ""
 
 
 def standing(rows: pd.DataFrame, pairs: pd.DataFrame) -> Standing:
@@ -45,10 +48,19 @@ def stood(rows: list[Row], pairs: list[Row]) -> Standing:
         return Standing(names, names, np.nan, np.nan)
     met = [pair for pair in pairs if best["observer"] in (pair["observer_a"], pair["observer_b"])]
     alike = [str(o["observer"]) for o in others if not _apart(met, best, o)]
+    compared = {str(pair[side]) for pair in met if pair["n"] != 1 for side in ("observer_a", "observer_b")}
+    leaders = (names[0], *alike) if compared.issuperset(alike) else ()
     second = float(others[0]["mean"]) if others else np.nan
     factor = second / float(best["mean"]) if best["mean"] > 0 else np.inf if second > 0 else np.nan
     tested = [float(pair["p_holm"]) for pair in met if not np.isnan(pair["p_holm"])]
-    return Standing(names, tuple(alike), max(tested, default=np.nan), factor)
+    return Standing(names, tuple(alike), max(tested, default=np.nan), factor, leaders)
+
+
+def most_often(leaders: Iterable[tuple[str, ...]]) -> tuple[list[str], int]:
+    """Return the observers that lead the most cells, and in how many cells; in none where no cell has leaders."""
+    many = Counter(observer for each in leaders for observer in each)
+    most = max(many.values(), default=0)
+    return sorted(observer for observer, count in many.items() if count == most), most
 
 
 def _rank(row: Row) -> tuple[Any, ...]:
@@ -66,11 +78,6 @@ def by_cell(rows: pd.DataFrame) -> dict[int, list[Row]]:
 
 def _records(rows: pd.DataFrame) -> list[Row]:
     return cast(list[Row], rows.to_dict("records"))
-
-
-def winner(rows: pd.DataFrame, pairs: pd.DataFrame) -> str:
-    """Return the observer that wins a cell; empty where the best is no surer than 5 %."""
-    return standing(rows, pairs).winner
 
 
 def diverges_more(best: Any, other: Any) -> bool:

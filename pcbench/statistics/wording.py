@@ -59,6 +59,11 @@ def fraction(row: Any) -> str:
     return f"{100 * row['mean']:.3g} % ({100 * row['ci_low']:.3g} .. {100 * row['ci_high']:.3g})"
 
 
+def as_good(observers: Iterable[str], cells: int = 1, of: int = 1) -> str:
+    """Return that observers are not significantly worse than the best, in how many cells of several."""
+    return f"as good as the best: {', '.join(observers)}" + (f" in {cells:,} of {of:,} cells" if of > 1 else "")
+
+
 def difference(pairs: "pd.DataFrame", observer: str, best: str) -> str:
     """Return the difference of an observer to the best, with its interval; '=' where it is not distinguishable."""
     forward = pairs[(pairs.observer_a == observer) & (pairs.observer_b == best)]

@@ -1,1 +1,1 @@
-"""Tables of a result as a paper has them: observers by signals or by the values of an axis, the best marked with how surely."""
+"""Tables of a result as a paper has them: observers by signals or by the values of an axis, the best marked."""

@@ -2,7 +2,7 @@
 
 import re
 
-from pcbench.tables.layout import LEAST, SURELY, Entry, Head, Table
+from pcbench.tables.layout import Entry, Head, Table
 
 NEEDS = r"% needs \usepackage{booktabs, siunitx}"
 SPECIAL = {
@@ -103,10 +103,8 @@ def _entry(entry: Entry | None, plain: bool) -> str:
     if entry is None:
         return "--"
     text = _estimate(entry.text, plain)
-    if entry.best == SURELY:
+    if entry.best:
         text = rf"{{\boldmath\bfseries {text}}}"
-    elif entry.best == LEAST:
-        text = rf"\textit{{{text}}}"
     return text + (r"\textsuperscript{\dag}" if entry.lost else "")
 
 

@@ -1,7 +1,8 @@
 """What stands where in a table of a result, before it is written in any form.
 
 Of a scenario without axes that vary: a row an observer, a column a signal. Along one axis of few values: a table a signal, a
-row an observer, a column a value. Else: a row a cell, a column an observer. Among the observers of one cell the best is marked.
+row an observer, a column a value. Else: a row a cell, a column an observer. Among the observers of one cell the best is marked,
+with those that are as good.
 """
 
 from typing import Any, NamedTuple
@@ -11,12 +12,10 @@ import pandas as pd
 from pcbench.dataset.columns import AXIS_UNITS
 from pcbench.dataset.result import Result
 from pcbench.plots import frames
-from pcbench.statistics import COMPARED
-from pcbench.statistics.winning import winner
+from pcbench.statistics.winning import standing
 from pcbench.statistics.wording import estimate
 
 WIDE = 4  # values of an axis that stand beside one another
-SURELY, LEAST = "surely", "least"  # less than every other by Holm's adjusted p; the least, but not surely
 
 
 class Head(NamedTuple):
@@ -30,7 +29,7 @@ class Entry(NamedTuple):
     """An estimate in its place."""
 
     row: dict[str, Any]  # of stats
-    best: str  # SURELY, LEAST or empty
+    best: bool  # no other observer is significantly better
 
     @property
     def text(self) -> str:
@@ -62,12 +61,12 @@ class Table(NamedTuple):
     @property
     def notes(self) -> list[str]:
         """Return what a reader has to know of it, a sentence each."""
-        marks, runs = {e.best for e in self.entries}, {e.row["n"] + e.row["diverged"] for e in self.entries}
+        runs = {e.row["n"] + e.row["diverged"] for e in self.entries}
         each = f"{min(runs):,}" if len(runs) == 1 else f"{min(runs):,} to {max(runs):,}"
         leans = "; one that leans to one side by its ends" if any(" .. " in e.text for e in self.entries) else ""
         said = [f"Means over {each} runs, ± half a 95 % interval{leans}."]
-        said += ["Bold: surely less than every other (Holm, 5 %)."] if SURELY in marks else []
-        said += ["Italic: the least, but not surely."] if LEAST in marks else []
+        if any(e.best for e in self.entries):
+            said += ["Bold: the best, and each that is not significantly worse (paired t-test, Holm, 5 %)."]
         said += (
             ["Dagger: some runs diverged; the mean is over the others."] if any(e.lost for e in self.entries) else []
         )
@@ -138,15 +137,9 @@ def _entries(result: Result, cell: pd.DataFrame, metric: str) -> list[Entry]:
         & (pairs.metric == metric)
         & (pairs.cell == first.cell)
     ]
-    sure = least = ""
-    if metric in COMPARED and len(cell) > 1:
-        ordered = cell.sort_values(["diverged", "mean"], kind="stable", na_position="last")
-        sure = winner(cell, met)
-        tied = ordered["mean"].iloc[0] == ordered["mean"].iloc[1]
-        least = "" if tied or ordered["mean"].isna().all() else str(ordered.observer.iloc[0])
+    leaders = standing(cell, met).leaders if len(cell) > 1 else ()
     rows: list[dict[str, Any]] = cell.to_dict("records")  # type: ignore[assignment]
-    marks = {o: SURELY if o == sure else LEAST if o == least else "" for o in cell.observer}
-    return [Entry(row, marks[row["observer"]]) for row in rows]
+    return [Entry(row, row["observer"] in leaders) for row in rows]
 
 
 def _words(name: str) -> str:

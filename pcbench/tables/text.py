@@ -5,9 +5,8 @@ import io
 import re
 
 from pcbench.dataset.columns import axes_of
-from pcbench.tables.layout import LEAST, SURELY, Entry, Head, Table
+from pcbench.tables.layout import Entry, Head, Table
 
-MARKS = {SURELY: "**", LEAST: "*"}
 NUMBERS = ("n", "diverged", "mean", "ci_low", "ci_high")
 
 
@@ -41,7 +40,7 @@ def _text(words: str) -> str:
 def _entry(entry: Entry | None) -> str:
     if entry is None:
         return "-"
-    mark = MARKS.get(entry.best, "")
+    mark = "**" if entry.best else ""
     return f"{mark}{entry.text}{mark}{' †' if entry.lost else ''}"
 
 

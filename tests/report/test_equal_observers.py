@@ -1,14 +1,31 @@
-"""Observers that do not differ share the first row of a report: it names them, in how many cells."""
+"""Observers that do not differ share the first place: the page, the terminal and the tables for papers name the same ones."""
 
+import io
+import re
+from itertools import combinations
+from types import SimpleNamespace
+
+import numpy as np
 import pandas as pd
+import pytest
 
+from pcbench.cli.screen import results
+from pcbench.cli.screen.tables import Screen
+from pcbench.report import headline, sentences, summary
 from pcbench.report.summary import _said
+from pcbench.statistics import winning
+from pcbench.study import STUDIES
+from pcbench.tables import latex, layout, text
 
 NONE = pd.Series(dtype=int)
+NAN = float("nan")
 
 
 def standings(*sets):
-    rows = [{"winner": "", "best": each[0] if each else "", "alike": tuple(each[1:]), "p": 0.5} for each in sets]
+    rows = [
+        {"winner": "", "best": each[0] if each else "", "alike": tuple(each[1:]), "leaders": each, "p": 0.5}
+        for each in sets
+    ]
     return pd.DataFrame(rows)
 
 
@@ -24,3 +41,124 @@ def test_an_observer_that_is_as_good_in_fewer_cells_is_not_named():
 
 def test_cells_in_which_all_diverge_have_no_best():
     assert _said(standings((), ()), NONE, "", False, 64) == "all diverge"
+
+
+def test_cells_of_one_run_have_no_winner_and_no_draw():
+    found = standings((), ()).assign(best="kf")
+    assert _said(found, NONE, "", True, 1) == "one run: nothing is sure"
+
+
+def study_of(cells, runs=64, **means):
+    """A result without runs: each observer's means by cell, of which a difference of 0.1 or more is significant."""
+    cell = {"study": "t", "scenario": "cart/white", "plant": "cart"}
+    signal = {"signal": "position", "unit": "m", "carries_input": None}
+    stats, pairs = [], []
+    for i in range(cells):
+        here = cell | {"cell": i, "delay": 0.1 * i} | signal
+        for observer, each in means.items():
+            interval = (
+                {"ci_low": each[i] - 0.01, "ci_high": each[i] + 0.01} if runs > 1 else {"ci_low": NAN, "ci_high": NAN}
+            )
+            about = here | {
+                "observer": observer,
+                "method": "runs",
+                "certified": None,
+                "n": runs,
+                "diverged": 0,
+                "p50": each[i],
+            }
+            for metric in ("mae", "tail_rmse", "rmse"):
+                stats.append(
+                    about | {"metric": metric, "mean": each[i], "p05": 0.5 * each[i], "p95": 2 * each[i]} | interval
+                )
+            stats.append(about | {"metric": "divergence", "mean": 0.0, "p05": NAN, "p95": NAN} | interval)
+        for a, b in combinations(means, 2):
+            p = NAN if runs == 1 else 0.5 if abs(means[a][i] - means[b][i]) < 0.1 else 1e-6
+            said = {"observer_a": a, "observer_b": b, "n": runs, "p_value": p, "p_holm": p, "prob_a_better": 0.4}
+            ends = {"mean_diff": means[a][i] - means[b][i], "ci_low": -1.0, "ci_high": 1.0}
+            pairs.append(here | {"metric": "tail_rmse"} | said | ends)
+    made = Result(study=STUDIES["quick"], stats=pd.DataFrame(stats), pairs=pd.DataFrame(pairs), exact=False)
+    made.scenarios, made.signals = ["cart/white"], lambda scenario: ["position"]
+    made.stats_of, made.pairs_of = lambda scenario, signal: made.stats, lambda scenario, signal: made.pairs
+    made.ranks, made.unproven = lambda metric: metric, lambda scenario: ""
+    return made
+
+
+class Result(SimpleNamespace):
+    __hash__ = object.__hash__
+
+
+CASES = {
+    "draw": {"dkf": [1.0] * 4, "kf-shift": [1.01] * 4, "pco": [1.5, 1.5, 1.0, 1.5]},
+    "winner": {"dkf": [1.0, 1.0, 1.0, 2.0], "kf-shift": [1.5, 1.5, 1.01, 1.5], "pco": [2.0, 2.0, 3.0, 1.49]},
+}
+
+
+def leaders_of(means, cell):
+    least = min(each[cell] for each in means.values())
+    return {name for name, each in means.items() if each[cell] - least < 0.1}
+
+
+def terminal(result):
+    screen = Screen(file=io.StringIO(), width=120, force_terminal=True, color_system="standard")
+    results.closing(result, screen, "tail_rmse")
+    return screen.file.getvalue()
+
+
+@pytest.mark.parametrize("means", CASES.values(), ids=CASES)
+def test_every_output_marks_the_same_observers_in_every_cell(means, monkeypatch):
+    result, wanted = study_of(4, **means), [leaders_of(means, cell) for cell in range(4)]
+    (table,) = layout.tables(result, "tail_rmse")
+    for cell, names in enumerate(wanted):
+        assert {words[0] for words, each in table.rows if each[cell].best} == names
+    marks = sum(map(len, wanted))
+    assert (text.markdown([table]).count("**"), latex.latex([table]).count("bfseries")) == (2 * marks, marks)
+    shown = headline.headlines(result, "cart/white", "position", "tail_rmse")
+    assert [{row["cells"][0] for row in h.rows if row["best"]} for h in shown] == wanted
+    bold = [n for n in re.findall(r"\x1b\[1m([\w-]+)\x1b\[0m", terminal(result).replace(" ", "")) if n in means]
+    assert [set(each) for each in _split(bold, wanted)] == wanted
+    led = {name: sum(name in each for each in wanted) for name in means}
+    monkeypatch.setattr(results, "LONGEST", 1)
+    monkeypatch.setattr(headline, "MOST", 1)
+    counted = headline.headlines(result, "cart/white", "position", "tail_rmse")[0]
+    assert {row["cells"][0]: int(row["cells"][2]) for row in counted.rows} == led
+    lines = [line.split() for line in re.sub(r"\x1b\[\d*m", "", terminal(result)).splitlines()]
+    assert {line[0]: int(line[2]) for line in lines if line[:1] and line[0] in means} == led
+    tally = summary.tally(summary.stood(result, "tail_rmse", None))
+    assert {t.observer: t.led for t in tally} == led
+
+
+def _split(names, wanted):
+    """Names in groups as long as those that are wanted."""
+    ends = np.cumsum([len(each) for each in wanted])
+    assert len(names) == ends[-1]
+    return [names[end - len(each) : end] for end, each in zip(ends, wanted, strict=True)]
+
+
+def test_a_draw_is_the_same_sentence_everywhere(monkeypatch):
+    monkeypatch.setattr(results, "LONGEST", 1)
+    result, draw = study_of(4, **CASES["draw"]), "as good as the best: dkf, kf-shift in 4 of 4 cells"
+    assert f"cart/white: {draw}." in re.sub(r"\x1b\[\d*m", "", terminal(result))
+    (row,) = summary.rows(result, summary.stood(result, "tail_rmse", None))
+    assert (row.won, [name for name, _ in row.best], row.sure) == (draw, ["dkf", "kf-shift"], True)
+    found = summary.stood(result, "tail_rmse", None)[0].found
+    assert sentences.winners(found) == "Of 4 cells: tie 4. None is better than dkf and kf-shift in 4 of them."
+    (one,) = summary.rows(*(lambda r: (r, summary.stood(r, "tail_rmse", None)))(study_of(1, **CASES["draw"])))
+    assert one.won == "as good as the best: dkf, kf-shift"
+
+
+def test_of_one_run_each_nothing_is_marked():
+    result = study_of(2, runs=1, **CASES["draw"])
+    assert not [e for table in layout.tables(result, "tail_rmse") for e in table.entries if e.best]
+    assert not [
+        row for h in headline.headlines(result, "cart/white", "position", "tail_rmse") for row in h.rows if row["best"]
+    ]
+    (row,) = summary.rows(result, summary.stood(result, "tail_rmse", None))
+    assert (row.won, row.sure) == ("one run: nothing is sure", False)
+
+
+def test_a_metric_without_tests_has_no_leaders():
+    result = study_of(1, **CASES["draw"])
+    rows = result.stats[result.stats.metric == "rmse"]
+    assert winning.standing(rows, result.pairs[:0]).leaders == ()
+    assert winning.most_often([(), ()]) == ([], 0)

@@ -113,8 +113,10 @@ def test_its_tables_and_its_summary_have_the_numbers_of_the_tables(folder, text)
     result = pcbench.opened(folder)
     mine = result.stats.query("metric == 'tail_rmse' and signal == 'position'")
     for observer, median in mine.groupby("observer")["mean"].median().items():
-        assert re.search(rf"</span>{observer}</td><td>\d+</td><td>{scales.number(float(f'{median:.4g}'))}</td>", text)
-    rows = re.findall(r"</span>(\S+)</td><td>(\d+)</td><td>([^<]+)</td>", text)
+        assert re.search(
+            rf"</span>{observer}</td><td>\d+</td><td>\d+</td><td>{scales.number(float(f'{median:.4g}'))}</td>", text
+        )
+    rows = re.findall(r"</span>(\S+)</td><td>(\d+)</td><td>\d+</td><td>([^<]+)</td>", text)
     order = [(-int(wins), float(median)) for _, wins, median in rows]
     assert order == sorted(order), "who wins most stands first"
     won = frames.standings(result, "cart/white", "position", "tail_rmse").winner.value_counts()

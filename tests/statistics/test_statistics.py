@@ -384,7 +384,7 @@ def of_a_cell(**observers):
 
 def test_who_diverges_least_wins_before_the_least_mean():
     rows, pair = of_a_cell(steady=(1.0, 0), lost=(0.5, 32))
-    assert winning.winner(rows, pd.DataFrame([pair])[:0]) == "steady", "no run of both is needed"
+    assert winning.standing(rows, pd.DataFrame([pair])[:0]).winner == "steady", "no run of both is needed"
     assert winning.diverges_more(rows.iloc[0], rows.iloc[1])
     assert not winning.diverges_more(rows.iloc[1], rows.iloc[0])
 
@@ -392,15 +392,15 @@ def test_who_diverges_least_wins_before_the_least_mean():
 def test_one_diverged_run_of_many_may_be_chance():
     rows, pair = of_a_cell(steady=(1.0, 0), lost=(1.0, 1))
     assert not winning.diverges_more(rows.iloc[0], rows.iloc[1])
-    assert winning.winner(rows, pd.DataFrame([pair | {"p_value": 0.4, "p_holm": 0.4}])) == ""
+    assert winning.standing(rows, pd.DataFrame([pair | {"p_value": 0.4, "p_holm": 0.4}])).winner == ""
 
 
 def test_the_worse_does_not_win_by_the_other_ones_chance_loss_of_a_run():
     """It has fewer diverged runs, not surely; and surely the larger error."""
     rows, pair = of_a_cell(steady=(2.0, 0), lost=(1.0, 1))
-    assert winning.winner(rows, pd.DataFrame([pair])) == ""
+    assert winning.standing(rows, pd.DataFrame([pair])).winner == ""
     swapped = pair | {"observer_a": "lost", "observer_b": "steady", "mean_diff": -1.0}
-    assert winning.winner(rows, pd.DataFrame([swapped])) == ""
+    assert winning.standing(rows, pd.DataFrame([swapped])).winner == ""
 
 
 @pytest.mark.parametrize(
@@ -415,4 +415,4 @@ def test_the_worse_does_not_win_by_the_other_ones_chance_loss_of_a_run():
 )
 def test_a_cell_is_won_by_the_adjusted_p_value(found, wins):
     rows, pair = of_a_cell(better=(0.5, 0), worse=(1.0, 0))
-    assert winning.winner(rows, pd.DataFrame([pair | found])) == ("better" if wins else "")
+    assert winning.standing(rows, pd.DataFrame([pair | found])).winner == ("better" if wins else "")

@@ -1,5 +1,6 @@
 """A study's results in the terminal: who is better, by how much, and how surely. Heads are the names that the tables use."""
 
+from collections import Counter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +12,8 @@ from pcbench.cli.screen.tables import Column, fits, printed
 from pcbench.dataset.columns import unit_of
 from pcbench.dataset.result import Result
 from pcbench.scenarios import Scenario
-from pcbench.statistics.winning import by_cell, stood
-from pcbench.statistics.wording import difference, fraction, interval, marked
+from pcbench.statistics.winning import by_cell, most_often, standing, stood
+from pcbench.statistics.wording import as_good, difference, fraction, interval, marked
 from pcbench.study import scenarios_of
 
 LONGEST = 48  # rows of a closing table; beyond, who wins is counted instead
@@ -130,14 +131,15 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
     for cell in cells:
         wide = cell.set_index(["observer", "metric"])
         met = shown.pairs[shown.pairs.cell == cell.cell.iloc[0]]
-        order = list(ranked(cell[cell.metric == metric]).observer)
+        found = standing(cell[cell.metric == metric], met)
+        order = found.order
         for observer in order:
             best = observer == order[0]
             for axis in axes:
                 values[axis].append(_axis(cell[axis].iloc[0]) if best else "")
             name = marked(observer, [wide.loc[(observer, metric), "certified"]])
             values["observer"].append(name)
-            bold |= {len(values["observer"]) - 1} if best else set()
+            bold |= {len(values["observer"]) - 1} if observer in found.leaders else set()
             values[metric].append(interval(wide.loc[observer, metric]))
             values[LESS].append("" if best else difference(met, observer, order[0]))
             for name in beside:
@@ -162,11 +164,6 @@ def _columns(shown: View, cells: list[pd.DataFrame], axes: list[str]) -> list[Co
 def _cost(costs: Any, cell: int, observer: str, name: str) -> str:
     mine = costs[(costs.cell == cell) & (costs.observer == observer)]
     return f"{mine[name].iloc[0]:,}" if len(mine) else ""
-
-
-def ranked(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return rows of one metric and cell, the best first: the fewest diverged runs, then the least mean."""
-    return rows.sort_values(["diverged", "mean"], kind="stable", na_position="last")
 
 
 def _head(shown: View, metric: str) -> str:
@@ -199,13 +196,16 @@ def _counted(shown: View, console: Console) -> list[str]:
     """Print how many cells each observer wins; return what a reader has to know."""
     part, metric = shown.stats[shown.stats.metric == shown.metric], shown.metric
     met = by_cell(shown.pairs)
-    won = pd.Series([stood(rows, met.get(cell, [])).winner for cell, rows in by_cell(part).items()]).value_counts()
+    leaders = [stood(rows, met.get(cell, [])).leaders for cell, rows in by_cell(part).items()]
+    won = Counter(each[0] for each in leaders if len(each) == 1)
+    led = Counter(name for each in leaders for name in each)
     each = part.groupby("observer", sort=False)
-    order = sorted(each, key=lambda item: (-won.get(item[0], 0), np.nan_to_num(item[1]["mean"].median(), nan=np.inf)))
+    order = sorted(each, key=lambda item: (-won[str(item[0])], np.nan_to_num(item[1]["mean"].median(), nan=np.inf)))
     unit = unit_of(metric, part.unit.iloc[0])
     columns = [
         Column("observer", [marked(str(name), mine.certified) for name, mine in order], left=True),
-        Column("cells won", [str(won.get(name, 0)) for name, _ in order]),
+        Column("cells won", [str(won[str(name)]) for name, _ in order]),
+        Column("as good as\nthe best", [str(led[str(name)]) for name, _ in order]),
         Column(
             f"median {metric} [{unit}]",
             ["-" if np.isnan(m := mine["mean"].median()) else f"{m:.4g}" for _, mine in order],
@@ -218,7 +218,9 @@ def _counted(shown: View, console: Console) -> list[str]:
     signal, fewest = part.signal.iloc[0], " among those with fewest diverged runs" if part.diverged.any() else ""
     title = f"{shown.scenario.name}: least {metric} of {signal}{fewest}, over {cells:,} cells"
     printed(title, columns, console)
-    ties = won.get("", 0)
+    names, most = most_often(leaders)
     return [
-        f"A cell is won where the best is surely better than every other (Holm, 5 %); {ties:,} of {cells:,} are not."
+        f"An observer wins a cell if it is significantly better than every other (paired t-test, Holm, 5 %); "
+        f"{cells - won.total():,} of {cells:,} cells have no winner.",
+        *([f"{shown.scenario.name}: {as_good(names, most, cells)}."] if most and not won else []),
     ]
