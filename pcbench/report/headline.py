@@ -56,9 +56,9 @@ def _cell(
     ranked = part[part.cell == cell].sort_values(["diverged", "mean"], kind="stable", na_position="last")
     order, ranked = list(ranked.observer), ranked.set_index("observer")
     beside = [m for m in BESIDE if m != metric]
-    found = frames.standings(result, scenario, signal, metric).set_index("cell")
-    leaders = found.leaders.loc[cell]
-    rows = []
+    found = frames.standings(result, scenario, signal, metric)
+    leaders = next(iter(found.leaders[found.cell == cell]))
+    rows: list[dict[str, Any]] = []
     for observer in order:
         row = wide.loc[observer]
         against = "" if observer == order[0] else wording.difference(met, observer, order[0])
