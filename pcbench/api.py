@@ -21,7 +21,7 @@ from pcbench.plants import signals_of
 from pcbench.scenarios.sources import units
 from pcbench.study import read
 from pcbench.study.own_scenarios import plain
-from pcbench.study.read import Described, one_cell
+from pcbench.study.read import Described
 from pcbench.synthesis.certificate import Design, is_certified
 
 if TYPE_CHECKING:
@@ -140,7 +140,8 @@ def trace(
 
     Signals are the states and what the plant has of unknown inputs or parameters; observers have columns for what they
     estimate, and where the study asks for consistency, <observer>.<signal>.sigma, the standard deviation that they believe.
-    A trace of a closed loop is of one observer, and has the set point too: target.<signal>.
+    A trace of a closed loop is of one observer, and has the set point too: target.<signal>. `observers` "all" are those that
+    can run; `attrs["excluded"]` of the frame has the reasons of the others.
 
     `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before. `log` is
@@ -150,11 +151,11 @@ def trace(
     if not 0 <= seed < 2**32:
         raise UserError(f"--seed: got {seed}, expected a seed index of 0 or more, below 2^32.")
     with process.float64():
-        study, cell = one_cell(scenario, names, overrides or [])
-        if cell.scenario.loop.controller and len(names) > 1:
+        study, cell = all_observers.one_cell(scenario, names, overrides or [])
+        if cell.scenario.loop.controller and len(cell.options) > 1:
             raise UserError(
-                f"{study.name}: got {len(names)} observers in a closed loop, expected one: each drives a plant of its own; "
-                "trace them one at a time."
+                f"{study.name}: got {len(cell.options)} observers in a closed loop, expected one: each drives a plant of its "
+                "own; trace them one at a time."
             )
         (p,) = (alone(planned, study.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
         import pandas as pd
@@ -181,6 +182,7 @@ def trace(
     columns |= {f"y{i + 1}": y for i, y in enumerate(_held(out.arrived).T)}
     frame = pd.DataFrame(columns)
     driven = units(p.cell.scenario.loop.input, out.u.shape[1])
+    frame.attrs["excluded"] = study.excluded or {}  # why others of "all" are not here
     frame.attrs["input_units"] = {f"u{i + 1}": unit for i, unit in enumerate(driven)}
     frame.attrs["carries_input"] = dict(p.carries_input)  # of the predictions to now, by observer
     frame.attrs["certified"] = {o: is_certified(c._asdict()) for o, c in p.certificates.items()}
@@ -198,7 +200,7 @@ def costs(
 
     with process.float64():
         names = [observers] if isinstance(observers, str) else observers
-        every = all_observers.grid_of(study, {} if names is None else {"observers": list(names)}, overrides or []).cells
+        grid = all_observers.grid_of(study, {} if names is None else {"observers": list(names)}, overrides or [])
         rows = [
             {
                 "scenario": p.cell.scenario.name,
@@ -207,10 +209,12 @@ def costs(
                 "observer": label,
                 **found._asdict(),
             }
-            for p in drafts(every)
+            for p in drafts(grid.cells)
             for label, found in cost.costs(p).items()
         ]
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    table.attrs["excluded"] = grid.study.excluded or {}  # why others of "all" are not here
+    return table
 
 
 def _held(arrived: np.ndarray) -> np.ndarray:

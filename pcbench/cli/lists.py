@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Set, console, require_effect, write
+from pcbench.cli.shared import AsJson, Set, console, require_effect, say, write
 
 
 def list_(
@@ -63,6 +63,7 @@ def show(
     from pcbench.cli.screen import listing
     from pcbench.errors import UserError
     from pcbench.study import observers_of, read, scenario_toml
+    from pcbench.study.raw import raw_of
 
     if as_toml and as_json:
         raise UserError("show: got --toml and --json, expected one of them; leave one out.")
@@ -71,6 +72,11 @@ def show(
         _costs(scenario, changes, as_json)
         return
     study = read.outline(scenario, changes or [])
+    if read.names_all(raw_of(scenario, changes or [], read.FROM_HERE)):
+        from pcbench.planning import all_observers  # with jax: gains are designed
+
+        study = all_observers.outline(scenario, changes or [])
+        _say_excluded(study.excluded)
     found = read.scenario_in(study, scenario)
     if as_toml:
         mine = found._replace(observers=tuple(observers_of(study, found.name)))
@@ -85,11 +91,19 @@ def show(
         console().print(end, highlight=False, markup=False, soft_wrap=True)
 
 
+def _say_excluded(excluded: dict[str, str] | None) -> None:
+    from pcbench.planning import all_observers
+
+    for sentence in all_observers.sentences(excluded):
+        say(sentence)
+
+
 def _costs(study: str, changes: list[str] | None, as_json: bool) -> None:
     """Print what the observers of a scenario or a study cost."""
     from pcbench import api
 
     table = api.costs(study, overrides=changes)
+    _say_excluded(table.attrs["excluded"])
     if as_json:
         print(table.to_json(orient="records", indent=2))
         return

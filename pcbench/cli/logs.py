@@ -43,7 +43,7 @@ def log(
 def replay(
     file: File,
     plant: Annotated[str, typer.Option(help="a study of one scenario: its outputs are the log's channels")],
-    observers: Annotated[str, typer.Option(help="comma-separated names")],
+    observers: Annotated[str, typer.Option(help="comma-separated names, or all that can run")],
     folder: Annotated[str, out("folder for the estimates and what is known of them")],
     delay: Late = None,
     start: Annotated[float | None, typer.Option(help="time of the log that is t = 0 [s] [default: its first]")] = None,

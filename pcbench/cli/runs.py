@@ -137,7 +137,7 @@ def run(
 
 def trace(
     scenario: Annotated[str, typer.Argument(help="a scenario's name, or a TOML file")],
-    observer: Annotated[str, typer.Option(help="an observer's name, or several with commas")],
+    observer: Annotated[str, typer.Option(help="an observer's name, several with commas, or all that can run")],
     file: Annotated[str, out("file to write, .parquet or .csv")],
     seed: Annotated[int, typer.Option(help="seed index")] = 0,
     log: Annotated[
@@ -152,10 +152,13 @@ def trace(
     setup()
     from pcbench import api
     from pcbench.dataset import as_file, traced
+    from pcbench.planning import all_observers
     from pcbench.plants import signals_of
     from pcbench.study import read
 
     as_file.kind_of(file)
     frame = api.trace(scenario, names(observer), seed=seed, overrides=changes, log=log)
+    for sentence in all_observers.sentences(frame.attrs["excluded"]):
+        say(sentence)
     as_file.put(file, traced.trace_table(frame, signals_of(read.scenario_of(scenario, changes))))
     print(f"{len(frame):,} ticks, columns {', '.join(frame.columns)}: {file}")

@@ -9,8 +9,9 @@ from pcbench.errors import UserError
 from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.planning.arrays import draft
-from pcbench.study import read
-from pcbench.study.cells import Grid
+from pcbench.study import Study, read
+from pcbench.study.cells import Cell, Grid
+from pcbench.study.names import entry_in
 from pcbench.study.raw import Described, raw_of, where_of
 from pcbench.study.read import ALL, FROM_HERE
 
@@ -25,19 +26,17 @@ def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> 
 
 def resolved(raw: dict[str, Any], where: str) -> dict[str, Any]:
     """Return a raw study with every observer that can run in place of "all", and with the reasons of the others."""
-    given = raw.get("observers")
-    names = [given] if isinstance(given, str) else given
-    if not isinstance(names, list) or ALL not in names:
+    if not read.names_all(raw):
         return raw
-    kept, excluded = [name for name in names if name != ALL], {}
+    given = raw["observers"]
+    kept, excluded = [name for name in given if name != ALL] if isinstance(given, list) else [], {}
     labels = [*OBSERVERS, *(label for label in raw.get("options") or {} if label not in ("scenario", "target"))]
     for label in dict.fromkeys(labels):
         if label in kept:
             continue
         try:
             with process.float64():
-                for cell in read.grid(raw | {"observers": [label]}, where, FROM_HERE).cells:
-                    draft(cell, cell.options)
+                _try(raw | {"observers": [label]}, where, label)
         except UserError as error:
             excluded[label] = str(error)
         else:
@@ -46,6 +45,33 @@ def resolved(raw: dict[str, Any], where: str) -> dict[str, Any]:
         label, reason = next(iter(excluded.items()))
         raise UserError(f"{where}: observers: no observer can run; the first, {label}, is refused: {reason}")
     return raw | {"observers": kept, "excluded": excluded or None}
+
+
+def _try(raw: dict[str, Any], where: str, label: str) -> None:
+    """Plan the one observer of a study in every cell, and by its own design if the study compares gains; or raise UserError."""
+    grid = read.grid(raw, where, FROM_HERE)
+    grids, designed = [grid], entry_in(grid.study, label).designed
+    if grid.study.tunings != ["paper"] and designed:
+        options = raw.get("options") or {}
+        grids.append(
+            read.grid(raw | {"options": options | {label: options.get(label, {}) | dict(designed)}}, where, FROM_HERE)
+        )
+    for cell in (cell for each in grids for cell in each.cells):
+        draft(cell, cell.options)
+
+
+def one_cell(study: Described, observers: list[str], overrides: list[str]) -> tuple[Study, Cell]:
+    """Return a study of these observers with its one cell, as `read.one_cell`; "all" becomes those that can run."""
+    if ALL not in observers:
+        return read.one_cell(study, observers, overrides)
+    raw = raw_of(study, overrides, FROM_HERE)
+    found = resolved(raw | {"observers": observers}, where_of(study, raw))
+    return read.one_cell(found, found["observers"], [])
+
+
+def outline(what: str, overrides: list[str]) -> Study:
+    """Return the study that the user names, as `read.outline`; "all" among its observers becomes those that can run."""
+    return read.described(resolved(raw_of(what, overrides, FROM_HERE), what), what, FROM_HERE)
 
 
 def sentences(excluded: dict[str, str] | None) -> list[str]:

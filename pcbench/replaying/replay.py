@@ -13,14 +13,17 @@ from pcbench.logs.events import Clocked
 from pcbench.logs.log import Log
 from pcbench.logs.survey import Survey, survey
 from pcbench.logs.ticks import better, ticks
+from pcbench.logs.windows import Room
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
+from pcbench.planning import all_observers
 from pcbench.planning.padding import rounded
 from pcbench.plants import signals_of
 from pcbench.replaying import abreast, feed, folder, judging, scoring, smoother, stretch
 from pcbench.replaying.prepared import Prepared, prepared
 from pcbench.study import read
 from pcbench.study.cells import Cell
+from pcbench.study.labels import label_of
 from pcbench.study.raw import Described
 
 LENGTH = 1 << 16  # ticks of a part
@@ -76,6 +79,8 @@ def replay(
         a.said.extend(turned_back(a.found))
         length = min(LENGTH, max(rounded(a.last + 1), 2))
         room = feed.room(a.log, a.found, a.clock, length, a.last)
+        if read.ALL in names:
+            a = _capable(a, room, names)
         p = prepared(a.cell, room, a.last, a.log.name)
         with folder.draft(Path(spare if out is None else out)) as draft:
             judged, score, smoothed = _run(a, p, room.slots, length, draft, seed, progress)
@@ -92,9 +97,9 @@ def asked(
     overrides: list[str] | None = None,
 ) -> Asked:
     """Return a log with the cell that is to run on it, in ticks; raise UserError where they do not fit."""
-    _, cell = read.one_cell(plant, observers, overrides or [])
+    study, cell = all_observers.one_cell(plant, observers, overrides or [])
     opened = reading.opened(log, delay)
-    found, s, said = survey(opened), cell.scenario, []
+    found, s, said = survey(opened), cell.scenario, all_observers.sentences(study.excluded)
     if len(opened.channels) != len(s.sampling.delay):
         raise UserError(
             f"{opened.name}: got the channels {', '.join(opened.channels)}, expected one for each of the "
@@ -128,6 +133,22 @@ def asked(
         last=int(last[0]),
         said=said,
     )
+
+
+def _capable(a: Asked, room: Room, names: list[str]) -> Asked:
+    """Return what is to run without the observers of "all" that the log has no place for; each is a sentence."""
+    excluded = {}
+    for label, given in a.cell.options.items():
+        try:
+            if label not in map(label_of, names):
+                prepared(a.cell._replace(options={label: given}), room, a.last, a.log.name)
+        except UserError as error:
+            excluded[label] = str(error)
+    options = {label: given for label, given in a.cell.options.items() if label not in excluded}
+    if not options:
+        raise UserError(f"{a.log.name}: no observer can run; the first is refused: {next(iter(excluded.values()))}")
+    a.said.extend(all_observers.sentences(excluded))
+    return a._replace(cell=a.cell._replace(options=options))
 
 
 def turned_back(found: Survey) -> list[str]:

@@ -56,8 +56,8 @@ def tune_log(
     """
     label = label_of(observer)
     with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
-        a = asked(log, plant, [observer], delay=delay, start=start, overrides=overrides)
         study, _ = read.one_cell(plant, [observer], overrides or [])
+        a = asked(log, plant, [observer], delay=delay, start=start, overrides=overrides)
         where = f"tune {label} on {a.name}"
         entry, options = a.cell.entry(label), a.cell.options[label]
         _require(entry, budget, where)

@@ -98,9 +98,15 @@ def outline(what: str, overrides: list[str]) -> Study:
     If its observers are "all", they are not yet known: those of its scenarios are in their place.
     """
     raw = raw_of(what, overrides, FROM_HERE)
-    if ALL in ([raw.get("observers")] if isinstance(raw.get("observers"), str) else raw.get("observers") or []):
+    if names_all(raw):
         del raw["observers"]
     return described(raw, what, FROM_HERE)
+
+
+def names_all(raw: dict[str, Any]) -> bool:
+    """Say whether "all" is among the observers of a raw study."""
+    observers = raw.get("observers")
+    return observers == ALL or (isinstance(observers, list) and ALL in observers)
 
 
 def _own(raw: dict[str, Any]) -> list[str]:
@@ -187,6 +193,12 @@ def _observers(study: Study, names: list[str], where: str) -> None:
         raise UserError(f"{where}: got an empty list, expected at least one of {', '.join(OBSERVERS)}.")
     known = set(labels_of(study))
     for name in names:
+        if name == ALL and where.endswith(": observers"):
+            raise UserError(f"{where}: got 'all', expected the name of one observer here; see pcbench list observers.")
+        if name == ALL:
+            raise UserError(
+                f'{where}: got "all", expected names here; write observers = "all" at the top of the study.'
+            )
         if name not in known:
             raise unknown(where, "observer", name, known)
     _unique(names, where)

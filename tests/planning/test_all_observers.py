@@ -1,12 +1,16 @@
 """`observers = "all"` runs every observer that can run, and lists the others with their reasons."""
 
 import pytest
+from typer.testing import CliRunner
 
 import pcbench
+from pcbench.cli.commands import app
 from pcbench.errors import UserError
 from pcbench.observers import OBSERVERS
 from pcbench.planning import all_observers
+from pcbench.replaying import replay
 from pcbench.report import page
+from pcbench.study import read
 
 STUDY = {
     "name": "everything",
@@ -70,6 +74,67 @@ def test_without_an_observer_that_can_run_the_first_reason_is_the_sentence(monke
     monkeypatch.setattr(all_observers, "OBSERVERS", {"smo": OBSERVERS["smo"]})
     with pytest.raises(UserError, match="no observer can run; the first, smo, is refused: smo in lti: the plant"):
         all_observers.grid_of(STUDY, {"observers": "all"}, [])
+
+
+@pytest.mark.usefixtures("few")
+def test_trace_and_replay_take_all(tmp_path, monkeypatch):
+    """The log has no place for `dkf`, as where it brings more samples on their way than an observer can keep."""
+    frame = pcbench.trace(STUDY, "all", log=tmp_path / "log")
+    assert {"dkf.x1", "open-loop.x1"} <= set(frame.columns)
+    assert frame.attrs["excluded"] == {"smo": REASON}
+    real = replay.prepared
+
+    def picky(cell, *given):
+        if "dkf" in cell.options:
+            raise UserError("dkf has no room.")
+        return real(cell, *given)
+
+    monkeypatch.setattr(replay, "prepared", picky)
+    found = pcbench.replay(tmp_path / "log", STUDY, "all")
+    assert set(found.metrics.observer) == {"open-loop"}
+    assert found.summary["said"][:2] == [f"{o} is left out of all observers: {why}" for o, why in LEFT_OUT.items()]
+    with pytest.raises(UserError, match=r"dkf has no room"):
+        pcbench.replay(tmp_path / "log", STUDY, ["dkf", "all"])
+    monkeypatch.setattr(all_observers, "OBSERVERS", {"dkf": OBSERVERS["dkf"]})
+    with pytest.raises(UserError, match=r": no observer can run; the first is refused: dkf has no room"):
+        pcbench.replay(tmp_path / "log", STUDY, "all")
+
+
+LEFT_OUT = {"smo": REASON, "dkf": "dkf has no room."}
+
+
+@pytest.mark.usefixtures("few")
+def test_show_names_the_observers_of_all_that_can_run(tmp_path):
+    file = tmp_path / "mine.toml"
+    file.write_text('observers = "all"\nscenarios = ["cart/slow"]\n')
+    done = CliRunner().invoke(app, ["show", str(file)])
+    assert done.exit_code == 0, done.output
+    assert "observers: dkf, open-loop" in done.output
+    assert "smo is left out of all observers: smo in cart/slow" in done.output
+
+
+@pytest.mark.parametrize("tuning", ["paper", ["paper", "design"]])
+def test_an_observer_without_a_design_is_left_out_where_designs_are_compared(tuning, monkeypatch):
+    """`chain` by default takes poles; by design it solves a Riccati equation, which has no solution for this plant."""
+    monkeypatch.setattr(all_observers, "OBSERVERS", {name: OBSERVERS[name] for name in ("chain", "dkf", "pccebo")})
+    study = {"name": "d", "scenarios": ["cart/gaussian"], "tuning": tuning}
+    found = all_observers.grid_of(study, {"observers": ["all"]}, []).study
+    assert found.observers == (["chain", "dkf", "pccebo"] if tuning == "paper" else ["dkf", "pccebo"])
+    assert tuning == "paper" or "Riccati" in found.excluded["chain"]
+
+
+@pytest.mark.parametrize("ask", [pcbench.tune, pcbench.design])
+def test_what_takes_one_observer_refuses_all_in_one_sentence(ask):
+    with pytest.raises(UserError, match=r"^cart/slow: observers: got 'all', expected the name of one observer here"):
+        ask("cart/slow", "all")
+
+
+def test_all_in_a_table_names_the_place_where_it_belongs():
+    study = STUDY | {"lti": STUDY["lti"] | {"observers": ["all"]}}
+    with pytest.raises(
+        UserError, match=r'lti\.observers: got "all", .* write observers = "all" at the top of the study'
+    ):
+        read.study_of(study, {}, [])
 
 
 @pytest.mark.nightly
