@@ -31,6 +31,10 @@ class UserError(ValueError):
         super().__init__(printable(sentence))
 
 
+class DigitsError(UserError):
+    """A state so large that its rounding decides the errors: the sentence names the cell and the size."""
+
+
 class DesignError(UserError):
     """A gain that could not be found or certified: the sentence names the margin and the solver's status."""
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from pcbench.errors import UserError
+from pcbench.errors import DigitsError, UserError
 from pcbench.gains import gradient
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
@@ -71,6 +71,10 @@ def evaluator(
     def at(point: Vector) -> tuple[float, Vector]:
         try:
             return with_slope(point) if how == "descent" else alone(point)
+        except DigitsError:  # of an open loop whatever the gains, of a closed one because of them
+            if p.layout.controller is None:
+                raise
+            return float("inf"), np.full(len(point), np.nan)
         except (UserError, ValidationError):  # its design refuses, or it is no option
             return float("inf"), np.full(len(point), np.nan)
 

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.planning import digits
 from pcbench.planning.padding import Plan
 from pcbench.simulation import metrics
 from pcbench.simulation.metrics import Stream, Watch
@@ -21,6 +22,7 @@ def scored(p: Plan, x: Floats, xhat: Floats) -> dict[str, Any]:
         streams = [_stream(e[a:b]) for a, b in np.asarray(p.problem.windows)]
         watch = _watch(e, p)
     whole: Any = Stream._make(np.stack(each) for each in zip(*streams, strict=True))
+    digits.require_of(p, x[:, n - 1].T, whole.absolute[1:].sum(0) / (n - tail))
     falls = bool((p.problem.jumps < n).any())
     return metrics.read(whole, watch, e[-1], n, tail, dt, falls)  # type: ignore[arg-type]
 

@@ -8,6 +8,7 @@ runs are no answer.
 
 import numpy as np
 
+from pcbench.moments import digits
 from pcbench.moments.bending import ROUNDING
 from pcbench.moments.solve import CellMoments
 from pcbench.moments.sums import strayed
@@ -29,6 +30,8 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
         )
     if any(p.cell.scenario.sampling.resolution):
         return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
+    if said := digits.lost(cell, label):
+        return f"{where} {said}; shorten the horizon, or {instead}."
     part = strayed(s.apart[mine], s.size[mine])
     worst = int(np.argmax(part))
     reach = s.reach[mine].max(-1)

@@ -37,6 +37,7 @@ class Found(NamedTuple):
     rows: Any  # Recorded; (): nothing is recorded
     last: Any = ()  # Last, of a layout with consistency
     unlike: Any = ()  # [C] of modes, as in `events.Moving`
+    reached: Any = ()  # [2, n, C] of the state in the end: its size in the runs, its deviation without that of the start
 
 
 class Carried(NamedTuple):

@@ -53,7 +53,15 @@ def run(layout: Layout, shape: Shape, given: Given) -> Found:
         return number + 1, along(go, k, jnp.minimum(given.plan.at[number + 1], stop), c)
 
     _, carried = lax.while_loop(lambda at: given.plan.at[at[0]] < stop, segment, (jnp.asarray(0), before))
-    return Found(carried.sums, recorded(go, carried.rows), carried.last, carried.moving.unlike)
+    moving = carried.moving
+    return Found(carried.sums, recorded(go, carried.rows), carried.last, moving.unlike, _reached(by, moving))
+
+
+def _reached(by: Means, m: Moving) -> Array:
+    """How large the state is in the end, as `Found` has it; it is the first of what noise reaches."""
+    size = jnp.max(jnp.abs(m.runs.x), 0)
+    variance = jnp.einsum("ddc->dc", m.P)[: len(size)] if by.form.moving[0] else jnp.zeros_like(size)
+    return jnp.stack([size, jnp.sqrt(jnp.maximum(variance, 0.0))])
 
 
 def _begin(by: Means, shape: Shape, given: Given) -> tuple[Carried, Ways]:

@@ -46,6 +46,7 @@ class CellMoments(NamedTuple):
     last: dict[str, Believed] = {}  # by observer label, of a study that asks for consistency  # noqa: RUF012
     mixture: bool = False  # over losses or delays: means and squares are exact, and no distribution is normal
     why: dict[str, str] = {}  # by observer label, why it has no exact answer, empty: it has (`affine`)  # noqa: RUF012
+    reached: Any = ()  # [2, n, S] as in `Found`
     shares: Any = None  # [S] of `last`, whose realisations are modes of the cell; None: each counts alike
 
 
@@ -235,6 +236,7 @@ def _gathered(parts: list[Part]) -> CellMoments:
         rows=total.rows,
         last=_believed(p, places, called, whole),
         mixture=parts[0].item.one.chance < 1 or shares is not None,
+        reached=whole.reached,
         shares=shares,
     )
 

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.planning import digits
 from pcbench.planning.padding import Plan, key_of
 from pcbench.simulation import batch, metrics
 from pcbench.simulation.problem import Outcome
@@ -30,13 +31,14 @@ def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[ba
 
 
 def results(planned: Plan, outcomes: Iterable[tuple[batch.Job, Outcome]]) -> Results:
-    """Return the metrics that the outcomes of one cell's jobs hold, joined."""
+    """Return the metrics that the outcomes of one cell's jobs hold, joined; raise DigitsError where rounding decides them."""
     parts: dict[str, list[dict[str, NDArray[Any]]]] = {label: [] for label in planned.labels}
     n, tail, dt = planned.cell.times.ticks, planned.cell.times.tail, planned.cell.scenario.dt
     falls = bool((planned.problem.jumps < n).any())
     weights = planned.problem.weights
     costs = isinstance(weights, metrics.Weights) and np.size(weights.Q1) > 0
     for _, outcome in outcomes:
+        digits.require(planned, outcome)
         for label, (name, _) in zip(planned.labels, planned.layout.observers, strict=True):
             left = outcome.streams[name], outcome.watches[name], outcome.final[name]
             effort, squares = outcome.effort or None, outcome.consistency.get(name) if outcome.consistency else None

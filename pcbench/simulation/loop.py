@@ -78,11 +78,23 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
         last = control(layout, p, end, last, drawn(end).command)
     errors = steps.errors(layout, p, end, state)
     squares = consistency.squares(layout, p, end, state, errors) if layout.consistency else ()
-    left = (last.streams, last.tracking, last.effort), last.watches, errors, squares
+    left = (
+        (last.streams, last.tracking, last.effort),
+        last.watches,
+        errors,
+        squares,
+        steps.actual(layout, p, end, state),
+    )
     sums, left = jax.tree.map(lambda a: lanes.whole(a, layout.width), (sums, left), is_leaf=lanes.is_lanes)
     streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])
     return Outcome(
-        streams=streams, watches=left[1], final=left[2], tracking=tracking, effort=effort, consistency=left[3]
+        streams=streams,
+        watches=left[1],
+        final=left[2],
+        tracking=tracking,
+        effort=effort,
+        consistency=left[3],
+        actual=left[4],
     )
 
 

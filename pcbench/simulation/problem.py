@@ -103,6 +103,7 @@ class Outcome(NamedTuple):
     tracking: Any = ()  # Stream [W, r, L] of a closed loop
     effort: Any = ()  # Effort [W, L] of a closed loop
     consistency: Any = ()  # by observer label, consistency.Squares of those that have a covariance
+    actual: Any = ()  # [n + s, L] what observers estimate, as it is at tick N-1
 
 
 def present(p: Problem, k: Array, decided: bool, commands: Any = ()) -> Now:

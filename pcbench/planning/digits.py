@@ -1,0 +1,97 @@
+"""Whether a float64 resolves the errors of a run: the state may be so large that its rounding is not small beside them.
+
+A float64 x is rounded to multiples of about EPS |x|. An observer computes xhat with the same rounding, so e = x - xhat has no
+digits left where EPS |x| is not small beside e, whatever the observer: it is that rounding, or its amplification by an unstable
+plant, or 0 where x and xhat agree in all digits. The largest state of an unstable plant is its last one, so that one is looked
+at: the errors of signal i are unresolved if, in most runs,
+
+    EPS |x_i(N-1)|  >  PART mean |e_i| over the tail,
+
+and that rounding is no trifle: it is more than TRIFLE of the settling band of a signal, of the process noise of a state, or
+of the noise of an output. An error that decays to the rounding of a small state is 0 for every purpose.
+"""
+
+from functools import partial
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from pcbench.errors import DigitsError
+from pcbench.planning.padding import Plan
+from pcbench.plants import signals_of
+from pcbench.simulation.problem import Layout, Outcome, Problem, present
+
+EPS = float(np.finfo(np.float64).eps)
+PART = 1e-2
+TRIFLE = 1e-4
+Floats = NDArray[np.float64]
+
+
+def require(p: Plan, outcome: Outcome) -> None:
+    """Raise DigitsError where rounding decides the errors of an observer in most runs of a call."""
+    tail = p.cell.times.ticks - p.cell.times.tail
+    for name, _ in p.layout.observers if np.size(outcome.actual) else ():
+        require_of(p, np.asarray(outcome.actual), np.asarray(outcome.streams[name].absolute)[1:].sum(0) / tail)
+
+
+def require_of(p: Plan, actual: Floats, tail_mae: Floats) -> None:
+    """Raise DigitsError where rounding decides errors of mean size `tail_mae` [s, runs]; `actual` [n + s, runs] at the end."""
+    size = np.abs(actual[: len(tail_mae)])
+    overflows = ~np.isfinite(size) & (p.layout.controller is None)  # in a loop that is the estimate's doing
+    lost = overflows | (np.isfinite(size) & (EPS * size > PART * tail_mae))
+    share = lost.mean(-1)
+    if share.max(initial=0.0) <= 0.5:
+        return
+    worst, typical = int(share.argmax()), np.median(np.abs(actual), -1)
+    if not np.isfinite(typical[worst]) or _matters(p, typical):
+        raise DigitsError(sentence(p, worst, float(typical[worst])))
+
+
+def sentence(p: Plan, signal: int, size: float) -> str:
+    """Return what to say of a cell in which a signal is so large."""
+    s = p.cell.scenario
+    name, unit = signals_of(s)[signal]
+    if np.isfinite(size):
+        said = f"reaches {amount(size, unit)}, where float64 numbers are {np.spacing(size):.1g} apart"
+    else:
+        said = f"grows beyond {np.finfo(np.float64).max:.1e}, the largest float64"
+    steady = "another controller" if s.loop.controller else "a [controller] that stabilises the plant"
+    return (
+        f"{s.name}, cell {p.cell.number}: {name} {said}, so that fewer than two digits of the errors are left, whatever the "
+        f"observer; take a shorter horizon, {steady}, or an origin near the state."
+    )
+
+
+def amount(size: float, unit: str) -> str:
+    """Return a size with its unit, if it has one."""
+    return f"{size:.2g}" if unit in ("", "1") else f"{size:.2g} {unit}"
+
+
+def _matters(p: Plan, size: Floats) -> bool:
+    """Whether the rounding of signals [n + s] so large is no trifle beside all that the cell compares and draws."""
+    n = len(p.problem.x0)
+    state = np.where(np.isfinite(size[:n]), size[:n], 0.0)
+    y = np.asarray(jax.jit(partial(_output, p.layout))(jax.tree.map(np.asarray, p.problem), state))
+    return bool(
+        (EPS * size > TRIFLE * np.asarray(p.problem.band)[: len(size)]).any()
+        or _beyond(size[:n], _process(p.problem))
+        or _beyond(np.abs(y), np.asarray(p.problem.noise_std))
+    )
+
+
+def _output(layout: Layout, p: Problem, x: Any) -> Any:
+    """What is measured of a state at the last tick, without noise: [q]."""
+    return layout.plant.output(p.params, present(p, p.windows[-1, 0], True), x)
+
+
+def _process(problem: Problem) -> Floats:
+    """The standard deviations [n] of the process noise of a tick; [0]: there is none."""
+    std = np.asarray(problem.process_std)
+    return np.sqrt(np.square(std).sum(-1)) if std.ndim == 2 else std
+
+
+def _beyond(size: Floats, std: Floats) -> bool:
+    """Whether the rounding of some number is no trifle beside its noise, of those that have any."""
+    return bool(((EPS * size[: len(std)] > TRIFLE * std) & (std > 0)).any())
