@@ -9,6 +9,7 @@ at: the errors of signal i are unresolved if, in most runs,
 
 and that rounding is no trifle: it is more than TRIFLE of the settling band of a signal, of the process noise of a state, or
 of the noise of an output. An error that decays to the rounding of a small state is 0 for every purpose.
+In a stabilised loop the state stays small, but observers that predict by the response to the input (`gains.motion`) keep it.
 """
 
 from functools import partial
@@ -32,8 +33,11 @@ Floats = NDArray[np.float64]
 def require(p: Plan, outcome: Outcome) -> None:
     """Raise DigitsError where rounding decides the errors of an observer in most runs of a call."""
     tail = p.cell.times.ticks - p.cell.times.tail
-    for name, _ in p.layout.observers if np.size(outcome.actual) else ():
-        require_of(p, np.asarray(outcome.actual), np.asarray(outcome.streams[name].absolute)[1:].sum(0) / tail)
+    for label, (name, _) in zip(p.labels, p.layout.observers, strict=True) if np.size(outcome.actual) else ():
+        tail_mae = np.asarray(outcome.streams[name].absolute)[1:].sum(0) / tail
+        require_of(p, np.asarray(outcome.actual), tail_mae)
+        if p.layout.controller is not None:
+            _require_response(p, label, p.problem.gains[name], tail_mae)
 
 
 def require_of(p: Plan, actual: Floats, tail_mae: Floats) -> None:
@@ -47,6 +51,30 @@ def require_of(p: Plan, actual: Floats, tail_mae: Floats) -> None:
     worst, typical = int(share.argmax()), np.median(np.abs(actual), -1)
     if not np.isfinite(typical[worst]) or _matters(p, typical):
         raise DigitsError(sentence(p, worst, float(typical[worst])))
+
+
+def _require_response(p: Plan, label: str, gains: Any, tail_mae: Floats) -> None:
+    """Raise DigitsError where an observer in a loop sums the input's response without the feedback, and that grows too large.
+
+    In a loop the response cancels what the start becomes in an open loop, so it is as large (`observers.parts.prediction`).
+    """
+    Phi = getattr(getattr(gains, "motion", None), "Phi", None)
+    if Phi is None:
+        return
+    s, n = p.cell.scenario, len(p.problem.x0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        moved = np.abs(np.linalg.matrix_power(np.asarray(Phi), p.cell.times.ticks)[:n, :n])
+        size = moved @ (np.abs(np.asarray(p.problem.x0)) + np.asarray(s.belief.prior_std))
+    lost = (EPS * size[:, None] > PART * tail_mae[:n]).mean(-1) > 0.5
+    lost &= EPS * size > TRIFLE * np.asarray(p.problem.band)[:n]
+    if lost.any():
+        i = int(np.argmax(np.where(lost, size, 0.0)))
+        name, unit = signals_of(s)[i]
+        raise DigitsError(
+            f"{s.name}, cell {p.cell.number}: {label} keeps the response of {name} to the input without the feedback, which "
+            f"grows to about {amount(float(size[i]), unit)}, so that fewer than two digits of its errors are left in float64; "
+            "take a shorter horizon, or ekf."
+        )
 
 
 def sentence(p: Plan, signal: int, size: float) -> str:

@@ -90,11 +90,14 @@ def test_the_command_ends_with_the_sentence(tmp_path, monkeypatch):
         app(["run", "s.toml"], standalone_mode=False)
 
 
+def closed(observer, seeds):
+    return study([observer], seeds, horizon=9.5, input=None) | {"controller": {"use": "lqr", "Q1": [1.0], "Q2": 1.0}}
+
+
 @pytest.mark.slow
 def test_a_loop_that_is_stabilised_has_the_errors_of_the_filter():
     """The same plant and horizon with feedback: what the filter is off by does not depend on the input."""
-    closed = study(["ekf"], seeds=256, horizon=9.5, input=None)
-    stats = pcbench.run(closed | {"controller": {"use": "lqr", "Q1": [1.0], "Q2": 1.0}}).stats
+    stats = pcbench.run(closed("ekf", 256)).stats
     rms = stats[stats.metric == "tail_pooled_rmse"].iloc[0]
     assert abs(rms["mean"] - right(9.5)[0]) < 4 * rms["se"]
 
@@ -114,6 +117,14 @@ def test_a_large_offset_counts_beside_the_errors(start, noise, resolved):
     else:
         with pytest.raises(DigitsError, match="origin near the state"):
             pcbench.run(given)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("observer", ["dkf", "kf-rewind"])
+def test_an_observer_that_keeps_the_response_without_feedback_says_so(observer):
+    """There its error is 20 times too large at e^38, by rounding of what it keeps."""
+    with pytest.raises(DigitsError, match=f"lti, cell 0: {observer} keeps the response of x1 to the input"):
+        pcbench.run(closed(observer, 16))
 
 
 @pytest.mark.slow
