@@ -1,14 +1,14 @@
 """The command line: parse, call, print. Whatever the user can mend is one sentence and exit code 2."""
 
 import gc
-import os
 import signal
 import sys
-from contextlib import suppress
+from threading import Event
 
+from pcbench.cli import stopping
 from pcbench.cli.stopping import STOPPED, asked, exit_code, interrupt, stop_if_asked, unraisable
 from pcbench.errors import UserError, missing, out_of_memory, printable, said
-from pcbench.machine import threads
+from pcbench.machine import ending, threads
 
 __all__ = ["main"]
 MANY = 100_000  # new objects before Python looks for cycles: by thousands it does so all the time that it imports
@@ -23,6 +23,7 @@ def main() -> None:
     gc.set_threshold(MANY)
     signal.signal(signal.SIGINT, interrupt)
     signal.signal(signal.SIGTERM, interrupt)
+    stopping.watch()
     sys.unraisablehook = unraisable
     threads.one()
     try:
@@ -59,16 +60,8 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     gc.freeze()  # the interpreter takes a third of a second to look once more through all that was imported
     if code == exit_code():
-        _leave(code)
+        ending.end(code)  # a program that computes in another thread crashes the interpreter that ends beside it
     sys.exit(code)
-
-
-def _leave(code: int) -> None:
-    """End the process at once: a program that computes in another thread crashes the interpreter that ends beside it."""
-    for stream in (sys.stdout, sys.stderr):
-        with suppress(OSError, ValueError):
-            stream.flush()
-    os._exit(code)
 
 
 def _of_usage(error: Exception) -> str:
@@ -80,7 +73,9 @@ def _of_usage(error: Exception) -> str:
 
 
 def _stopped() -> int:
-    return _complain("stopped; every file already written is complete.", exit_code())
+    if not ending.begin():
+        Event().wait()  # another thread says so, and ends the process
+    return _complain(stopping.SENTENCE, exit_code())
 
 
 def _complain(sentence: str, code: int = 2) -> int:

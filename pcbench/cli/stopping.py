@@ -1,15 +1,23 @@
-"""Ctrl-C and SIGTERM: noted, raised, and raised again where a library swallows it."""
+"""Ctrl-C and SIGTERM: noted, raised, and raised again where a library swallows it; during a compiled call the process ends."""
 
+import os
 import signal
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from importlib.machinery import ExtensionFileLoader
+from threading import Thread
+from time import sleep
 from typing import Any
 
+from pcbench.machine import ending
 from pcbench.machine.progress import Progress
 
 STOPPED = 130  # the exit code of a program that Ctrl-C has ended; SIGTERM: 143
 SOON = 0.05  # [s] until it is tried again
+GRACE = 1.0  # [s] for the main thread to end the process itself
+SENTENCE = "stopped; every file already written is complete."
+CURSOR = "\r\x1b[K\x1b[?25h"  # of a terminal: clear the line of a progress bar, and show the cursor that it hides
 _ASKED: list[int] = []
 
 
@@ -26,6 +34,31 @@ def interrupt(number: int, frame: Any) -> None:
         signal.setitimer(signal.ITIMER_REAL, SOON)
         return
     raise KeyboardInterrupt
+
+
+def watch() -> None:
+    """Start a thread that ends the process `GRACE` after Ctrl-C or SIGTERM, if the main thread has not done so by then.
+
+    Python runs a signal's handler between two instructions of the main thread. During a compiled call there are none, and a
+    call cannot be cancelled, so what waits for one waits until it returns. Files are written to their end before.
+    """
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    Thread(target=_watch, args=(reader,), name="pcbench-signals", daemon=True).start()
+
+
+def _watch(reader: int) -> None:
+    """End the process some time after a signal whose number arrives."""
+    number = os.read(reader, 1)[0]
+    while number not in (signal.SIGINT, signal.SIGTERM):
+        number = os.read(reader, 1)[0]
+    sleep(GRACE)
+    if ending.begin():
+        cursor = CURSOR if sys.stderr.isatty() else ""
+        with suppress(OSError, ValueError):
+            print(f"{cursor}pcbench: {SENTENCE}", file=sys.stderr)
+        ending.end(128 + number)
 
 
 def _loads_an_extension(frame: Any) -> bool:

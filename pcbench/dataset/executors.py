@@ -15,7 +15,7 @@ from threading import Lock
 from typing import Any
 
 from pcbench.errors import UserError, shown_address
-from pcbench.machine import process
+from pcbench.machine import ending, process
 from pcbench.machine.memory import allowed
 from pcbench.simulation import batch
 
@@ -129,11 +129,12 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
     try:
         yield execute
     finally:
-        with suppress(Exception):  # a cluster that is gone is closed
-            client.close(timeout=5)
-        if cluster is not None:
-            with suppress(Exception):
-                cluster.close(timeout=10)
+        with ending.uncut():  # its processes end with it
+            with suppress(Exception):  # a cluster that is gone is closed
+                client.close(timeout=5)
+            if cluster is not None:
+                with suppress(Exception):
+                    cluster.close(timeout=10)
 
 
 def _distributed() -> Any:

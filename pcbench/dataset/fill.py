@@ -28,6 +28,8 @@ from pcbench.study.cells import Cell
 
 CALLS = 4  # of one block: a file costs milliseconds, a call of the cheapest plant a tenth of a second
 TASKS = 64  # to share among cores and workers
+LONG = 60.0  # [s] a call that takes longer is announced
+HOUR = 3600.0  # [s]
 MANY_FILES = 10_000  # blocks of a study, about; beyond, a block holds more seeds
 Heard = Callable[
     [tuple[str, int], int, cell_rows.Held], None
@@ -143,10 +145,12 @@ def fill(
     sizes: Sizes,
     progress: Progress = SILENT,
     close: Close | None = None,
+    say: Callable[[str], None] = lambda sentence: None,
 ) -> Cost:
     """Run what is missing. Raises UserError where a gain is not certified (before anything is written), or a file cannot be.
 
-    `close` is told which blocks there will be and what cells lack of them, and returns who hears of runs that are there.
+    `say` gets a sentence for each program whose calls take long. `close` is told which blocks there will be and what cells lack
+    of them, and returns who hears of runs that are there.
     """
     todo = missing(owned, there, wanted, partial(_block, owned, wanted, sizes))
     if not todo:
@@ -168,6 +172,10 @@ def fill(
         compiled[report.program] = report.compile_seconds
         spent = Cost(report.runs, {}, 0.0, report.computing_seconds, report.writing_seconds)
         cost = added(cost, spent)
+        if report.call:
+            if report.call.seconds > LONG:
+                say(_long(report, todo))
+            continue
         progress.step(report.runs)
         if heard:
             with took("closing"):
@@ -187,6 +195,18 @@ def _expected(there: list[Block], todo: Gaps) -> tuple[list[Block], dict[tuple[s
         for seeds in ranges
     ]
     return [*there, *new], {key: runs_in({key: labels}) for key, labels in todo.items()}
+
+
+def _long(report: task.Report, todo: Gaps) -> str:
+    """Return a sentence about calls that take long: how long one takes, and how many there are."""
+    seconds, width, labels = report.call or task.Call(0.0, 1, ())
+    each = [max((runs_in({key: {o: todo[key][o]}}) for o in labels if o in todo[key]), default=0) for key in todo]
+    calls, time = sum(-(-many // width) for many in each), f"{seconds / 60:.0f} min"
+    return (
+        f"{report.cell[0]}: a call of {', '.join(labels)}, of up to {width} runs, takes about "
+        f"{time if seconds < 2 * HOUR else f'{seconds / HOUR:.1f} h'} or more; calls to do: {calls}. "
+        "Runs are written at the end of their call."
+    )
 
 
 def _alike(report: task.Report) -> None:

@@ -1,6 +1,6 @@
 """What of a study is to be done, cell by cell: designed and checked before anything is written, and cut into tasks."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator
 from typing import NamedTuple
 
 from pcbench import planning
@@ -34,11 +34,27 @@ class Planned(NamedTuple):
             yield from planning.drafts(self.owned.cells, self.todo, self.ask, many, self.cells)
 
     def tasks(self, wanted: SeedsOf) -> Iterator[task.Task]:
-        """Yield the tasks, cell by cell."""
-        for p in self.drafts(wanted):
-            ranges = {label: each for label, each in self.todo.get(p.cell.key, {}).items() if label in p.labels}
-            if ranges:
-                yield from task.tasks(padding.fitted(p, self.room, self.ask), p.layout.width, ranges)
+        """Yield the tasks, cell by cell; those of expensive observers last, so that nothing waits for them.
+
+        The first task of a program comes after one that estimates how long a call takes.
+        """
+        cells = {cell.key: cell for cell in self.owned.cells}
+        turns = {cells[key].entry(label).expensive for key, labels in self.todo.items() for label in labels}
+        known: set[Hashable] = set()
+        for expensive in sorted(turns):
+            for p in self.drafts(wanted):
+                ranges = {
+                    label: each
+                    for label, each in self.todo.get(p.cell.key, {}).items()
+                    if label in p.labels and p.cell.entry(label).expensive == expensive
+                }
+                if ranges:
+                    whole = padding.fitted(p, self.room, self.ask)
+                    for each in task.tasks(whole, p.layout.width, ranges):
+                        if (program := padding.key_of(whole)) not in known:
+                            known.add(program)
+                            yield each._replace(timed=True)
+                        yield each
 
 
 def planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:

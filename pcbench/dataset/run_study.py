@@ -73,10 +73,10 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
             return closing[0].done
 
         once = None if goal else beside  # more seeds would make its tables anew
-        cost = added(exact, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress, once))
+        cost = added(exact, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress, once, say))
         for wanted in precision.rounds(goal, target, left, say):
             there = block_files.settled(block_files.present(target))
-            cost = added(cost, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress))
+            cost = added(cost, fill.fill(target, left, there, run_tasks, wanted, sizes, how.progress, say=say))
         there = block_files.settled(block_files.present(target))
         if cost.runs or not summary.is_closed(target, there):
             how.progress.note("statistics")

@@ -26,6 +26,7 @@ import pyarrow.parquet as pq
 
 from pcbench.dataset import local_files, parquet
 from pcbench.errors import UserError, shown_address
+from pcbench.machine import ending
 
 PARTIAL = ".partial"
 UNFINISHED = re.compile(r"\.(.+)-(\d+)-\d+" + re.escape(PARTIAL))  # host, process, count
@@ -75,7 +76,7 @@ def put(target: Target, name: str, content: bytes | pa.Buffer, lasting: bool = T
     Of a file that is not `lasting` a power cut may take the name, until `last` was called: then there is none, and none half.
     """
     path = f"{target.root}/{name}"
-    with said(f"{target.name}/{name}"):
+    with said(f"{target.name}/{name}"), ending.uncut():
         if not target.local:
             with target.fs.open_output_stream(path) as stream:
                 stream.write(content)

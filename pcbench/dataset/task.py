@@ -43,16 +43,25 @@ class Task(NamedTuple):
 
     parcel: bytes | Plan  # the planned cell
     pieces: tuple[tuple[Seeds, tuple[str, ...]], ...]  # seeds and observers: the blocks to write
+    timed: bool = False  # no block is written: it is estimated how long a call takes
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Go to another process as bytes, that it can read whosever code the cell has."""
         planned = pack(self.parcel) if isinstance(self.parcel, Plan) else self.parcel
-        return Task, (planned, self.pieces)
+        return Task, (planned, self.pieces, self.timed)
 
     @property
     def runs(self) -> int:
         """Return how many runs its blocks hold."""
-        return sum(seeds.many * len(labels) for seeds, labels in self.pieces)
+        return 0 if self.timed else sum(seeds.many * len(labels) for seeds, labels in self.pieces)
+
+
+class Call(NamedTuple):
+    """About how long a call of a program takes."""
+
+    seconds: float
+    width: int  # runs
+    labels: tuple[str, ...]  # its observers
 
 
 class Report(NamedTuple):
@@ -66,16 +75,21 @@ class Report(NamedTuple):
     computing_seconds: float  # while it held its device, the making of the program included
     versions: dict[str, str]  # of what computed it
     held: cell_rows.Held  # the blocks by name, where they have few rows: whoever wants them need not read them
+    call: Call | None = None  # of a task that is timed
 
 
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     """Do a task: simulate its seeds while holding a device, then write its blocks; raise UserError where that fails."""
     with hold() as device:
-        began = perf_counter()
-        p, results, made = simulated(work, task, device)
+        began, call = perf_counter(), None
+        if task.timed:
+            p, seconds, made = estimated(work, task, device)
+            call, results = Call(seconds, made.width, p.labels), {}
+        else:
+            p, results, made = simulated(work, task, device)
         computing = perf_counter() - began
     start, target = perf_counter(), store.target(work.out)
-    blocks = dict(files(work, task, p, results, made.ways))
+    blocks = {} if task.timed else dict(files(work, task, p, results, made.ways))
     for name, (table, _) in blocks.items():
         store.put_table(target, name, table, lasting=False)  # `fill` sees to that, once for all
     few = sum(len(table) for table, _ in blocks.values()) <= FEW_ROWS
@@ -88,6 +102,7 @@ def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
         computing_seconds=computing,
         versions=provenance.versions(),
         held={name: runs for name, (_, runs) in blocks.items()} if few else {},
+        call=call,
     )
 
 
@@ -108,12 +123,24 @@ def files(
 def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memory.Results, batch.Program]:
     """Return what the runs of a task leave; raise UserError where a call takes more memory than there is for it."""
     with process.float64():
-        p = unpack(task.parcel)
-        seeds = np.concatenate([np.arange(*each) for each, _ in task.pieces])
-        jobs = list(in_memory.jobs(p, work.root_seed, seeds))
-        made = batch.program(p.layout, jobs[0], device)
-        _fits(p, made.memory, work.memory)
+        p, jobs, made = _prepared(work, task, device)
         return p, in_memory.results(p, batch.serial(made, jobs)), made
+
+
+def estimated(work: Work, task: Task, device: Any = None) -> tuple[Plan, float, batch.Program]:
+    """Return about how many seconds a call of a task takes, from calls that end early."""
+    with process.float64():
+        p, jobs, made = _prepared(work, task, device)
+        return p, batch.seconds(made, jobs[0]), made
+
+
+def _prepared(work: Work, task: Task, device: Any) -> tuple[Plan, list[batch.Job], batch.Program]:
+    p = unpack(task.parcel)
+    seeds = np.concatenate([np.arange(*each) for each, _ in task.pieces])
+    jobs = list(in_memory.jobs(p, work.root_seed, seeds))
+    made = batch.program(p.layout, jobs[0], device)
+    _fits(p, made.memory, work.memory)
+    return p, jobs, made
 
 
 def block(

@@ -8,6 +8,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from pcbench.dataset import store
+from pcbench.machine import ending
 
 
 def put_all(target: store.Target, files: Mapping[str, bytes | pa.Buffer]) -> None:
@@ -18,24 +19,26 @@ def put_all(target: store.Target, files: Mapping[str, bytes | pa.Buffer]) -> Non
         return
     beside = {name: f"{Path(name).parent}/.{Path(name).name}-{os.getpid()}" for name in files}
     root = Path(target.root)
-    try:
-        for name, content in files.items():
-            store.put(target, beside[name], content)
-        with store.said(target.name):
-            renamed([(root / beside[name], root / name) for name in files])
-    finally:
-        for each in beside.values():
-            with suppress(OSError):
-                (root / each).unlink(missing_ok=True)
+    with ending.uncut():
+        try:
+            for name, content in files.items():
+                store.put(target, beside[name], content)
+            with store.said(target.name):
+                renamed([(root / beside[name], root / name) for name in files])
+        finally:
+            for each in beside.values():
+                with suppress(OSError):
+                    (root / each).unlink(missing_ok=True)
 
 
 def renamed(pairs: Iterable[tuple[Path, Path]]) -> None:
     """Give files that belong together their names; who is stopped in the middle does so first."""
     left = list(pairs)
     try:
-        while left:
-            os.replace(*left[0])
-            del left[0]
+        with ending.uncut():
+            while left:
+                os.replace(*left[0])
+                del left[0]
     except KeyboardInterrupt:
         for beside, name in left:
             with suppress(FileNotFoundError):  # it has its name already

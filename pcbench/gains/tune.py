@@ -4,7 +4,6 @@ Or `exact`, of what infinitely many runs would give: then there are no draws, an
 """
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +18,7 @@ from pcbench.gains.held_out import against, judge
 from pcbench.gains.history import Evaluation, History, Judgement
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.gains.parameters import Vector
-from pcbench.machine import process
+from pcbench.machine import ending, process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.observers import Entry
 from pcbench.planning import padding
@@ -84,7 +83,7 @@ def tune(
     where = f"tune {observer}"
     training, judges = Seeds(*training), Seeds(*judges)
     _check(budget, training, judges, exact, where)
-    with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
+    with process.float64(), ending.temporary_folder() as spare:
         study, cell = read.one_cell(scenario, [observer], overrides or [])
         observer = label_of(observer)
         where = f"{where} in {cell.scenario.name}"

@@ -12,6 +12,7 @@ from pathlib import Path
 from platformdirs import user_cache_path
 
 from pcbench.errors import UserError
+from pcbench.machine import ending
 
 
 def folder(*parts: str) -> Path:
@@ -50,8 +51,9 @@ def keep(path: Path, content: str | bytes) -> None:
     """Put a text or bytes into the cache, whole or not at all; where they cannot be written, that only costs time."""
     try:
         path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as beside:
-            beside.write(content.encode() if isinstance(content, str) else content)
-        os.replace(beside.name, path)
+        with ending.uncut():
+            with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as beside:
+                beside.write(content.encode() if isinstance(content, str) else content)
+            os.replace(beside.name, path)
     except OSError:
         return

@@ -26,6 +26,9 @@ class Entry(NamedTuple):
     takes: Takes = "one constant delay"
     lanes: int | None = None  # runs a call, if the last bits depend on how many run together; None: they do not
     heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
+    expensive: bool = (
+        False  # its runs may take much longer than others': it has a program of its own, and its turn comes last
+    )
     nonlinear: bool = False  # it is designed for plants without a linear model
     smooth: bool = True  # its estimate has a slope by its options, and loops of a length known beforehand
     loops: bool = True  # its estimate can drive a loop; else it looks back further than a loop keeps its inputs

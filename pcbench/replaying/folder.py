@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 from pcbench.dataset import local_files, store, together
 from pcbench.dataset.columns import SCHEMA
 from pcbench.errors import UserError
+from pcbench.machine import ending
 
 ESTIMATES = "estimates.parquet"
 SUMMARY = "replay.json"
@@ -55,21 +56,25 @@ def draft(folder: Path) -> Iterator[Draft]:
         while writers:
             writers.pop(0).close()
 
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        try:
-            yield Draft(folder, part, write, close)
-        finally:
-            close()
-    except OSError as error:
-        raise UserError(f"--out {folder}: {error.strerror}, expected a folder to write to; give another.") from None
-    finally:
+    def clear() -> None:
         for each in (part, _summary(part)):
             with suppress(OSError):
                 each.unlink(missing_ok=True)
         if new:
             with suppress(OSError):  # it holds the files that were made
                 folder.rmdir()
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            with ending.cleaned(clear):
+                yield Draft(folder, part, write, close)
+        finally:
+            close()
+    except OSError as error:
+        raise UserError(f"--out {folder}: {error.strerror}, expected a folder to write to; give another.") from None
+    finally:
+        clear()
 
 
 def finish(d: Draft, summary: dict[str, Any]) -> None:

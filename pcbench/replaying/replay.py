@@ -1,7 +1,6 @@
 """Replay a log: observers run on what was measured, when it arrived, and what can be known of them without or with truth."""
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,7 +13,7 @@ from pcbench.logs.log import Log
 from pcbench.logs.survey import Survey, survey
 from pcbench.logs.ticks import better, ticks
 from pcbench.logs.windows import Room
-from pcbench.machine import process
+from pcbench.machine import ending, process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import all_observers
 from pcbench.planning.padding import rounded
@@ -74,7 +73,7 @@ def replay(
     Raises UserError, with the row, for whatever the user can mend.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
-    with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
+    with process.float64(), ending.temporary_folder() as spare:
         a = asked(log, plant, names, delay=delay, start=start, overrides=overrides)
         a.said.extend(turned_back(a.found))
         length = min(LENGTH, max(rounded(a.last + 1), 2))

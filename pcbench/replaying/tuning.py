@@ -7,7 +7,6 @@ first one and is the result, since a rare channel needs all samples; the held-ou
 
 from hashlib import sha256
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from pcbench.errors import UserError
 from pcbench.gains import parameters, tune
 from pcbench.gains.history import REFIT, History, basis_of
 from pcbench.gains.parameters import Vector
-from pcbench.machine import process
+from pcbench.machine import ending, process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.observers import Entry
 from pcbench.replaying import judging, likelihood, tuned
@@ -55,7 +54,7 @@ def tune_log(
     folder `out` holds the histories and tuned.toml, which `replay` and `run` take. Raises UserError if the user has to act.
     """
     label = label_of(observer)
-    with process.float64(), TemporaryDirectory(prefix="pcbench-") as spare:
+    with process.float64(), ending.temporary_folder() as spare:
         study, _ = read.one_cell(plant, [observer], overrides or [])
         a = asked(log, plant, [observer], delay=delay, start=start, overrides=overrides)
         where = f"tune {label} on {a.name}"

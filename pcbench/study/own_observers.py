@@ -32,7 +32,7 @@ def entry(found: Any, module: Any, where: str) -> Entry:
             f"{where}: got an Observer in a module without a function design(setting, options), expected one; write it beside "
             "the observer, or name an Entry that has it."
         )
-    return Entry(observer=found, options=options, design=design, knows_schedule=True, summary="yours")
+    return Entry(found, options, design, knows_schedule=True, summary="yours", expensive=True)
 
 
 def absent(reference: str, code: Code, options: dict[str, Any]) -> Own:

@@ -1,0 +1,71 @@
+"""Ending the process from any thread, between files: no file is cut off, and none is begun after that. No jax."""
+
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+_CHANGE = threading.Condition()
+_INSIDE: list[int] = []  # threads that are inside a block that is not to be cut off, once for each block
+_LEAVING: list[int] = []  # the thread that ends the process
+_CLEANING: list[Callable[[], object]] = []  # removes what a block that is not over has left for a time
+LONGEST = 30.0  # [s] that such a block may take
+
+
+@contextmanager
+def uncut() -> Iterator[None]:
+    """Have the process end before or after this block, not inside it: of a block that writes files, or ends other processes."""
+    me = threading.get_ident()
+    with _CHANGE:
+        while _LEAVING and _LEAVING[0] != me and me not in _INSIDE:
+            _CHANGE.wait()  # until the process ends
+        _INSIDE.append(me)
+    try:
+        yield
+    finally:
+        with _CHANGE:
+            _INSIDE.remove(me)
+            _CHANGE.notify_all()
+
+
+@contextmanager
+def cleaned(clean: Callable[[], object]) -> Iterator[None]:
+    """Have `clean` called if the process ends inside this block."""
+    _CLEANING.append(clean)
+    try:
+        yield
+    finally:
+        _CLEANING.remove(clean)
+
+
+@contextmanager
+def temporary_folder() -> Iterator[str]:
+    """Yield a folder that is removed after this block, or if the process ends inside it."""
+    from shutil import rmtree
+    from tempfile import TemporaryDirectory  # the command line starts without it
+
+    with TemporaryDirectory(prefix="pcbench-") as folder, cleaned(lambda: rmtree(folder, ignore_errors=True)):
+        yield folder
+
+
+def begin() -> bool:
+    """Return whether the calling thread is the one that ends the process: the first that asks."""
+    with _CHANGE:
+        if not _LEAVING:
+            _LEAVING.append(threading.get_ident())
+        return _LEAVING[0] == threading.get_ident()
+
+
+def end(code: int) -> None:
+    """End the process with an exit code once no other thread is inside an `uncut` block; a compiled call is not waited for."""
+    me = threading.get_ident()
+    with _CHANGE:
+        _CHANGE.wait_for(lambda: all(each == me for each in _INSIDE), LONGEST)
+    for clean in reversed(_CLEANING):
+        with suppress(Exception):
+            clean()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
