@@ -80,11 +80,13 @@ class Report(NamedTuple):
 
 def compute(work: Work, task: Task, hold: Hold = nullcontext) -> Report:
     """Do a task: simulate its seeds while holding a device, then write its blocks; raise UserError where that fails."""
+    call: Call | None = None
+    results: in_memory.Results = {}
     with hold() as device:
-        began, call = perf_counter(), None
+        began = perf_counter()
         if task.timed:
             p, seconds, made = estimated(work, task, device)
-            call, results = Call(seconds, made.width, p.labels), {}
+            call = Call(seconds, made.width, p.labels)
         else:
             p, results, made = simulated(work, task, device)
         computing = perf_counter() - began

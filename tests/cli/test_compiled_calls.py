@@ -71,7 +71,7 @@ def test_ctrl_c_ends_a_long_call_after_other_observers_are_written(here):
     assert took < 4, "one second of grace, on a machine under load"
     (block,) = blocks(here)
     assert len(pd.read_parquet(block)) == 8 * 2
-    assert "dkf" in block.name
+    assert "observer=dkf" in str(block)
     assert not hidden(here)
     shares = {share.observer: share.seeds for share in verify.status(here / "out").shares}
     assert shares == {"dkf": 8, "nudge": 0}
