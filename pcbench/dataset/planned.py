@@ -31,7 +31,7 @@ class Planned(NamedTuple):
         yield from self.kept
         if self.cells < len(self.owned.cells):
             many = lambda cell: wanted(cell).many  # noqa: E731
-            yield from planning.drafts(self.owned.cells, self.todo, self.ask, many, self.cells)
+            yield from planning.drafts(self.owned.cells, self.todo, self.ask, many, self.cells, apart=True)
 
     def tasks(self, wanted: SeedsOf) -> Iterator[task.Task]:
         """Yield the tasks, cell by cell; those of expensive observers last, so that nothing waits for them.

@@ -164,7 +164,7 @@ def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:
     for b in chosen:
         by.setdefault((b.scenario, b.cell), {}).setdefault(b.seeds, []).append(b.observer)
     room = padding.needed(planning.drafts(owned.cells, ()))
-    for draft in planning.drafts([_asked(cell, by.get(cell.key, {})) for cell in owned.cells], by):
+    for draft in planning.drafts([_asked(cell, by.get(cell.key, {})) for cell in owned.cells], by, apart=True):
         for seeds, observers in by[draft.cell.key].items() if draft.labels else ():
             if labels := tuple(label for label in draft.labels if label in observers):
                 yield task.Task(padding.fitted(draft, room), ((seeds, labels),))

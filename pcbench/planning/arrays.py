@@ -33,7 +33,7 @@ AnySchedule = shared.Schedule | per_lane.Times  # one for all runs, or numbers b
 
 def plan(study: Study) -> list[Plan]:
     """Design every observer of every cell and lay out its numbers; raise UserError where a gain is not certified."""
-    return padding.fit(list(drafts(cells_of(study), runs=lambda cell: study.seeds, together=True)))
+    return padding.fit(list(drafts(cells_of(study), runs=lambda cell: study.seeds)))
 
 
 def drafts(
@@ -42,11 +42,11 @@ def drafts(
     ask: once.Once | None = None,
     runs: Callable[[Cell], int] | None = None,
     skip: int = 0,
-    together: bool = False,
+    apart: bool = False,
 ) -> Iterator[Plan]:
     """Yield a draft of every cell but the first `skip`; in a closed loop one for each observer, whose plant is its own.
 
-    Each expensive observer has a draft of its own too, unless all are to be `together`.
+    If they are to be `apart`, each expensive observer has a draft of its own too.
 
     Cells whose key is not in `wanted` (None: all are) are drafted without gains: they say what room a program needs.
     `ask` has what cells have in common; `runs` says how many a cell is to have, for its calls to be no wider.
@@ -60,15 +60,15 @@ def drafts(
     for cell, known in zip(every[skip:], settings[skip:], strict=True):
         if not cell.times.random:  # where sampling is random, room for more costs more than a program
             known = known.roomier(most[cell.scenario.plant])
-        for options in _programs(cell, together) if wanted is None or cell.key in wanted else [{}]:
+        for options in _programs(cell, apart) if wanted is None or cell.key in wanted else [{}]:
             p = draft(cell, options, known, ask)
             yield p._replace(layout=p.layout._replace(width=width(cell, runs(cell)))) if runs else p
 
 
-def _programs(cell: Cell, together: bool) -> list[dict[str, BaseModel]]:
+def _programs(cell: Cell, apart: bool) -> list[dict[str, BaseModel]]:
     """Return the options of a cell's observers, those of one program at a time."""
     loop = bool(cell.scenario.loop.controller)
-    alone = [o for o in cell.options if loop or (cell.entry(o).expensive and not together)]
+    alone = [o for o in cell.options if loop or (apart and cell.entry(o).expensive)]
     others = {o: given for o, given in cell.options.items() if o not in alone}
     return [group for group in (others, *({o: cell.options[o]} for o in alone)) if group] or [{}]
 

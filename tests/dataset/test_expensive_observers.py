@@ -16,8 +16,8 @@ AXES = {"noise_std": [0.5, 0.6]}
 
 def test_particle_and_mhe_have_programs_of_their_own():
     cells = read.grid_of("cart/white", {"observers": ["dkf", "particle", "open-loop", "mhe"]}, []).cells
-    assert [p.labels for p in planning.drafts(cells)] == [("dkf", "open-loop"), ("particle",), ("mhe",)]
-    assert [p.labels for p in planning.drafts(cells, ())] == [()], "what is not computed has one draft"
+    assert [p.labels for p in planning.drafts(cells, apart=True)] == [("dkf", "open-loop"), ("particle",), ("mhe",)]
+    assert [p.labels for p in planning.drafts(cells, (), apart=True)] == [()], "what is not computed has one draft"
 
 
 @pytest.fixture
