@@ -94,6 +94,27 @@ def test_samples_that_arrive_are_those_of_the_simulation(study):
     assert not {"position", "x"} & set(samples.columns), "what is true is not told"
 
 
+@pytest.mark.parametrize(
+    "wrong", [{"stamp_offset": 0.05, "stamp_drift": 2e4}, {"stamp_jitter": 0.02}, {"assumed_delay_error": 0.1}]
+)
+def test_stamps_of_draws_are_those_that_observers_get_and_a_log_has(tmp_path, wrong):
+    scenario = {"base": "cart/white", "horizon": 2.0, "tail": 1.0}
+    study = {
+        "name": "wrong",
+        "scenario": scenario,
+        "observers": ["open-loop"],
+        "axes": {k: [v] for k, v in wrong.items()},
+    }
+    draws.write(read.grid_of(study | {"seeds": 1}, {}, []), tmp_path / "out")
+    drawn = pd.read_parquet(tmp_path / "out" / "draws" / "samples.parquet").dropna().sort_values("sample")
+    pcbench.trace(study, "open-loop", log=tmp_path / "log")
+    logged = pd.read_parquet(tmp_path / "log" / "measurements.parquet").dropna().sort_values("arrived")
+    true = np.round(0.2 * np.arange(len(drawn)), 3)
+    assert np.abs(drawn.sampled - true)[1:].max() > 0.005, "stamps are wrong"
+    for name in ("sampled", "arrived", "value"):
+        np.testing.assert_allclose(drawn[name], logged[name][: len(drawn)], rtol=0, atol=1e-12, err_msg=name)
+
+
 @pytest.mark.nightly
 def test_the_simulations_own_estimates_score_as_in_the_simulation(study, tmp_path):
     folder, said = study[0], []
