@@ -56,6 +56,12 @@ def test_the_words_of_the_protocols_are_those_of_the_code():
         assert hasattr(sys.modules[OBSERVERS["open-loop"].design.__module__], name)
 
 
+def test_the_folders_with_nightly_tests_are_listed():
+    files = {path.parent.name for path in (ROOT / "tests").glob("*/test_*.py") if "mark.nightly" in path.read_text()}
+    rows = re.findall(r"^\| `tests/(\w+)` \|", TEXT, re.M)
+    assert rows == sorted(files)
+
+
 def test_ci_builds_the_reference():
     assert ".ci/docs" in (ROOT / ".ci" / "run").read_text()
 
