@@ -59,6 +59,8 @@ def test_a_chunk_may_be_some_times_larger_than_packed():
     unpacked.require_small(100 * 2**20, 4 * 2**20, "log")
     with pytest.raises(UserError, match=r"log: got 0.022 MB that unpack to more than 67.1 MB"):
         unpacked.require_small(1_500_000_000, 22_000, "log")
+    with pytest.raises(UserError, match="expected at most 50 times as much"):
+        unpacked.require_small(201 * 2**20, 4 * 2**20, "log")
 
 
 @pytest.mark.parametrize("text", ["{} = 1", "[{}]", "x = {{{} = 1}}", "[[{}]]", 'b = 1\n"q" . {} = 2'])

@@ -113,3 +113,16 @@ def test_recovery_is_the_longest_way_from_a_jump_to_the_last_exit_before_the_nex
     assert read(e, tail=2, jumps=(2, 7))["recovery_time"] == 3 * 0.5
     assert read(e, tail=2, jumps=(7,))["recovery_time"] == 2 * 0.5
     assert "recovery_time" not in read(e, tail=2)
+
+
+def test_the_cost_of_a_tick_counts_state_and_input_from_the_set_point():
+    rng = np.random.default_rng(0)
+    x, u, x_ref, u_ref = rng.normal(size=3), rng.normal(size=2), rng.normal(size=(5, 3)), rng.normal(size=(5, 2))
+    Q1, Q2 = np.diag([1.0, 2.0, 3.0]), np.array([[2.0, 0.5], [0.5, 1.0]])
+    zero = metrics.Effort(np.zeros(()), np.zeros(()))
+    found = metrics.spend(zero, metrics.Weights(Q1, Q2, x_ref, u_ref), 4, x, u)
+    e, v = x - x_ref[4], u - u_ref[4]
+    assert float(found.cost) == pytest.approx(e @ Q1 @ e + v @ Q2 @ v, rel=1e-12)
+    assert float(found.square) == pytest.approx(u @ u, rel=1e-12)
+    none = metrics.spend(zero, metrics.Weights(Q1, Q2, np.zeros((0, 3)), np.zeros((0, 2))), 4, x, u)
+    assert float(none.cost) == pytest.approx(x @ Q1 @ x + u @ Q2 @ u, rel=1e-12)
