@@ -60,7 +60,7 @@ def _program(one: Realised, own: tuple[bool, ...], width: int, recorded: str, ev
     leaves, tree = jax.tree.flatten(given)
     key = one.layout, own, width, recorded, every, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
     with _ASKING:
-        waiting = compiling.newest(_MADE, key, Making)
+        waiting = _MADE.ask(key, Making)
     with waiting.lock:  # the second thread to ask waits for the first one's program; another is made beside it
         if waiting.made is None:
             form = form_of(one.layout, one.problem)
@@ -93,4 +93,4 @@ class Making:
 
 _WIDE = set[Hashable]()  # kinds of cells of which there were more than SOME in a call
 _ASKING = Lock()
-_MADE: dict[Any, Making] = {}
+_MADE = compiling.Programs()

@@ -11,7 +11,7 @@ import operator
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from threading import Lock
 from time import perf_counter
 from typing import Any, NamedTuple
@@ -83,14 +83,15 @@ def program(layout: Layout, job: Job, device: Any = None) -> Program:
         )
     leaves, tree = jax.tree.flatten(arguments(job, layout.width))
     with _COMPILING:  # the second thread to ask waits for the first one's program
-        return _compiled(layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves))
+        made_for = layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves)
+        return _PROGRAMS.ask(made_for, lambda: _compiled(*made_for))
 
 
 _COMPILING = Lock()
+_PROGRAMS = compiling.Programs()
 _NUMBERS = itertools.count(1)
 
 
-@lru_cache(maxsize=compiling.MOST)
 def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -> Program:
     sharding = jax.sharding.SingleDeviceSharding(device)
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
@@ -172,7 +173,7 @@ def _memory(call: Any) -> int:
 
 def compilations() -> int:
     """Return how many programs this process has traced and compiled."""
-    return _compiled.cache_info().misses
+    return _PROGRAMS.made
 
 
 def arguments(job: Job, width: int) -> tuple[Problem, Any, Any]:

@@ -1,6 +1,6 @@
 """A function compiled for arguments of some shapes: loaded where it is kept, else traced, made, and kept."""
 
-from collections.abc import Callable, Hashable, MutableMapping
+from collections.abc import Callable, Hashable
 from functools import wraps
 from typing import Any
 
@@ -8,7 +8,9 @@ import jax
 
 from pcbench.simulation import kept_programs
 
-MOST = 16  # programs that one cache keeps: each has 130 to 600 memory mappings, and Linux allows a process 65,530
+MOST = 16  # programs that one cache keeps
+MAPPINGS = 15_000  # of a process, beyond which it keeps FEWEST: a program has 130 to 5,000, and Linux allows 65,530
+FEWEST = 2
 
 
 def bounded(function: Callable[..., Any], static_argnums: int | tuple[int, ...] = ()) -> Callable[..., Any]:
@@ -25,12 +27,30 @@ def bounded(function: Callable[..., Any], static_argnums: int | tuple[int, ...] 
     return call
 
 
-def newest(cache: MutableMapping[Hashable, Any], key: Hashable, new: Callable[[], Any]) -> Any:
-    """Return the entry of a key, made by `new` if there is none; keep the `MOST` entries that were asked for last."""
-    cache[key] = found = cache.pop(key, None) or new()
-    while len(cache) > MOST:
-        del cache[next(iter(cache))]
-    return found
+class Programs(dict[Hashable, Any]):
+    """The programs that were asked for last, by what they are compiled for: `MOST`, or fewer that have many mappings."""
+
+    made = 0  # so far
+
+    def ask(self, key: Hashable, new: Callable[[], Any]) -> Any:
+        """Return the program of a key, made by `new` if there is none."""
+        if key in self:
+            found = self.pop(key)
+        else:
+            found, self.made = new(), self.made + 1
+            while len(self) >= MOST or (len(self) >= FEWEST and _mappings() > MAPPINGS):
+                del self[next(iter(self))]
+        self[key] = found
+        return found
+
+
+def _mappings() -> int:
+    """Return how many memory mappings this process has; 0 where the system does not say."""
+    try:
+        with open("/proc/self/maps", "rb") as lines:
+            return sum(1 for _ in lines)
+    except OSError:
+        return 0
 
 
 def compiled(

@@ -8,7 +8,7 @@ import pytest
 import pcbench
 from pcbench.moments import compiled
 from pcbench.moments.solve import WAITING, _due
-from pcbench.simulation import kept_programs
+from pcbench.simulation import compiling, kept_programs
 
 STUDY = {
     "name": "kept",
@@ -49,7 +49,7 @@ def test_a_program_is_made_once_and_found_again_with_its_bits(tmp_path, monkeypa
 
     monkeypatch.setattr(kept_programs, "folder", lambda: tmp_path)
     monkeypatch.setattr(kept_programs, "load", noted)
-    monkeypatch.setattr(compiled, "_MADE", {})
+    monkeypatch.setattr(compiled, "_MADE", compiling.Programs())
     first = pcbench.exact(STUDY).stats
     compiled._MADE.clear()
     again = pcbench.exact(STUDY).stats

@@ -20,13 +20,30 @@ def test_a_bounded_function_drops_its_programs():
         assert power._cache_size() <= compiling.MOST
 
 
-def test_a_cache_keeps_the_entries_that_were_asked_for_last():
-    cache = {}
+def test_programs_that_were_asked_for_last_are_kept():
+    programs = compiling.Programs()
     for i in range(compiling.MOST):
-        compiling.newest(cache, i, lambda i=i: [i])
-    assert compiling.newest(cache, 0, list) == [0]
-    compiling.newest(cache, "new", lambda: ["new"])
-    assert list(cache) == [*range(2, compiling.MOST), 0, "new"]
+        programs.ask(i, lambda i=i: [i])
+    assert programs.ask(0, list) == [0]
+    programs.ask("new", lambda: ["new"])
+    assert list(programs) == [*range(2, compiling.MOST), 0, "new"]
+    assert programs.made == compiling.MOST + 1
+
+
+def test_fewer_are_kept_where_the_process_has_many_mappings(monkeypatch):
+    """Each program has 6,000 mappings; with 15,000 in use, as many as are over are dropped, and two always stay."""
+    programs = compiling.Programs()
+    monkeypatch.setattr(compiling, "_mappings", lambda: 6000 * (len(programs) + 1))
+    for i in range(5):
+        programs.ask(i, lambda i=i: [i])
+        assert len(programs) == min(i + 1, 2)
+    assert list(programs) == [3, 4]
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="mappings are counted on Linux")
+def test_mappings_are_those_of_the_process():
+    with open("/proc/self/maps") as lines:
+        assert abs(compiling._mappings() - sum(1 for _ in lines)) < 50
 
 
 @pytest.mark.nightly

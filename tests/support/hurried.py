@@ -6,7 +6,7 @@ or for what is in a program, it is the one that a user gets (`not_here`); where 
 """
 
 from contextlib import contextmanager
-from functools import cache, lru_cache
+from functools import cache
 
 import jax
 import pytest
@@ -81,11 +81,11 @@ def lifting():
 @contextmanager
 def not_here():
     """Have the programs that a user has, until this is left."""
-    from pcbench.simulation import batch
+    from pcbench.simulation import batch, compiling
 
     with pytest.MonkeyPatch.context() as patch, lifting():
         patch.setattr(batch, "OPTIONS", {name: said for name, said in batch.OPTIONS.items() if name not in OPTIONS})
-        patch.setattr(batch, "_compiled", lru_cache(maxsize=64)(batch._compiled.__wrapped__))
+        patch.setattr(batch, "_PROGRAMS", compiling.Programs())
         patch.delenv("XLA_FLAGS", raising=False)
         yield
 
@@ -94,12 +94,12 @@ def not_here():
 def programs():
     """Have calls of a few lanes, made in a hurry, until this is left; none of them is kept."""
     from pcbench.moments import compiled
-    from pcbench.simulation import batch
+    from pcbench.simulation import batch, compiling
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "_MADE", {})
+        patch.setattr(compiled, "_MADE", compiling.Programs())
         patch.setattr(batch, "WIDTH", LANES)
         patch.setattr(batch, "HEAVY", LANES)
         patch.setattr(batch, "OPTIONS", batch.OPTIONS | options())
-        patch.setattr(batch, "_compiled", lru_cache(maxsize=64)(batch._compiled.__wrapped__))
+        patch.setattr(batch, "_PROGRAMS", compiling.Programs())
         yield

@@ -88,7 +88,7 @@ def _columns(layout: Layout, p: Problem, state: State, form: Form, which: np.nda
         return de + jnp.where(first, e, 0.0), {i: dz[i] + jnp.where(first, after[i], 0.0) for i in z}
 
     parts = jnp.split(jnp.tile(jnp.eye(F, 1 + F, 1)[:, which], C), np.cumsum(sizes)[:-1])
-    start = {i: lanes.split(a.reshape(*shapes[i].shape, -1)) for i, a in zip(order, parts, strict=True)}
+    start = {i: lanes.split(a.reshape(*shapes[i].shape, a.shape[-1])) for i, a in zip(order, parts, strict=True)}
     e, z = _carried(column, form.signals, start, each, jnp.asarray(which == 0))
     after = jnp.concatenate([lanes.join(z[i]).reshape(-1, C, many) for i in order])
     return Columns(jnp.moveaxis(e.reshape(-1, C, many), 1, 0), jnp.moveaxis(after, 1, 0))
