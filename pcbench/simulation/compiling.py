@@ -9,8 +9,7 @@ import jax
 from pcbench.simulation import kept_programs
 
 MOST = 16  # programs that one cache keeps
-MAPPINGS = 15_000  # of a process, beyond which it keeps FEWEST: a program has 130 to 5,000, and Linux allows 65,530
-FEWEST = 2
+MAPPINGS = 10_000  # of memory, that these have together: a program has 130 to 5,000, and Linux allows a process 65,530
 
 
 def bounded(function: Callable[..., Any], static_argnums: int | tuple[int, ...] = ()) -> Callable[..., Any]:
@@ -28,19 +27,26 @@ def bounded(function: Callable[..., Any], static_argnums: int | tuple[int, ...] 
 
 
 class Programs(dict[Hashable, Any]):
-    """The programs that were asked for last, by what they are compiled for: `MOST`, or fewer that have many mappings."""
+    """The programs that were asked for last, by what they are compiled for, within `MOST` and `MAPPINGS`."""
 
     made = 0  # so far
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        super().__init__()
+        self.mappings: dict[Hashable, int] = {}  # of each program, as far as it was made within `ask`
 
     def ask(self, key: Hashable, new: Callable[[], Any]) -> Any:
         """Return the program of a key, made by `new` if there is none."""
         if key in self:
-            found = self.pop(key)
-        else:
-            found, self.made = new(), self.made + 1
-            while len(self) >= MOST or (len(self) >= FEWEST and _mappings() > MAPPINGS):
-                del self[next(iter(self))]
-        self[key] = found
+            self[key] = found = self.pop(key)
+            return found
+        before = _mappings()
+        self[key] = found = new()
+        self.mappings[key], self.made = _mappings() - before, self.made + 1
+        while len(self) > MOST or (len(self) > 1 and sum(self.mappings[each] for each in self) > MAPPINGS):
+            oldest = next(iter(self))
+            del self[oldest], self.mappings[oldest]
         return found
 
 

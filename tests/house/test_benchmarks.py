@@ -38,6 +38,7 @@ def test_every_script_is_run_here():
     assert {p.stem for p in FOLDER.glob("*.py")} - HELPERS == set(ROWS)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ROWS)
 def test_a_benchmark_runs_whole_in_its_small_form(name):
     environment = {**os.environ, "XLA_FLAGS": hurried.flags()}  # compiling is most of it

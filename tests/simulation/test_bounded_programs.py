@@ -30,14 +30,20 @@ def test_programs_that_were_asked_for_last_are_kept():
     assert programs.made == compiling.MOST + 1
 
 
-def test_fewer_are_kept_where_the_process_has_many_mappings(monkeypatch):
-    """Each program has 6,000 mappings; with 15,000 in use, as many as are over are dropped, and two always stay."""
-    programs = compiling.Programs()
-    monkeypatch.setattr(compiling, "_mappings", lambda: 6000 * (len(programs) + 1))
-    for i in range(5):
-        programs.ask(i, lambda i=i: [i])
-        assert len(programs) == min(i + 1, 2)
-    assert list(programs) == [3, 4]
+@pytest.mark.parametrize(("each", "kept"), [(600, 16), (1000, 10), (4000, 2), (6000, 1), (20_000, 1)])
+def test_fewer_are_kept_of_programs_with_many_mappings(monkeypatch, each, kept):
+    """Those of everything else in the process do not count."""
+    programs, mapped = compiling.Programs(), [40_000]
+    monkeypatch.setattr(compiling, "_mappings", lambda: mapped[0])
+
+    def new():
+        mapped[0] += each
+        return each
+
+    for i in range(20):
+        programs.ask(i, new)
+        assert len(programs) == min(i + 1, kept)
+    assert list(programs) == list(range(20 - kept, 20))
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="mappings are counted on Linux")
