@@ -73,7 +73,7 @@ def _require_response(p: Plan, label: str, gains: Any, tail_mae: Floats) -> None
         raise DigitsError(
             f"{s.name}, cell {p.cell.number}: {label} keeps the response of {name} to the input without the feedback, which "
             f"grows to about {amount(float(size[i]), unit)}, so that fewer than two digits of its errors are left in float64; "
-            "take a shorter horizon, or ekf."
+            "expected a smaller one: take a shorter horizon, or ekf."
         )
 
 
@@ -88,7 +88,7 @@ def sentence(p: Plan, signal: int, size: float) -> str:
     steady = "another controller" if s.loop.controller else "a [controller] that stabilises the plant"
     return (
         f"{s.name}, cell {p.cell.number}: {name} {said}, so that fewer than two digits of the errors are left, whatever the "
-        f"observer; take a shorter horizon, {steady}, or an origin near the state."
+        f"observer; expected a smaller state: take a shorter horizon, {steady}, or an origin near the state."
     )
 
 
