@@ -174,7 +174,7 @@ def fill(
         cost = added(cost, spent)
         if report.call:
             if report.call.seconds > LONG:
-                say(_long(report, todo))
+                say(_long(report.cell[0], report.call, todo))
             continue
         progress.step(report.runs)
         if heard:
@@ -197,13 +197,13 @@ def _expected(there: list[Block], todo: Gaps) -> tuple[list[Block], dict[tuple[s
     return [*there, *new], {key: runs_in({key: labels}) for key, labels in todo.items()}
 
 
-def _long(report: task.Report, todo: Gaps) -> str:
+def _long(scenario: str, call: task.Call, todo: Gaps) -> str:
     """Return a sentence about calls that take long: how long one takes, and how many there are."""
-    seconds, width, labels = report.call or task.Call(0.0, 1, ())
+    seconds, width, labels = call
     each = [max((runs_in({key: {o: todo[key][o]}}) for o in labels if o in todo[key]), default=0) for key in todo]
     calls, time = sum(-(-many // width) for many in each), f"{seconds / 60:.0f} min"
     return (
-        f"{report.cell[0]}: a call of {', '.join(labels)}, of up to {width} runs, takes about "
+        f"{scenario}: a call of {', '.join(labels)}, of up to {width} runs, takes about "
         f"{time if seconds < 2 * HOUR else f'{seconds / HOUR:.1f} h'} or more; calls to do: {calls}. "
         "Runs are written at the end of their call."
     )
