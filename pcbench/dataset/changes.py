@@ -54,10 +54,19 @@ def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Fil
         yield from _deep(f"options of {scenario}", old["options"].get(scenario, {}), new["options"][scenario], names)
         was, now = (_without_code(each["scenarios"].get(scenario, {})) for each in (old, new))
         yield from _deep(scenario, was, now)
+    before, now_tuned = (_tuned_cells(study) for study in (there, here))
+    for cell in before.keys() & now_tuned.keys():
+        yield from _deep(f"options tuned at {cell}", before[cell], now_tuned[cell], list(before[cell]))
     chosen = {k: v for k, v in old["options"]["scenario"].items() if GONE.get(k) != v}
     yield from _deep("options.scenario", chosen, new["options"]["scenario"])
     if not code:  # else that is why
         yield from _lost(there, here)
+
+
+def _tuned_cells(study: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """The options of the cells that were tuned each for itself, by the values of the axes there."""
+    cells = (study.get("tuned") or {}).get("cells") or []
+    return {", ".join(f"{name} = {value}" for name, value in c["cell"].items()): c["options"] for c in cells}
 
 
 def _recoded(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Files]) -> Iterator[str]:

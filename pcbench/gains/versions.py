@@ -7,10 +7,12 @@
 
 Three ranges of seeds have nothing in common: training runs, those that decide whether a tuned gain or its start is kept, and
 the study's own, on which all are compared. Where [tune] is `exact` there are the study's own alone. Of a study with several
-cells gains are tuned in the first and run in all. Observers without a design of their own, or without free parameters, have
-fewer versions. The study returned has explicit options only, so any machine can run, verify and merge it.
+cells gains are tuned in the first and run in all; with `cells = "all"` they are tuned in every cell for itself. Observers
+without a design of their own, or without free parameters, have fewer versions. The study returned has explicit options only,
+so any machine can run, verify and merge it.
 """
 
+import itertools
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,8 +29,9 @@ from pcbench.gains import expected, named, parameters, tune
 from pcbench.gains.history import FOUND, HISTORY, AnotherTuning
 from pcbench.gains.objective import Objective, objective_of
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.study import Study, TunedOptions, given, observers_of, scenarios_of
-from pcbench.study.cells import Grid
+from pcbench.study import Study, TunedCell, TunedOptions, given, observers_of, scenarios_of
+from pcbench.study.cells import Grid, cells
+from pcbench.study.cells import points as grid_points
 from pcbench.study.names import entry_in
 from pcbench.study.read import grid_of, one_cell
 
@@ -85,32 +88,90 @@ def prepare(grid: Grid, out: str | Path | None, fresh: bool, progress: Progress 
     paper = {o: given(study, scenario, o) for o in observers_of(study, scenario.name)}
     named.require_tunable(study, list(paper))
     named.require_free_labels(study, scenario, list(paper))
-    versions, options = _untuned(study, paper)
-    found_by: dict[str, dict[str, Any]] = {}
-    if "tuned" in study.tunings:
-        starts = _better(study, versions, options, aim, progress)
-        for observer, start in starts.items():
-            note, found = _tuned(study, observer, start, aim, out, progress)
-            versions.append(Version(f"{observer}-tuned", observer, "tuned", note))
-            options[f"{observer}-tuned"] = start | found
-            found_by[observer] = found
-    versions = [v for v in versions if v.tuning in study.tunings]
+    points = _points(study) if "tuned" in study.tunings else [{}]
+    gains = []
+    for i, point in enumerate(points):
+        here = _at(study, point) if "tuned" in study.tunings else study
+        folder = None if out is None else f"{out}/tuning"
+        if len(points) > 1:
+            folder = folder and f"{folder}/{cells(here, scenario.name)[0].digest}"
+            progress.note(f"tuning in cell {i + 1} of {len(points)}")
+        gains.append(_gains_in(here, paper, aim, folder, progress))
+    versions = [v for v in _versions_in(points, gains) if v.tuning in study.tunings]
     if len(study.tunings) == 1:  # no other version to be told from
-        options = {v.observer: options[v.label] for v in versions}
+        observer_of = {v.label: v.observer for v in versions}
+        gains = [each.renamed(observer_of) for each in gains]
         versions = [v._replace(label=v.observer) for v in versions]
     order = list(paper)
     versions.sort(key=lambda v: (order.index(v.observer), study.tunings.index(v.tuning)))
-    every = {v.label: options[v.label] for v in versions}
+    every = {v.label: gains[0].options[v.label] for v in versions}
     record = None
     if "tuned" in study.tunings:
+        tuned = [v.label for v in versions if v.tuning == "tuned"]
+        cells_tuned = [
+            TunedCell(cell=point, options={label: each.options[label] for label in tuned})
+            for point, each in zip(points, gains, strict=True)
+        ]
         record = TunedOptions(
             scenario=scenario.name,
-            cell={name: values[0] for name, values in study.axes.items()},
+            cell=points[0],
             metric=aim.metric,
             signal=aim.name,
-            options={v.label: found_by[v.observer] for v in versions if v.tuning == "tuned"},
+            options={label: gains[0].found.get(label, {}) for label in tuned},
+            cells=cells_tuned if len(points) > 1 else None,
         )
     return ExplicitStudy(_with(study, every, list(every), record), versions, aim)
+
+
+class _Gains(NamedTuple):
+    """The gains of all versions in one cell."""
+
+    versions: list[Version]
+    options: dict[str, dict[str, Any]]  # by label
+    found: dict[str, dict[str, Any]]  # by label, the options that tuning found; none where the start was kept
+
+    def renamed(self, labels: dict[str, str]) -> "_Gains":
+        """Return these gains under other labels; a label without a new one is left out."""
+        return _Gains(
+            [v._replace(label=labels[v.label]) for v in self.versions if v.label in labels],
+            {labels[label]: each for label, each in self.options.items() if label in labels},
+            {labels[label]: each for label, each in self.found.items() if label in labels},
+        )
+
+
+def _gains_in(
+    study: Study, paper: dict[str, dict[str, Any]], aim: Objective, folder: str | None, progress: Progress
+) -> _Gains:
+    """The gains of all versions in a study of one cell; what tuning leaves stands in `folder`."""
+    versions, options = _untuned(study, paper)
+    by_label: dict[str, dict[str, Any]] = {}
+    if "tuned" in study.tunings:
+        starts = _better(study, versions, options, aim, progress)
+        for observer, start in starts.items():
+            note, found = _tuned(study, observer, start, aim, folder, progress)
+            label = f"{observer}-tuned"
+            versions.append(Version(label, observer, "tuned", note))
+            options[label], by_label[label] = start | found, found
+    return _Gains(versions, options, by_label)
+
+
+def _versions_in(points: list[dict[str, Any]], gains: list[_Gains]) -> list[Version]:
+    """The versions that there are in some cell. One that a cell lacks has the gains as printed there, and its note says so."""
+    first: dict[str, Version] = {}
+    for each in gains:
+        first |= {v.label: v for v in each.versions if v.label not in first}
+    out = []
+    for label, version in first.items():
+        notes = []
+        for each in gains:
+            mine = [v.note for v in each.versions if v.label == label]
+            if not mine:
+                each.options[label] = each.options[f"{version.observer}-paper"]
+            notes.append(mine[0] if mine else "nothing to tune, so gains as printed")
+        at = [", ".join(f"{name} = {value}" for name, value in point.items()) for point in points]
+        several = "; ".join(f"at {here}: {note}" for here, note in zip(at, notes, strict=True) if note)
+        out.append(version._replace(note=notes[0] if len(set(notes)) == 1 else several))
+    return out
 
 
 def _with(
@@ -123,9 +184,17 @@ def _with(
     return grid_of(study, changes | {"observers": observers, "tuned": record and record.model_dump()}, [])
 
 
-def _at_first(study: Study) -> Study:
-    """The study in its first cell: where gains are tuned."""
-    return study.model_copy(update={"axes": {name: values[:1] for name, values in study.axes.items()}})
+def _points(study: Study) -> list[dict[str, Any]]:
+    """The values of the axes in every cell in which gains are tuned."""
+    every = grid_points(study.vary, list(study.axes.values()))
+    if study.tune.cells == "first":
+        every = itertools.islice(every, 1)
+    return [dict(zip(study.axes, point, strict=True)) for point in every]
+
+
+def _at(study: Study, point: dict[str, Any]) -> Study:
+    """The study in one cell."""
+    return study.model_copy(update={"axes": {name: [value] for name, value in point.items()}})
 
 
 def trained_on(study: Study) -> Study:
@@ -195,7 +264,7 @@ def _better(
     if not free_ones:
         return {}
     progress.note("comparing starts")
-    here = trained_on(_at_first(study))
+    here = trained_on(study)
     labels = [v.label for v in free_ones]
     stats = run_study.execute(_with(here, {label: options[label] for label in labels}, labels)).stats
     rows = stats[(stats.signal == aim.name) & (stats.metric == aim.base)].set_index("observer")
@@ -213,9 +282,7 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
     only = named.only(study, version.observer)
     if not parameters.tunable(entry_in(study, version.observer)) or only == []:
         return False
-    here = _at_first(study).model_copy(
-        update={"options": study.options | {version.observer: options}, "tuning": "paper"}
-    )
+    here = study.model_copy(update={"options": study.options | {version.observer: options}, "tuning": "paper"})
     cell = one_cell(here, [version.observer], [])[1]
     known, chosen = planning.setting(cell), cell.options[version.observer]
     entry = cell.entry(version.observer)
@@ -227,7 +294,7 @@ def _is_free(study: Study, version: Version, options: dict[str, Any]) -> bool:
 
 
 def _tuned(
-    study: Study, observer: str, start: dict[str, Any], aim: Objective, out: str | Path | None, progress: Progress
+    study: Study, observer: str, start: dict[str, Any], aim: Objective, folder: str | None, progress: Progress
 ) -> tuple[str, dict[str, Any]]:
     """Why the start is kept (empty: it is not), and the options found."""
     renamed = Progress(
@@ -242,7 +309,7 @@ def _tuned(
         "seeds": 1,
         "first_seed": 0,
     }
-    here = _at_first(study).model_copy(update=changes)
+    here = study.model_copy(update=changes)
     try:
         found = tune.tune(
             here,
@@ -254,7 +321,7 @@ def _tuned(
             only=named.only(study, observer),
             training=tune.TRAINING if study.tune.exact else _training(study),
             judges=tune.JUDGES if study.tune.exact else JUDGES,
-            out=None if out is None else f"{out}/tuning/{observer}",
+            out=folder and f"{folder}/{observer}",
             progress=renamed,
         )
     except tune.NoStart:

@@ -48,7 +48,11 @@ def _of(study: Study, scenario: Any, observer: str, several: bool) -> list[Optio
             continue
         origin = "the study" if name in set_here else f"the scenario{f' {scenario.name}' if several else ''}"
         was = _word(default) if name in fields and not fields[name].is_required() else "-"
-        found.append(Option(observer, name, _word(value), was, name in tuned and tuned[name] == value, origin))
+        is_tuned = name in tuned and tuned[name] == value
+        if is_tuned and study.tuned and study.tuned.cells:
+            found.append(Option(observer, name, f"{_word(value)} in the first cell", was, True, origin))
+            continue
+        found.append(Option(observer, name, _word(value), was, is_tuned, origin))
     return found
 
 

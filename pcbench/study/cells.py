@@ -17,6 +17,7 @@ from pcbench.study import axes as axis
 from pcbench.study.axes import axes_of
 from pcbench.study.lti_plant import require_plant
 from pcbench.study.names import own_in
+from pcbench.study.options import options_in_cell
 from pcbench.study.own import Own
 from pcbench.study.times import Timing, times_of, whole
 
@@ -93,7 +94,8 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
     options = {o: options_of(study, base, o) for o in observers_of(study, scenario)}
     mine = {o: found for o in options if (found := own_in(study, o))}
     digests = {o: told(each, mine.get(o)) for o, each in options.items()}
-    for index, point in enumerate(_points(study.vary, list(axes.values()))):
+    tuned = _TunedCells(study, base, where)
+    for index, point in enumerate(points(study.vary, list(axes.values()))):
         given = dict(zip(axes, point, strict=True))
         fields = {k: v for k, v in given.items() if k in axes_of(base)} | _told_too(given, base)
         changed = base.having(**fields, input=choices.input or base.loop.input)
@@ -117,11 +119,55 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         if base.plant == "lti":
             require_plant(changed, parameters, where)
         cell = cell_of(changed, index, values, parameters, choices)
-        out.append(cell._replace(options=options, own=mine, told=digests, digest=identity(cell, study.root_seed)))
+        here = tuned.options(cell, list(options))
+        by_label = digests | {o: told(each, mine.get(o)) for o, each in here.items()}
+        out.append(
+            cell._replace(options=options | here, own=mine, told=by_label, digest=identity(cell, study.root_seed))
+        )
     return out
 
 
-def _points(vary: str, axes: list[list[Any]]) -> Iterator[tuple[Any, ...]]:
+class _TunedCells:
+    """The options of the cells of a scenario that were tuned each for itself; of any other study there are none."""
+
+    def __init__(self, study: Study, base: Scenario, where: str):
+        record = study.tuned if study.tuned and study.tuned.scenario == base.name else None
+        cells = (record and record.cells) or []
+        self.study, self.where, self.by_point = study, where, dict[tuple[Any, ...], dict[str, dict[str, Any]]]()
+        self.names = list(cells[0].cell) if cells else []
+        for i, each in enumerate(cells):
+            place = f"{where}: tuned.cells[{i}].cell"
+            if list(each.cell) != self.names:
+                raise UserError(
+                    f"{place}: got {', '.join(each.cell)}, expected {', '.join(self.names)}, as the first has."
+                )
+            point = tuple(axis.axis(name, [v], base, f"{place}.{name}")[0] for name, v in each.cell.items())
+            self.by_point[point] = each.options
+
+    def options(self, cell: Cell, labels: list[str]) -> dict[str, BaseModel]:
+        """Return the options of the labels that were tuned in this cell.
+
+        Raises UserError if they were tuned in other cells only.
+        """
+        if not self.by_point:
+            return {}
+        values = {f"plant.{name}": value for name, value in cell.parameters.items()}
+        point = tuple(values[name] if name in values else cell.scenario.value(name) for name in self.names)
+        if point in self.by_point:
+            found = self.by_point[point]
+            return {label: options_in_cell(self.study, label, found[label]) for label in labels if label in found}
+        lacking = sorted({label for found in self.by_point.values() for label in found} & set(labels))
+        if not lacking:
+            return {}
+        plain = [axis.plain(name, value, False) for name, value in zip(self.names, point, strict=True)]
+        at = ", ".join(f"{name} = {value}" for name, value in zip(self.names, plain, strict=True))
+        raise UserError(
+            f"{self.where}: tuned.cells: got no gains of {', '.join(lacking)} at {at}, expected those of every cell; "
+            "tune again with this cell among the axes."
+        )
+
+
+def points(vary: str, axes: list[list[Any]]) -> Iterator[tuple[Any, ...]]:
     """Yield the values of the axes in every cell."""
     if vary == "all":
         yield from itertools.product(*axes)

@@ -21,6 +21,11 @@ def options_of(study: Study, scenario: Scenario, observer: str) -> BaseModel:
     return checked_options(study, observer, given(study, scenario, observer), f"{study.name}: options.{observer}")
 
 
+def options_in_cell(study: Study, observer: str, tuned: dict[str, Any]) -> BaseModel:
+    """Return the options of a label that was tuned in one cell for itself, checked and complete."""
+    return checked_options(study, observer, tuned, f"{study.name}: tuned.cells: options.{observer}")
+
+
 def given(study: Study, scenario: Scenario, observer: str) -> dict[str, Any]:
     """Return the options as given: the study's over the scenario's, and those of a label over those of its observer."""
     out: dict[str, Any] = {}

@@ -57,6 +57,9 @@ class Tune(BaseModel):
     exact: bool = Field(False, description="take its expected value over all noise, without training runs")
     budget: int = Field(60, ge=1, le=100_000, description="times that all training runs are simulated")
     training: int = Field(256, ge=2, le=100_000, description="training runs; their seeds are far from a study's")
+    cells: Literal["first", "all"] = Field(
+        "first", description="first: gains are tuned in the first cell and used in all; all: in every cell for itself"
+    )
 
     @model_validator(mode="before")
     @classmethod
@@ -66,15 +69,26 @@ class Tune(BaseModel):
         return given
 
 
+class TunedCell(BaseModel):
+    """`[[tuned.cells]]`: the gains of one cell, where gains were tuned in every cell."""
+
+    model_config = ConfigDict(extra="forbid")
+    cell: dict[str, Any] = Field(description="value of each axis")
+    options: dict[str, dict[str, Any]] = Field(description="all options of each tuned label in this cell")
+
+
 class TunedOptions(BaseModel):
     """`[tuned]` of a study that was run: which options were tuned, and where."""
 
     model_config = ConfigDict(extra="forbid")
     scenario: str
-    cell: dict[str, Any] = Field(description="value of each axis with which they were tuned")
+    cell: dict[str, Any] = Field(
+        description="value of each axis with which they were tuned; of several cells the first"
+    )
     metric: str
     signal: str
     options: dict[str, dict[str, Any]] = Field(description="tuned options by label; none where the start was kept")
+    cells: list[TunedCell] | None = Field(None, description="the options of every cell, if each was tuned for itself")
 
 
 class Study(BaseModel):
@@ -138,10 +152,14 @@ class Study(BaseModel):
         if self.tuned is None:
             return None
         cell = ", ".join(f"{name} = {value}" for name, value in self.tuned.cell.items())
-        return (
+        tuned = (
             f"The gains of {', '.join(self.tuned.options) or 'no observer'} were tuned for {self.tuned.metric} of "
-            f"{self.tuned.signal} in {self.tuned.scenario}{f' at {cell}' if cell else ''}."
-            + (" The other cells use the same gains." if any(len(v) > 1 for v in self.axes.values()) else "")
+            f"{self.tuned.signal} in {self.tuned.scenario}"
+        )
+        if self.tuned.cells:
+            return f"{tuned}, in each of {len(self.tuned.cells)} cells for itself."
+        return f"{tuned}{f' at {cell}' if cell else ''}." + (
+            " The other cells use the same gains." if any(len(v) > 1 for v in self.axes.values()) else ""
         )
 
 
@@ -151,4 +169,5 @@ KEYS = {  # by table of a study file
     "scenario": [*ScenarioTable.model_fields],
     "tune": [*Tune.model_fields],
     "tuned": [*TunedOptions.model_fields],
+    "tuned.cells": [*TunedCell.model_fields],
 }

@@ -21,7 +21,8 @@ def sentence(where: str, error: ValidationError, keys: Mapping[str, Iterable[str
     place = _place(loc)
     if kind == "extra_forbidden":
         inside = ".".join(str(part) for part in loc[:-1])
-        return unknown(f"{where}: {inside}" if inside else where, "key here", str(loc[-1]), keys.get(inside, keys[""]))
+        table = ".".join(str(part) for part in loc[:-1] if not isinstance(part, int))
+        return unknown(f"{where}: {inside}" if inside else where, "key here", str(loc[-1]), keys.get(table, keys[""]))
     if kind == "missing":
         return UserError(f"{where}: {place} is missing; write {loc[-1]} = ...")
     same = [each for each in findings if each["loc"][:1] == loc[:1] and _place(each["loc"]).startswith(place)]

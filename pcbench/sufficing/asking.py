@@ -175,6 +175,11 @@ def _with_gains(q: Question, at: tuple[float, ...], folder: str, fresh: bool, pr
     """The question of a study whose gains are found: designed or tuned where it asks for that, at the first value."""
     if q.study.tunings == ["paper"]:
         return q
+    if q.study.tune.cells == "all" and "tuned" in q.study.tunings:
+        raise UserError(
+            f"{q.study.name}: tune.cells: got 'all', expected 'first': the search decides as it goes which values are tried, "
+            "and all have the gains of the first; leave it out."
+        )
     here = q.study.model_copy(update={"axes": q.study.axes | {q.axis.name: [q.axis.put(at[0])]}})
     made = versions.prepare(Grid(here, cells.cells(here, q.scenario.name)), folder, fresh, progress)
     return q._replace(study=made.study)

@@ -2,6 +2,8 @@
 
 import json
 import re
+import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -11,11 +13,12 @@ from documents import PAGES
 from interruptions import stop_tuning_at
 
 import pcbench
+from pcbench.dataset.changes import changes
 from pcbench.errors import UserError
 from pcbench.gains import tune, versions
 from pcbench.machine import process
 from pcbench.observers import OBSERVERS, entry_of
-from pcbench.study import STUDIES, TUNINGS, observers_of, read
+from pcbench.study import STUDIES, TUNINGS, as_toml, observers_of, read
 
 PAGE = PAGES["gains_and_tuning.md"]
 FAIR = {
@@ -77,6 +80,69 @@ def test_tuning_records_its_cell_and_what_it_found():
     assert prepared(tuning="design").study.tuning_sentence is None
 
 
+EVERY_CELL = {"axes": {"noise_std": [0.3, 0.1]}, "tune": FAIR["tune"] | {"cells": "all"}}
+
+
+def found_by_noise(monkeypatch, without=()):
+    """Stand in for tuning: R is 100 times the standard deviation of the noise; in cells `without`, no start works."""
+    folders = []
+
+    def found(study, observer, *, out, **_):
+        (std,) = study.axes["noise_std"]
+        folders.append(out)
+        if std in without:
+            raise tune.NoStart("none")
+        return SimpleNamespace(kept_start="", found={"R": 100 * std})
+
+    monkeypatch.setattr(tune, "tune", found)
+    return folders
+
+
+def test_gains_are_tuned_in_every_cell(monkeypatch, tmp_path):
+    """Each cell has its own options, whatever the order of the axes, and a study that was written reads them again."""
+    folders = found_by_noise(monkeypatch)
+    grid = read.grid_of(FAIR | EVERY_CELL | {"observers": ["dkf"], "tuning": ["paper", "tuned"]}, {}, [])
+    with process.float64():
+        made = versions.prepare(grid, tmp_path / "out", False)
+    assert [c.options["dkf-tuned"].R for c in made.grid.cells] == [30.0, 10.0]
+    assert len({c.told["dkf-tuned"] for c in made.grid.cells}) == 2
+    assert len({c.told["dkf-paper"] for c in made.grid.cells}) == 1
+    assert len(set(folders)) == 2
+    assert made.study.tuning_sentence.endswith("in cart/gaussian, in each of 2 cells for itself.")
+    written = tomllib.loads(as_toml.to_toml(made.study, made.grid.cells))
+    del written["resolved"]
+    again = read.grid_of(written | {"axes": {"noise_std": [0.1, 0.3]}}, {}, [])
+    assert [c.options["dkf-tuned"].R for c in again.cells] == [10.0, 30.0]
+    assert as_toml.digest(*read.grid_of(written, {}, [])) == as_toml.digest(*made.grid)
+    with pytest.raises(UserError, match=r"no gains of dkf-tuned at noise_std = 0\.2, .*; tune again"):
+        read.grid_of(written | {"axes": {"noise_std": [0.1, 0.2]}}, {}, [])
+    other = tomllib.loads(as_toml.to_toml(made.study, made.grid.cells))
+    other["tuned"]["cells"][1]["options"]["dkf-tuned"]["R"] = 11.0
+    (changed,) = changes(as_toml.resolved(*made.grid), other)
+    assert changed == "options tuned at noise_std = 0.1.dkf-tuned.R: 10.0 there, 11.0 here"
+
+
+def test_a_cell_that_cannot_be_tuned_keeps_its_start_and_says_so(monkeypatch):
+    found_by_noise(monkeypatch, without=[0.1])
+    made = prepared(**EVERY_CELL, observers=["dkf"], tuning="tuned")
+    assert made.grid.cells[0].options["dkf"].R == 30.0
+    assert made.grid.cells[1].told != made.grid.cells[0].told
+    assert made.versions[0].note == "at noise_std = 0.1: no start of it works on the training runs"
+
+
+@pytest.mark.nightly
+def test_a_study_tuned_in_every_cell_is_a_dataset_like_any_other(tmp_path):
+    """Each cell is tuned as a study of that cell alone is, and the dataset is verified, resumed and merged."""
+    study = FAIR | {"observers": ["pccebo"], "tuning": "tuned", "seeds": 8}
+    alone = [pcbench.run(study | {"axes": {"noise_std": [std]}}) for std in (0.3, 0.1)]
+    whole = pcbench.run(study | EVERY_CELL, out=tmp_path / "out")
+    means = [r.stats.query("metric == 'rmse' and signal == 'position'")["mean"].to_list() for r in (*alone, whole)]
+    assert means[0] + means[1] == means[2]
+    assert pcbench.run(study | EVERY_CELL, out=tmp_path / "out").cost.runs == 0
+    done = call("verify", str(tmp_path / "out"), "--all")
+    assert done.returncode == 0, done.stdout
+
+
 @pytest.mark.parametrize("observer", [o for o in OBSERVERS if entry_of(o).designed])
 def test_a_design_of_its_own_is_made_of_options_that_there_are(observer):
     assert entry_of(observer).options.model_validate(dict(entry_of(observer).designed))
@@ -99,6 +165,7 @@ MISTAKES = [
     ({"tune": {"budget": 0}}, "tune.budget: got 0"),
     ({"tune": {"exact": True, "objective": "rmse"}}, "rmse, which has no exact value"),
     ({"tune": {"effort": 3}}, "tune: 'effort' is no key here"),
+    ({"tune": {"cells": "some"}}, "tune.cells: got 'some', expected 'first' or 'all'"),
     ({"tune": {"only": []}}, "tune.only: got [], expected a list of at least 1"),
     ({"tune": {"only": ["Qq"]}}, "tune.only: 'Qq' is no option that an observer of the study tunes"),
     (
