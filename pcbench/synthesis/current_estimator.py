@@ -6,10 +6,15 @@
 
     [P, M'; M, P] >= t I,   P <= I,   M = P Phi - Y C Phi.
 
-With P = I, t = 1 - ||(I - L C) Phi||, and L = argmin ||(I - L C) Phi|| is known in closed form. Where that attains the
-optimum which the solver found, it is the gain, so no digit of a table comes from a solver. (The spectral norm leaves ties,
-of the size of the fast mode's e^{-lam te}; the closed form is the one of least Frobenius norm.) Elsewhere the solver's L
-is the gain.
+The optimum fixes t and mostly P, but not Y: two solvers, or one on two machines, return gains that differ in the first digit.
+For given P and t the gains that attain t are those with ||D^-1/2 P (I - L C) Phi D^-1/2|| <= 1, D = P - t I, and the one with
+the least Frobenius norm of that matrix,
+
+    L = Phi D^-1 c (c' D^-1 c)^-1,   c = (C Phi)',
+
+is the gain. With P = I it is argmin ||(I - L C) Phi||, t = 1 - ||(I - L C) Phi||, which needs no solver: where that attains the
+optimum which the solver found, it is the gain, so no digit of a table comes from a solver. (The spectral norm leaves ties, of
+the size of the fast mode's e^{-lam te}.) Of plants with several optimal P the gain is as far defined as the solver's P.
 Source: Mohammed et al. 2017, Theorem 1; the objective is ours.
 """
 
@@ -24,7 +29,8 @@ from pcbench.dynamics.observability import rank
 from pcbench.synthesis import error_bounds, solvers
 from pcbench.synthesis.certificate import Certificate, least_eigenvalue
 
-SAME = 1e-5  # the closed form attains a solver's optimum t when it comes this close
+SAME = 1e-5  # a gain attains a solver's optimum t when it comes this close
+FLAT = 1e-9  # least eigenvalue of P - t I that is told from 0, as a part of the largest
 
 
 class CurrentGain(NamedTuple):
@@ -76,10 +82,20 @@ def lyapunov(Phi: Matrix, C: Matrix, L: Matrix) -> CurrentGain:
 
 
 def sharpen(found: CurrentGain, Phi: Matrix, C: Matrix) -> CurrentGain:
-    """Return the closed form where it attains the solver's optimum; the solver's answer, as it came, elsewhere."""
-    L, I = closed_form(Phi, C), np.eye(len(Phi))
+    """Return the gain that the optimum defines: see the module. What does not attain the solver's optimum stays as it came."""
+    L, I, reached = closed_form(Phi, C), np.eye(len(Phi)), attained(found, Phi, C)
     t = 1 - float(np.linalg.norm((I - L @ C) @ Phi, 2))
-    return found._replace(P=I, L=L, t=t) if t > attained(found, Phi, C) - SAME else found
+    if t > reached - SAME:
+        return found._replace(P=I, L=L, t=t)
+    least = found._replace(L=least_norm(found, Phi, C)) if np.isfinite(reached) else found
+    return least if attained(least, Phi, C) > reached - SAME else found
+
+
+def least_norm(found: CurrentGain, Phi: Matrix, C: Matrix) -> Matrix:
+    """Return of all gains that attain t with P the one of least norm: Phi D^-1 c (c' D^-1 c)^-1, D = P - t I."""
+    size, V = np.linalg.eigh(found.P - found.t * np.eye(len(Phi)))
+    root = V / np.sqrt(np.maximum(size, FLAT * size.max()))  # D^-1 = root root'
+    return np.asarray(Phi @ root @ np.linalg.pinv(C @ Phi @ root), float)
 
 
 def attained(found: CurrentGain, Phi: Matrix, C: Matrix) -> float:
