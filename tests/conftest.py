@@ -56,7 +56,7 @@ def pytest_runtest_makereport(item, call):
 def _in_a_hurry(request):
     """Compile everything in a hurry, in other processes too; the slow tests have it as a user has.
 
-    A test that asks for bits, or for what is in a program, asks for `as_users_have_it`; one of lifted flows, for `lifted`.
+    A test that asks for bits, or for what is in a program, asks for `as_users_have_it`.
     """
     import hurried
 
@@ -65,7 +65,6 @@ def _in_a_hurry(request):
 
     with pytest.MonkeyPatch.context() as patch:
         if request.config.option.markexpr == "not slow":
-            hurried.step(patch)
             patch.setattr(trace, "compiled", hurried.recorder)
             patch.setattr(stretch, "compiled", hurried.stretches)
             patch.setattr(batch, "OPTIONS", batch.OPTIONS | hurried.options())
@@ -79,15 +78,6 @@ def as_users_have_it():
     import hurried
 
     with hurried.not_here():
-        yield
-
-
-@pytest.fixture(scope="module")
-def lifted():
-    """Have flows lifted, where a module asks for it."""
-    import hurried
-
-    with hurried.lifting():
         yield
 
 

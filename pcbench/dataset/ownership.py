@@ -14,7 +14,7 @@ from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.study import Study, read
 from pcbench.study.as_toml import to_toml
-from pcbench.study.cells import Cell, Grid, channels_apart, numbered
+from pcbench.study.cells import Cell, Grid, channels_apart, numbered, with_engine
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
@@ -40,9 +40,10 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
 
     With `fresh` a study that stands there is to be removed.
     """
-    study, every = grid
     said = store.text(target, TEXT)
     blocks = block_files.present(target)
+    begun = toml_text.parse(said).get("engine") if said is not None and _readable(said) and not fresh else None
+    study, every = grid = with_engine(grid, begun)
     if fresh and (blocks or said is not None):
         if said is not None and not blocks:
             read_text(target, said)

@@ -96,4 +96,4 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
     where: str | Path | None = out
     if out is not None and target.local:
         where = Path(target.root if "://" in str(out) else out)
-    return Result(grid.study, target, where, cost, keep)
+    return Result(owned.study, target, where, cost, keep)

@@ -62,7 +62,7 @@ def over_modes(p: Plan) -> list[Realised] | None:
     if not delays_alone(p):
         return None
     chain = _chain(clock)
-    layout = p.layout._replace(width=1, watch=False, strides=False, lifted=0)
+    layout = p.layout._replace(width=1, watch=False, lifted=0)
     length = _length(clock, chain, ticks, since.asked(layout, p.problem))
     if len(chain.later) ** length > MOST:
         return None

@@ -42,7 +42,7 @@ def random(p: Plan) -> bool:
 def realised(p: Plan, root_seed: int, seed: int) -> Realised:
     """Return a cell as one run has it, but for its noise."""
     one = alone(p, root_seed, seed) if isinstance(p.problem.schedule, Times) else p
-    layout, problem = one.layout._replace(width=1, watch=False, strides=False, lifted=0), one.problem
+    layout, problem = one.layout._replace(width=1, watch=False, lifted=0), one.problem
     plant = layout.plant
     if not (layout.pending or (layout.drifting and plant.of_run)):
         return Realised(layout, problem, ())
@@ -85,7 +85,7 @@ def over_losses(p: Plan) -> Realised | None:
     clock, ticks = p.cell.times.clocks[0]._replace(loss=0.0), p.cell.times.ticks
     sure = shared.schedule(shared.samples([clock], ticks), ticks, len(p.problem.noise_std), p.cell.times.error)
     one = p.problem._replace(schedule=sure)
-    layout = p.layout._replace(width=1, watch=False, strides=False, lifted=0)
+    layout = p.layout._replace(width=1, watch=False, lifted=0)
     known = forms(layout, one)
     if forms(layout, p.problem) != known or "other" in known or since.asked(layout, one):
         return None

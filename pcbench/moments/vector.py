@@ -48,7 +48,7 @@ Kind = tuple[Layout, Any, tuple[Any, ...]]  # of cells that begin alike: their l
 
 def _kind(layout: Layout, problem: Problem) -> Kind:
     leaves, tree = jax.tree.flatten(problem._replace(weights=()))
-    layout = layout._replace(width=1, ring=1, lifted=0, strides=False)  # what no beginning looks at
+    layout = layout._replace(width=1, ring=1, lifted=0)  # what no beginning looks at
     return layout, tree, tuple((np.shape(a), np.result_type(a)) for a in leaves)
 
 

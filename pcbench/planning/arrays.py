@@ -128,7 +128,6 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         width=width(cell),
         ring=room,
         random_start=drawn or choices.start_spread > 0,
-        strides=_strides(schedule, plant.heavy or any(cell.entry(o).heavy for o in options)),
         continuous=s.sampling.continuous,
         drifting=bool(true.drift and plant.plant.of_run),
         controller=controller.controller(cell),
@@ -138,7 +137,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     )
     return Plan(
         cell=cell,
-        layout=layout._replace(lifted=_chunks(layout, problem, ask)),
+        layout=layout._replace(lifted=_chunks(layout, problem, ask) if cell.engine == "products" else 0),
         problem=problem,
         certificates={o: d.certificate for o, d in designs.items()},
         bound=bound(cell, known, ask) if options else None,
@@ -158,12 +157,6 @@ def _late(cell: Cell) -> float:
     """The delay of samples [s] of a plant that has it among its signals; the mean where it varies."""
     clock = cell.times.clocks[0]
     return float((clock.period if clock.delay is None else clock.delay) + clock.later) * cell.scenario.dt
-
-
-def _strides(schedule: AnySchedule, heavy: bool) -> bool:
-    """Whether flow goes by two ticks: not where nearly every tick has an event, nor where a body takes long to compile."""
-    dense = isinstance(schedule, shared.Schedule) and schedule.event.mean() >= 0.5
-    return not (dense or heavy)
 
 
 def _chunks(layout: Layout, problem: Problem, ask: once.Once) -> int:

@@ -23,7 +23,6 @@ class Layout(NamedTuple):
     ring: int  # packets the network can hold
     random_start: bool  # x(0) = x0 + spread0 @ normal instead of x0
     watch: bool = True  # settling time and divergence, besides the streams
-    strides: bool = True  # flow goes by two ticks where it can; of no use where there is an event at nearly every tick
     continuous: bool = False  # plant and observers are one field, and y is measured at each of its stages
     drifting: bool = False  # the plant's numbers are of each run's own
     controller: Controller | None = None  # of a closed loop, which has one observer

@@ -21,6 +21,8 @@ from pcbench.study.options import options_in_cell
 from pcbench.study.own import Own
 from pcbench.study.times import Timing, times_of, whole
 
+MANY = 300_000  # runs of a scenario from which products save more than they take to compile
+
 
 class Cell(NamedTuple):
     """One point of a study's axes in one scenario, every number resolved."""
@@ -35,6 +37,7 @@ class Cell(NamedTuple):
     own: dict[str, Own]  # by label, of those that are the user's own
     told: dict[str, str]  # by label, the digest of those
     digest: str  # of all that decides its numbers except its observers; empty: it belongs to no study
+    engine: str = "steps"  # or products, see `Study`
 
     @property
     def key(self) -> tuple[str, int]:
@@ -121,9 +124,8 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         cell = cell_of(changed, index, values, parameters, choices)
         here = tuned.options(cell, list(options))
         by_label = digests | {o: told(each, mine.get(o)) for o, each in here.items()}
-        out.append(
-            cell._replace(options=options | here, own=mine, told=by_label, digest=identity(cell, study.root_seed))
-        )
+        identified = cell._replace(digest=identity(cell, study.root_seed), engine=study.engine or "steps")
+        out.append(identified._replace(options=options | here, own=mine, told=by_label))
     return out
 
 
@@ -244,6 +246,14 @@ def _hashed(said: Any) -> str:
 
 def _plain(value: Any) -> Any:
     return value.tolist() if hasattr(value, "tolist") else dict(value)
+
+
+def with_engine(grid: Grid, engine: str | None) -> Grid:
+    """Return the study with the engine that it names; if it names none, with `engine`, or with the one that suits its size."""
+    study, every = grid
+    runs = max((sum(c.scenario.name == s for c in every) * study.seeds for s in study.scenarios), default=0)
+    name = study.engine or engine or ("products" if runs >= MANY else "steps")
+    return Grid(study.model_copy(update={"engine": name}), [c._replace(engine=name) for c in every])
 
 
 def cells_of(study: Study) -> list[Cell]:

@@ -18,8 +18,10 @@ TWO = ["pccebo", "dkf"]
 SEVEN = np.array([7])
 
 
-def results(seeds, observers=EVERYONE, scenarios=("cart/gaussian-fast",), devices=2, random_start=True, axes=None):
-    raw = {"name": "bits", "scenarios": list(scenarios), "observers": observers, "axes": axes or {}}
+def results(
+    seeds, observers=EVERYONE, scenarios=("cart/gaussian-fast",), devices=2, random_start=True, axes=None, engine=None
+):
+    raw = {"name": "bits", "scenarios": list(scenarios), "observers": observers, "axes": axes or {}, "engine": engine}
     raw |= {"seeds": len(seeds)}  # calls are as wide as they ask for
     chosen = read.parse(raw | {"options": {"scenario": {"random_start": random_start}}}, "bits")
     done = list(in_memory.execute(chosen, planning.plan(chosen), seeds=np.asarray(seeds), devices=devices))
@@ -40,15 +42,24 @@ def alone(as_users_have_it):
     return results(SEVEN)["cart/gaussian-fast0"]
 
 
-@pytest.fixture(scope="module", params=[TWO, pytest.param(EVERYONE, marks=pytest.mark.nightly)], ids=str)
+ENGINES = [
+    (TWO, "steps"),
+    (TWO, "products"),
+    pytest.param((EVERYONE, "steps"), marks=pytest.mark.nightly),
+    pytest.param((EVERYONE, "products"), marks=pytest.mark.nightly),
+]
+
+
+@pytest.fixture(scope="module", params=ENGINES, ids=str)
 def some(request, as_users_have_it):
-    """Observers, and their run alone."""
-    return request.param, results(SEVEN, request.param)["cart/gaussian-fast0"]
+    """Observers, the engine, and their run alone."""
+    observers, engine = request.param
+    return observers, engine, results(SEVEN, observers, engine=engine)["cart/gaussian-fast0"]
 
 
 def test_alone_equals_in_a_block(some):
-    observers, alone = some
-    same(alone, results(np.arange(20), observers)["cart/gaussian-fast0"], 7, observers)
+    observers, engine, alone = some
+    same(alone, results(np.arange(20), observers, engine=engine)["cart/gaussian-fast0"], 7, observers)
 
 
 @pytest.mark.nightly
@@ -60,14 +71,14 @@ def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
 
 
 def test_one_device_equals_two(some):
-    observers, alone = some
-    same(alone, results(SEVEN, observers, devices=1)["cart/gaussian-fast0"], 0, observers)
+    observers, engine, alone = some
+    same(alone, results(SEVEN, observers, devices=1, engine=engine)["cart/gaussian-fast0"], 0, observers)
 
 
 def test_alone_equals_without_another_observer(some):
     """Other observers make another program, the same bits."""
-    observers, among = some
-    same(results(SEVEN, observers[-1:])["cart/gaussian-fast0"], among, 0, observers[-1:])
+    observers, engine, among = some
+    same(results(SEVEN, observers[-1:], engine=engine)["cart/gaussian-fast0"], among, 0, observers[-1:])
 
 
 @pytest.mark.nightly

@@ -15,7 +15,7 @@ from pcbench.simulation import batch, loop
 from pcbench.simulation.lifted import kept_maps
 from tests.support.harness import ODD, Case, problem
 
-pytestmark = pytest.mark.usefixtures("in_a_hurry", "lifted")
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
 CASE = Case(ODD, 37, 74, ticks=400, h=0.01, noise_std=0.4, seed=3, xhat0=[0.5, -1.0, 2.0], input_intensity=0.05)
 OBSERVERS, WIDTH = ("pccebo", "dkf"), 4
 

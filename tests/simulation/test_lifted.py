@@ -20,7 +20,7 @@ from pcbench.simulation.start import begin
 from pcbench.study import read as read_study
 from tests.support.harness import LINEAR, ODD, Case, problem, recorder
 
-pytestmark = pytest.mark.usefixtures("in_a_hurry", "lifted")
+pytestmark = pytest.mark.usefixtures("in_a_hurry")
 STEPPED = {"chain", "equal-delay", "no-delay", "kf-horizon"}  # with schedules of their own in memory
 LIFTED = sorted({"dkf", "ekf", "kfbo", "pccebo", "pco", "kf-larsen", "kf-now", "oosm-lag", "open-loop"})
 CASE = Case(ODD, 37, 74, ticks=400, h=0.01, noise_std=0.4, seed=3, xhat0=[0.5, -1.0, 2.0], input_intensity=0.05)

@@ -1,8 +1,7 @@
 """Compiled in a hurry: in a third of the time, to run several times as long. For short runs whose numbers have a tolerance.
 
-Runs step: of a lifted flow, two programs, the making takes longer than all that a few lanes do. Where a test asks for bits
-or for what is in a program, it is the one that a user gets (`not_here`); where it asks for lifted flows, they are
-(`lifting`); in the slow tests all is as a user has it.
+Where a test asks for bits or for what is in a program, it is the one that a user gets (`not_here`); in the slow tests all is
+as a user has it.
 """
 
 from contextlib import contextmanager
@@ -13,7 +12,6 @@ import pytest
 
 OPTIONS = {"xla_backend_optimization_level": 0, "xla_cpu_use_fusion_emitters": False}
 LANES = 32  # of a call
-NEVER = 2**31  # ticks of a run
 
 
 @cache
@@ -52,38 +50,12 @@ def stretches():
     return begun, jax.jit(stretch.run, static_argnums=0, compiler_options=options())
 
 
-@cache
-def _fewest():
-    """The ticks of a run, at least, whose flow is lifted for a user: to be asked for before it is changed."""
-    from pcbench.simulation.lifted import chunks
-
-    return chunks.FEWEST
-
-
-def step(patch):
-    """Have every run stepped."""
-    from pcbench.simulation.lifted import chunks
-
-    assert _fewest() < NEVER
-    patch.setattr(chunks, "FEWEST", NEVER)
-
-
-@contextmanager
-def lifting():
-    """Have flows lifted as a user has them, until this is left."""
-    from pcbench.simulation.lifted import chunks
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunks, "FEWEST", _fewest())
-        yield
-
-
 @contextmanager
 def not_here():
     """Have the programs that a user has, until this is left."""
     from pcbench.simulation import batch, compiling
 
-    with pytest.MonkeyPatch.context() as patch, lifting():
+    with pytest.MonkeyPatch.context() as patch:
         patch.setattr(batch, "OPTIONS", {name: said for name, said in batch.OPTIONS.items() if name not in OPTIONS})
         patch.setattr(batch, "_PROGRAMS", compiling.Programs())
         patch.delenv("XLA_FLAGS", raising=False)
