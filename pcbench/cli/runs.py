@@ -76,37 +76,34 @@ def run(
         tables, beside = {"--costs": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
         require_effect(tables, beside, "it where tables are printed; leave one out")
     setup()
-    from pcbench.simulation.foreseen import foreseen
+    from pcbench import api, statistics
+    from pcbench.cli import ahead
+    from pcbench.cli.screen.progress import bar
+    from pcbench.study import read
 
-    with foreseen(("run", study, changes, seeds, observers, exact)):
-        from pcbench import api, statistics
-        from pcbench.cli import ahead
-        from pcbench.cli.screen.progress import bar
-        from pcbench.study import read
-
-        statistics.compared(metric, "--metric")
-        asked, where = read.outline(study, changes or []), chosen(signal)
-        read.require_signals(asked, where, "--signal")
-        into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
-        with bar(quiet or as_json, "designing gains") as progress:
-            result = api.run(
-                study,
-                overrides=changes,
-                seeds=seeds,
-                first_seed=first_seed,
-                observers=None if observers is None else names(observers),
-                method="exact" if exact else None,
-                out=into,
-                fresh=fresh,
-                until_se=until_se,
-                max_seeds=max_seeds,
-                dask=dask,
-                workers=workers,
-                block=block,
-                memory=memory,
-                progress=stoppable(ahead.importing(progress, ahead.CLOSING + (() if quiet else ahead.SHOWING))),
-                say=say,
-            )
+    statistics.compared(metric, "--metric")
+    asked, where = read.outline(study, changes or []), chosen(signal)
+    read.require_signals(asked, where, "--signal")
+    into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
+    with bar(quiet or as_json, "designing gains") as progress:
+        result = api.run(
+            study,
+            overrides=changes,
+            seeds=seeds,
+            first_seed=first_seed,
+            observers=None if observers is None else names(observers),
+            method="exact" if exact else None,
+            out=into,
+            fresh=fresh,
+            until_se=until_se,
+            max_seeds=max_seeds,
+            dask=dask,
+            workers=workers,
+            block=block,
+            memory=memory,
+            progress=stoppable(ahead.importing(progress, ahead.CLOSING + (() if quiet else ahead.SHOWING))),
+            say=say,
+        )
     if result.study.use and find_spec("matplotlib"):
         from pcbench.report import pictures
 

@@ -14,7 +14,7 @@ from pcbench.moments.given import Given, own_of, together
 from pcbench.moments.merging import mix_of
 from pcbench.moments.realised import Realised
 from pcbench.moments.vector import WRITTEN_OUT, form_of
-from pcbench.simulation import batch, compiling, kept_programs
+from pcbench.simulation import batch, compiling
 from pcbench.simulation.problem import Layout
 from pcbench.simulation.schedule import shared
 
@@ -70,7 +70,7 @@ def _program(one: Realised, own: tuple[bool, ...], width: int, recorded: str, ev
 
 
 def _compiled(layout: Layout, shape: Shape, given: Given) -> Any:
-    """A program for arrays of the shapes of `given`, loaded where it is kept."""
+    """A program for arrays of the shapes of `given`."""
     device = jax.devices()[0]
     options = batch.OPTIONS if device.platform == "cpu" else None
     placed = jax.sharding.SingleDeviceSharding(device)
@@ -79,8 +79,7 @@ def _compiled(layout: Layout, shape: Shape, given: Given) -> Any:
     def moments(given: Given) -> Found:
         return program.run(layout, shape, given)
 
-    asked = kept_programs.asked(("moments", layout, shape), jax.tree.map(kept_programs.kind, given), device, options)
-    return compiling.compiled(moments, lambda: (shapes,), device, options, asked)
+    return jax.jit(moments).lower(shapes).compile(options)
 
 
 @dataclass

@@ -124,7 +124,7 @@ def checked(drafts: Iterable[Plan]) -> Iterator[Plan]:
         for label, observer in p.layout.observers:
             if (key := (label, p.layout.plant, p.layout.continuous)) not in seen:
                 seen.add(key)
-                conformance.checked(label, observer, p.problem, p.layout.continuous)
+                conformance.check(label, observer, p.problem, p.layout.continuous)
         yield p
 
 

@@ -15,7 +15,7 @@ from pcbench.planning import alone, drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.plots import outputs
-from pcbench.simulation import batch, compiling, kept_programs, trace
+from pcbench.simulation import batch, trace
 from pcbench.statistics import consistency
 from pcbench.study.cells import Cell
 
@@ -72,15 +72,12 @@ def _recorded(group: list[Asked]) -> list[trace.Thinned]:
     """The runs of plans of one shape."""
     layout, every, rows = group[0].plan.layout, group[0].every, group[0].rows
     given = [(each.plan.problem, np.asarray(each.root_seed), each.seeds) for each in group]
-    device = jax.devices()[0]
-    kinds = jax.tree.map(kept_programs.kind, given[0])
     shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype), given[0])
 
     def record(*a: Any) -> trace.Thinned:
         return trace.record_some(layout, every, rows, *a)
 
-    asked = kept_programs.asked(("record", layout, every, rows), kinds, device, None)
-    call = compiling.compiled(record, lambda: shapes, device, None, asked)
+    call = jax.jit(record).lower(*shapes).compile()
     return [jax.tree.map(np.asarray, call(*jax.tree.map(np.asarray, a))) for a in given]
 
 

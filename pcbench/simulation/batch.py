@@ -6,7 +6,6 @@ many threads as there are cores, so that a run has the same bits whatever runs b
 """
 
 import itertools
-import json
 import operator
 import os
 from collections.abc import Callable, Iterable, Iterator
@@ -21,7 +20,7 @@ import numpy as np
 
 from pcbench.errors import UserError
 from pcbench.machine import pools, process
-from pcbench.simulation import compiling, judging, kept_programs, loop
+from pcbench.simulation import compiling, judging, loop
 from pcbench.simulation.lifted import kept_maps
 from pcbench.simulation.problem import Layout, Outcome, Problem
 
@@ -96,7 +95,6 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     sharding = jax.sharding.SingleDeviceSharding(device)
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()
-    kinds = jax.tree.unflatten(tree, [f"{kind}{shape}" for shape, kind in shapes])
     lifted = judging.watched(layout) if layout.consistency else layout  # as a simulation has it
 
     def simulate(*a: Any) -> Outcome:
@@ -110,11 +108,10 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
         found = traced().shape
         return *given, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), found)
 
-    asked = kept_programs.asked(layout, kinds, device, options)
-    reads = _reads(traced, asked)
-    with pools.pool(1) as beside:  # each takes seconds to make, and where it is kept tenths to load
-        maker = beside.submit(in_float64, _maker, lifted, given[0], kinds[0], traced, reads, device, options)
-        call = compiling.compiled(simulate, with_maps, device, options, asked)
+    reads = kept_maps.reads(traced()) if layout.lifted else {}
+    with pools.pool(1) as beside:  # each takes seconds
+        maker = beside.submit(in_float64, _maker, given[0], traced, reads, options)
+        call = jax.jit(simulate).lower(*with_maps()).compile(options)
         made = maker.result()
     return Program(
         call=call,
@@ -130,13 +127,7 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
 
 
 def _maker(
-    layout: Layout,
-    given: Problem,
-    kinds: Any,
-    traced: Callable[[], kept_maps.Traced],
-    reads: Reads,
-    device: Any,
-    options: Any,
+    given: Problem, traced: Callable[[], kept_maps.Traced], reads: Reads, options: Any
 ) -> kept_maps.Maker | None:
     """What makes the maps of a layout; None where there are none."""
     if not reads:
@@ -145,21 +136,8 @@ def _maker(
     def maps(p: Problem) -> kept_maps.Every:
         return traced()(p)
 
-    asked = kept_programs.asked(("maps", kept_maps.bare(layout)), kinds, device, options)
-    call = compiling.compiled(maps, lambda: (given,), device, options, asked)
+    call = jax.jit(maps).lower(given).compile(options)
     return kept_maps.Maker(call, tuple(sorted(set().union(*reads.values()))), next(_NUMBERS))
-
-
-def _reads(traced: Callable[[], kept_maps.Traced], asked: str | None) -> Reads:
-    """What the maps of each form depend on; asked of its functions once, and kept beside the program."""
-    where, key = kept_programs.folder(), asked and f"{asked}-reads"
-    text = kept_programs.known(where, key) if where and key else None
-    if text is not None:
-        return dict(json.loads(text))
-    found = kept_maps.reads(traced())
-    if where:
-        kept_programs.keep(where, json.dumps(found), key)
-    return found
 
 
 def _memory(call: Any) -> int:

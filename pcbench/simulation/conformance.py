@@ -7,21 +7,7 @@ import jax.numpy as jnp
 
 from pcbench.errors import UserError, raised
 from pcbench.protocols import Arrival, Observer
-from pcbench.simulation import kept_programs
 from pcbench.simulation.problem import Problem, present
-
-CONFORMS = "conforms"
-
-
-def checked(label: str, observer: Observer, p: Problem, continuous: bool = False) -> None:
-    """Do the same, unless it is known that this observer of pcbench's own keeps the protocol with numbers of these shapes."""
-    where, kinds = kept_programs.folder(), jax.tree.map(kept_programs.kind, p)
-    asked = kept_programs.asked((label, observer, continuous), kinds, None, None) if where else None
-    if where and asked and kept_programs.known(where, asked):
-        return
-    check(label, observer, p, continuous)
-    if where:
-        kept_programs.keep(where, CONFORMS, asked)
 
 
 def check(label: str, observer: Observer, p: Problem, continuous: bool = False) -> None:

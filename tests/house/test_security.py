@@ -16,7 +16,7 @@ PAGE = PAGES["your_own_observer.md"]
 RUNS = {  # calls that run code of others, and where they may stand
     "exec": ("study/own",),
     "import_module": ("study/own", "__init__.py", "cli/ahead.py"),  # of the package's own names
-    "loads of pickle": ("dataset/pickled.py", "simulation/loaded.py"),
+    "loads of pickle": ("dataset/pickled.py",),
     "load of pickle": (),
     "eval": (),
     "__import__": (),

@@ -8,7 +8,6 @@ import pytest
 
 from pcbench import UserError
 from pcbench.machine import cache, process
-from pcbench.simulation import kept_programs
 from pcbench.synthesis import remembered
 
 
@@ -55,7 +54,6 @@ def test_that_of_another_user_is_refused_by_all_that_read_it(place, monkeypatch)
     monkeypatch.setattr(os, "geteuid", lambda: place.stat().st_uid + 1)
     for read in (
         process.setup,
-        kept_programs.folder,
         lambda: remembered.remembered(Found, "name", (), lambda: pytest.fail("nothing is solved")),
     ):
         with pytest.raises(UserError, match="that another user owns"):

@@ -2,13 +2,7 @@
 
 from types import SimpleNamespace
 
-import numpy as np
-import pytest
-
-import pcbench
-from pcbench.moments import compiled
 from pcbench.moments.solve import WAITING, _due
-from pcbench.simulation import compiling, kept_programs
 
 STUDY = {
     "name": "kept",
@@ -36,22 +30,3 @@ def test_what_holds_back_many_cells_goes_first():
     """A rare shape, whose answer all later ones wait for."""
     assert _due({"rare": waiting(0, 1), "b": waiting(4, 5)}, WAITING) is None
     assert _due({"rare": waiting(0, 1), "b": waiting(4, WAITING)}, WAITING + 1) == "rare"
-
-
-@pytest.mark.usefixtures("in_a_hurry")
-def test_a_program_is_made_once_and_found_again_with_its_bits(tmp_path, monkeypatch):
-    """As another process would: nothing of the first one's memory is there."""
-    loaded, load = [], kept_programs.load
-
-    def noted(*a):
-        loaded.append(load(*a) is not None)
-        return load(*a)
-
-    monkeypatch.setattr(kept_programs, "folder", lambda: tmp_path)
-    monkeypatch.setattr(kept_programs, "load", noted)
-    monkeypatch.setattr(compiled, "_MADE", compiling.Programs())
-    first = pcbench.exact(STUDY).stats
-    compiled._MADE.clear()
-    again = pcbench.exact(STUDY).stats
-    assert loaded == [False, True]
-    np.testing.assert_array_equal(again["mean"].to_numpy(), first["mean"].to_numpy())
