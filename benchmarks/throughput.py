@@ -207,7 +207,7 @@ def measured(cores: int, small: bool) -> list[dict[str, Any]]:
         jax.config.update("jax_enable_compilation_cache", False)  # compile seconds are to be those of compiling
     problems: dict[bool, Problem] = {}
     for random in (False, True):
-        given = {"observers": OBSERVERS, "options": {"scenario": {"random_start": random}}}
+        given = {"observers": OBSERVERS, "options": {"scenario": {"random_start": random}}, "engine": "products"}
         (planned,) = planning.plan(read.study_of(read.load(SCENARIO, []), given, []))
         ticks = 500 if small else planned.cell.times.ticks
         windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])

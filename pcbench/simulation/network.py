@@ -17,7 +17,7 @@ from jax import Array, lax
 from jaxtyping import Float, Int
 
 from pcbench.protocols import Leaf
-from pcbench.simulation import draws, lanes
+from pcbench.simulation import draws
 from pcbench.simulation.lanes import table
 
 NEVER = float(2**30)  # the arrival of a lost command
@@ -69,7 +69,7 @@ def tabled(commands: Commands) -> Commands:
 
 
 def drawing(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], Drawn]:
-    """Return what draws the numbers of the decision of tick k; at ticks without one they are of no use, and zero."""
+    """Return what draws the numbers [.., L] of the decision of tick k; at ticks without one they are of no use, and zero."""
     late, lost, noise = (
         draws.run_keys(root_seed, seeds, stream, many)
         for stream, many in (("command_jitter", 1), ("command_loss", 1), ("command", p.std.shape[0]))
@@ -83,8 +83,7 @@ def drawing(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], Dra
         return tuple(jnp.zeros((many, len(seeds))) for many in (1, 1, len(noise)))  # type: ignore[return-value]
 
     def drawn(k: Array) -> Drawn:
-        late, lost, noise = lax.cond(k % p.every == 0, one, none, k)
-        return Drawn(lanes.split(late), lanes.split(lost), lanes.split(noise))
+        return Drawn(*lax.cond(k % p.every == 0, one, none, k))
 
     return drawn
 

@@ -24,7 +24,7 @@ def drawing(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Calla
     def process(k: Array) -> PerLane:
         return lanes.split(draws.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
 
-    return lambda k: steps.Drawn(process(k), sent(k))
+    return lambda k: steps.Drawn(process(k), jax.tree.map(lanes.split, sent(k)))
 
 
 def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:

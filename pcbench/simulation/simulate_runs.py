@@ -1,0 +1,307 @@
+"""The definition of a run: pure functions of one run, `lax.scan` over its ticks, and `jax.vmap` over many runs.
+
+A tick k = 0 .. N-1 goes in this order (design of a sampled loop with delayed measurements):
+
+    1. sense      what is due is measured, y = output(x_k) + noise, and observers note what they will need of this tick
+    2. deliver    packets that arrive are used by the observers, the oldest first
+    3. estimate   errors e_k = z_k - xhat_k are taken into the sums of the window that k is in; z is x and its unknowns
+    4. control    in a closed loop the command of tick k is made of the estimate
+    5. flow       plant and observers move to tick k + 1 under the same input
+
+At the last tick there is no flow. Whatever else simulates in pcbench (`loop`) is faster, and equal to this by test
+(`tests/simulation/test_definition.py`): to 1e-11 of the largest error.
+
+n states, q outputs, W windows, E packets that are on the network at a time (`layout.ring`).
+"""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array, lax
+
+from pcbench.dynamics.integrate import rk4
+from pcbench.protocols import Arrival, Now
+from pcbench.simulation import actuator, closed_loop, consistency, draws, judging, metrics, network, sample_noise
+from pcbench.simulation.problem import Layout, Outcome, Packet, Problem, params_of, present, truth
+
+Tree = Any  # of arrays
+
+
+class Run(NamedTuple):
+    """What one run carries from tick to tick."""
+
+    x: Array  # [n]
+    memories: Tree  # by observer
+    flight: Packet  # rings [E, ...] by packet number
+    streams: Tree  # by observer, `metrics.Stream` [W, ...]
+    watches: Tree  # by observer, `metrics.Watch`
+    commands: Tree = ()  # of a closed loop
+    law: Tree = ()  # what its controller keeps
+    tracking: Tree = ()  # `metrics.Stream` [W, ...]
+    effort: Tree = ()  # `metrics.Effort` [W]
+
+
+class Draws(NamedTuple):
+    """The random numbers of one run; none of them depends on observers or on other runs."""
+
+    start: Array  # [n] standard normal, of x(0)
+    box: Array  # [n] uniform, of xhat(0)
+    plant: Any  # [d] uniform, of the plant's own numbers
+    words: Array  # [2] for observers that draw numbers themselves
+    sample: Callable[[Array], Array]  # (sample number of each channel) -> [q] before scaling; then [q] for rounding
+    process: Callable[[Array], Array]  # (tick) -> [n] standard normal
+    command: Callable[[Array], Any]  # (tick) -> network.Drawn
+
+
+def simulate_runs(layout: Layout, p: Problem, root_seed: Array, seeds: Array, schedules: Any = None) -> Outcome:
+    """Return what the runs of seeds [L] leave, every array with L last.
+
+    `schedules` has a schedule for each run, every array with L first, if sampling is random; else all share `p.schedule`.
+    """
+
+    def one(seed: Array, schedule: Any) -> Outcome:
+        return simulate_run(layout, p if schedule is None else p._replace(schedule=schedule), root_seed, seed)
+
+    return jax.vmap(one, out_axes=-1)(seeds, schedules)
+
+
+def simulate_run(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Outcome:
+    """Return what one run leaves."""
+    layout = judging.watched(layout) if layout.consistency else layout
+    drawn = draw(layout, p, root_seed, seed)
+    params = params_of(layout, p, drawn.plant)
+    last = p.schedule.event.shape[0] - 2  # tick N - 1
+
+    def tick(run: Run, k: Array) -> tuple[Run, None]:
+        run = deliver(layout, p, k, sense(layout, p, params, drawn, k, run))
+        run = control(layout, p, k, estimate(layout, p, params, k, run), drawn.command(k))
+        return flow(layout, p, params, k, run, drawn.process(k)), None
+
+    run, _ = lax.scan(tick, first(layout, p, params, drawn), jnp.arange(last))
+    k = jnp.asarray(last, int)  # a bare number would take the type of what it meets
+    run = estimate(layout, p, params, k, deliver(layout, p, k, sense(layout, p, params, drawn, k, run)))
+    if isinstance(p.weights, metrics.Weights):
+        run = control(layout, p, k, run, drawn.command(k))
+    e = errors(layout, p, params, k, run)
+    return Outcome(
+        streams=run.streams,
+        watches=run.watches,
+        final=e,
+        tracking=run.tracking,
+        effort=run.effort,
+        consistency=believed(layout, p, k, run, e) if layout.consistency else (),
+        actual=truth(layout, params, present(p, k, True), run.x),
+    )
+
+
+def draw(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Draws:
+    """Return the random numbers of one run, by their addresses (`draws`)."""
+    n, q, one = p.x0.shape[0], p.noise_std.shape[0], seed[None]
+    normal = draws.normals(draws.run_keys(root_seed, one, "initial", n), jnp.zeros(n, int))
+    uniform = partial(draws.uniforms, root_seed, one, channel=jnp.asarray(0), samples=1)
+    process = draws.run_keys(root_seed, one, "process", p.process_std.shape[0])
+    noise = sample_noise.drawing(p, root_seed, one)
+    sent = network.drawing(p.network, root_seed, one) if layout.pending else None
+
+    return Draws(
+        start=normal[:, 0],
+        box=uniform(stream="initial", numbers=n)[0, :, 0],
+        plant=uniform(stream="drift", numbers=layout.plant.drawn)[0, :, 0] if layout.drifting else (),
+        words=draws.words(root_seed, one)[:, 0],
+        sample=lambda numbers: noise(list(range(q)), numbers)[:, 0],
+        process=lambda k: draws.normals(process, [k for _ in process])[:, 0] if process else jnp.zeros(0),
+        command=lambda k: jax.tree.map(lambda a: a[..., 0], sent(k)) if sent else (),
+    )
+
+
+def first(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
+    """Return a run before tick 0."""
+    x = p.x0 + p.spread0 @ drawn.start if layout.random_start else p.x0
+    xhat0 = p.xhat0 + p.scatter * (2 * drawn.box - 1) if layout.scattered else p.xhat0
+    memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
+    for label, o in layout.observers:
+        if o.seeded:
+            memories[label] = o.seeded(p.gains[label], memories[label], drawn.words, xhat0)
+    memories = jax.tree.map(jnp.asarray, memories)
+    loop = closed_loop.before(layout, p, memories)
+    notes = noted(layout, p, jnp.asarray(0, int), memories, loop.commands)
+    ring = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (layout.ring, *jnp.shape(a))))
+    windows = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (p.windows.shape[0], *jnp.shape(a))))
+    sizes = {label: o.estimate(p.gains[label], memories[label]).shape[0] for label, o in layout.observers}
+    run = Run(
+        x=jnp.asarray(x),
+        memories=memories,
+        flight=Packet(ring(jnp.zeros(p.noise_std.shape[0])), ring(notes)),
+        streams={label: windows(metrics.start(size)) for label, size in sizes.items()},
+        watches={label: metrics.start_watch(size) for label, size in sizes.items()} if layout.watch else {},
+        commands=loop.commands,
+        law=loop.law,
+        tracking=windows(loop.tracking),
+        effort=windows(loop.effort),
+    )
+    for number in range(p.schedule.early.shape[0]):  # taken before tick 0: they have measured x(0)
+        y = measure(layout, p, params, drawn, jnp.asarray(0, int), run.x, p.schedule.early[number])
+        run = run._replace(flight=run.flight._replace(values=run.flight.values.at[number % layout.ring].set(y)))
+    return run
+
+
+def measure(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, x: Array, numbers: Array) -> Array:
+    """Return what every channel measures at tick k, [q]: samples of these numbers [q]."""
+    y, v = layout.plant.output(params, present(p, k, True), x), drawn.sample(numbers)
+    if layout.continuous:
+        return y
+    y = y + p.noise_std * v[: y.shape[0]]
+    return sample_noise.rounded(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
+
+
+def noted(layout: Layout, p: Problem, k: Array, memories: Tree, commands: Tree) -> Tree:
+    """Return what every observer notes at tick k, to use it when the sample of now arrives."""
+    now = present(p, k, False, commands)
+    return {label: o.note(p.gains[label], memories[label], now) for label, o in layout.observers}
+
+
+def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: Run) -> Run:
+    """1. Take the sample of tick k, if there is one, note for it, and tell the observers that are told."""
+    plan = p.schedule
+
+    def put(ring: Tree, number: Array, value: Tree) -> Tree:
+        place = number % layout.ring
+        return jax.tree.map(lambda a, v: jnp.where(number >= 0, a.at[place].set(v), a), ring, value)
+
+    values, notes = run.flight
+    values = put(values, plan.sense[k], measure(layout, p, params, drawn, k, run.x, plan.sample[k]))
+    found = noted(layout, p, k, run.memories, run.commands)
+    for number in (plan.note[k], *(plan.also[k, i] for i in range(plan.also.shape[1]))):
+        notes = put(notes, number, found)
+    now, fresh = present(p, k, False, run.commands), plan.sample[k] >= 0
+    told = {
+        label: o.sampled(p.gains[label], run.memories[label], now, fresh) if o.sampled else run.memories[label]
+        for label, o in layout.observers
+    }
+    memories = alive(layout, run, chosen(plan.sense[k] >= 0, told, run.memories), run.memories)
+    return run._replace(memories=memories, flight=Packet(values, notes))
+
+
+def deliver(layout: Layout, p: Problem, k: Array, run: Run) -> Run:
+    """2. Let the observers use the packets that arrive at tick k, the oldest first."""
+    plan = p.schedule
+    for slot in range(plan.arrive.shape[1]):
+        number, fresh, now = plan.arrive[k, slot], plan.fresh[k, slot], present(p, k, False, run.commands)
+        values, notes = jax.tree.map(lambda a, i=number % layout.ring: a[i], run.flight)
+        age = jnp.full(fresh.shape, k - plan.believed[k, slot])
+        arrival = partial(Arrival, values, fresh, age, plan.number[k, slot], since=plan.since[k, slot])
+        jumped = {
+            label: o.jump(p.gains[label], run.memories[label], now, arrival(notes[label]))
+            for label, o in layout.observers
+        }
+        memories = chosen(number >= 0, jumped, run.memories)
+        run = run._replace(memories=alive(layout, run, memories, run.memories))
+    return run
+
+
+def errors(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> dict[str, Array]:
+    """Return e of every observer at tick k, of all that it estimates."""
+    z = truth(layout, params, present(p, k, True), run.x)
+    estimates = {label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers}
+    return {label: z[: xhat.shape[0]] - xhat for label, xhat in estimates.items()}
+
+
+def estimate(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> Run:
+    """3. Take the errors of tick k into the sums of its window, and what a closed loop is off its set point."""
+    e, window = errors(layout, p, params, k, run), jnp.sum(k >= p.windows[:, 1])
+    streams = {
+        label: added(s, window, lambda s, label=label: metrics.update(s, e[label])) for label, s in run.streams.items()
+    }
+    watches = {label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps) for label, w in run.watches.items()}
+    tracking = run.tracking
+    if layout.controller and run.tracking:
+        off = closed_loop.off_target(layout.controller, p, k, run.x)
+        tracking = added(tracking, window, lambda s: metrics.update(s, off))
+    return run._replace(streams=streams, watches=watches, tracking=tracking)
+
+
+def control(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
+    """4. Give the command of tick k in a closed loop, made of the estimate of now; and add what it costs."""
+    if layout.controller is None:
+        return run
+    ((label, observer),), controller = layout.observers, layout.controller
+    now, xhat = present(p, k, False, run.commands), observer.estimate(p.gains[label], run.memories[label])
+    sent = run.commands.sent if layout.pending else run.commands
+
+    def coming(i: Array) -> Array:
+        return actuator.read(p.line, sent, k + i, k - 1)
+
+    make: Any = controller.command
+    if controller.start:
+        command, law = make(p.control, now, xhat, coming, run.law)
+    else:
+        command, law = make(p.control, now, xhat, coming), run.law
+    if layout.pending:
+        commands = network.send(p.network, k, run.commands, command, drawn)
+    else:
+        commands = actuator.write(run.commands, k, command)
+    effort = run.effort
+    if isinstance(p.weights, metrics.Weights):
+        window = jnp.sum(k >= p.windows[:, 1])
+        u = closed_loop.pushed(present(p, k, True, commands), commands).u
+        effort = added(effort, window, lambda s: metrics.spend(s, p.weights, k, run.x, u))
+    return run._replace(commands=commands, law=law, effort=effort)
+
+
+def flow(layout: Layout, p: Problem, params: Any, k: Array, run: Run, w: Array) -> Run:
+    """5. Move plant and observers from tick k to tick k + 1, the plant with the process noise w [n]."""
+    now, commands = present(p, k, True, run.commands), run.commands
+    if layout.continuous:
+        x, memories = as_one_field(layout, p, params, now, run)
+    else:
+        x = layout.plant.step(params, closed_loop.pushed(now, commands), run.x)
+        memories = {label: o.flow(p.gains[label], run.memories[label], now) for label, o in layout.observers}
+    if w.size:
+        x = x + (p.process_std @ w if np.ndim(p.process_std) == 2 else p.process_std * w)
+    x, memories = alive(layout, run, (x, memories), (run.x, run.memories))
+    return run._replace(x=x, memories=memories)
+
+
+def as_one_field(layout: Layout, p: Problem, params: Any, now: Now, run: Run) -> tuple[Array, Tree]:
+    """Move plant and observers as one differential equation: at every stage the observers see y of that stage."""
+    plant: Any = layout.plant.field
+
+    def field(t: Array, z: Any) -> Any:
+        there, (x, memories) = now._replace(t=t), z
+        y = layout.plant.output(params, there, x)
+        rates = {label: o.field(p.gains[label], memories[label], there, y) for label, o in layout.observers if o.field}
+        return plant(params, closed_loop.pushed(there, run.commands), x), rates
+
+    moved: tuple[Array, Tree] = rk4(field, now.t, (run.x, run.memories), now.dt)
+    return moved
+
+
+def believed(layout: Layout, p: Problem, k: Array, run: Run, e: dict[str, Array]) -> dict[str, consistency.Squares]:
+    """Return the errors of tick k normalised by the covariances that observers believe, of those that have one."""
+    prior, found = jnp.diagonal(p.spread0), consistency.covariances(layout, p, k, run.memories, run.commands)
+    return {
+        label: consistency.normalised(e[label][: len(prior)], P, prior)._replace(
+            innovation=judging.sums(run.memories[label])
+        )
+        for label, P in found.items()
+    }
+
+
+def alive(layout: Layout, run: Run, new: Tree, old: Tree) -> Tree:
+    """Return `new`; in a closed loop that has diverged `old`: it stands still."""
+    return closed_loop.unless_diverged(run.watches, new, old) if layout.controller else new
+
+
+def chosen(which: Array, new: Tree, old: Tree) -> Tree:
+    """Return `new` where `which`, else `old`."""
+    return jax.tree.map(lambda a, b: jnp.where(which, a, b), new, old)
+
+
+def added(windows: Tree, window: Array, more: Callable[[Tree], Tree]) -> Tree:
+    """Return sums [W, ...] with those of one window updated by `more`."""
+    mine = more(jax.tree.map(lambda a: a[window], windows))
+    return jax.tree.map(lambda a, new: a.at[window].set(new), windows, mine)
