@@ -9,8 +9,8 @@ import numpy as np
 
 from pcbench.checking.trial import Trial
 from pcbench.simulation import trace
-from pcbench.simulation.events_shared import Shift
 from pcbench.simulation.problem import Layout, Problem
+from pcbench.simulation.simulate_runs import Shift
 from pcbench.simulation.trace import Recording
 
 

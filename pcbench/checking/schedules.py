@@ -11,8 +11,8 @@ from pcbench.checking.observer_functions import AGE, TICK, given
 from pcbench.checking.replay import none, replay
 from pcbench.checking.trial import Case, Trial
 from pcbench.protocols import Arrival
-from pcbench.simulation.events_shared import Shift
 from pcbench.simulation.problem import present
+from pcbench.simulation.simulate_runs import Shift
 
 ROUNDING = 1e-9  # of the largest state: a tick of slip is more than 1e-5
 LINEAR = 1e-5  # what a linear model may be off where a run is near the operating point

@@ -47,16 +47,6 @@ def squares(layout: Layout, p: Problem, k: Array, state: State, errors: dict[str
     return over(one_lane)(k, state.memories, state.commands, errors) if _able(layout) else {}
 
 
-def sigmas(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, Any]:
-    """Return the standard deviation of its errors at tick k that each observer believes, of those that have a covariance."""
-
-    def one_lane(k: Array, memories: Any, commands: Any) -> dict[str, Array]:
-        believed = covariances(layout, p, k, memories, commands)
-        return {label: jnp.sqrt(jnp.diagonal(P)) for label, P in believed.items()}
-
-    return over(one_lane)(k, state.memories, state.commands) if _able(layout) else {}
-
-
 def covariances(layout: Layout, p: Problem, k: Array, memories: Any, commands: Any = ()) -> dict[str, Array]:
     """Return what each observer of one lane believes of its error at tick k, of those that have a covariance."""
     now = present(p, k, False, commands)

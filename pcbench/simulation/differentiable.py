@@ -1,28 +1,23 @@
-"""A block of runs whose metrics can be differentiated backwards: the same steps, tick by tick, in chunks.
+"""Runs whose metrics can be differentiated backwards: the ticks of `simulate_runs`, in chunks.
 
-`loop.simulate` goes from event to event in loops of unknown length, which reverse-mode differentiation cannot follow.
-Here every tick is one step of a scan, and a scan over chunks keeps the state at their edges only: going back, a chunk is
-computed again. So the memory of a gradient grows with the square root of the horizon, not with it.
+A scan over chunks keeps the state at their edges only: going back, a chunk is computed again. So the memory of a gradient grows
+with the square root of the horizon, not with it.
 """
 
-from functools import partial
 from math import isqrt
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
-from pcbench.simulation import lanes, steps
-from pcbench.simulation import metrics as sums
-from pcbench.simulation.events_shared import prepare, where_any
-from pcbench.simulation.lanes.entrywise import over
+from pcbench.simulation import simulate_runs
 from pcbench.simulation.metrics import Stream
-from pcbench.simulation.problem import Layout, Problem, State
-from pcbench.simulation.start import drawing
+from pcbench.simulation.problem import Layout, Problem, params_of
+from pcbench.simulation.simulate_runs import Run
 
 SMOOTH = ("mae", "mse", "rmse", "peak")  # and each of them over the tail: what a gradient can be asked of
-Streams = dict[str, Stream]
 
 
 def metrics(layout: Layout, p: Problem, ticks: int, tail: int, root_seed: Array, seeds: Array) -> dict[str, Any]:
@@ -31,27 +26,34 @@ def metrics(layout: Layout, p: Problem, ticks: int, tail: int, root_seed: Array,
     `ticks` is the horizon N, `tail` the tick at which the tail starts. All runs share one schedule. Where a run leaves all
     bounds, its metrics are not finite.
     """
-    layout = layout._replace(watch=False)
-    events, state = prepare(layout, p, root_seed, seeds)
-    happen, drawn = where_any(p, events), drawing(layout, p, root_seed, seeds)
+    layout, size = layout._replace(watch=False), isqrt(ticks) + 1
+    p = p._replace(windows=np.array([[0, tail], [tail, ticks]]))
 
-    def tick(carried: tuple[State, Streams], k: Array) -> tuple[State, Streams]:
-        state, late = carried
-        new, e = steps.tick(layout, p, k, state, drawn(k), happen, partial(steps.errors, layout, p))
-        later = over(lambda k, late, e: {o: sums.update(late[o], jnp.where(k >= tail, e[o], 0.0)) for o in e})
-        return lanes.like(new, state, layout.width), lanes.like(later(k, late, e), late, layout.width)
+    def one(seed: Array) -> dict[str, dict[str, Array]]:
+        drawn = simulate_runs.draw(layout, p, root_seed, seed)
+        params = params_of(layout, p, drawn.plant)
 
-    @jax.checkpoint
-    def chunk(carried: tuple[State, Streams], first: Array) -> Any:
-        def step(carried: tuple[State, Streams], k: Array) -> Any:
-            return lax.cond(k < ticks, tick, lambda c, k: c, carried, k), None
+        def step(run: Run, k: Array) -> tuple[Run, None]:
+            def tick(run: Run) -> Run:
+                return simulate_runs.tick(layout, p, params, drawn, run, k)[0]
 
-        return lax.scan(step, carried, first + jnp.arange(size))
+            return lax.cond(k < ticks, tick, lambda run: run, run), None
 
-    size = isqrt(ticks) + 1
-    (end, late), _ = lax.scan(chunk, (state, state.streams), jnp.arange(0, ticks, size))
-    whole, late = jax.tree.map(lambda a: lanes.whole(a, layout.width), (end.streams, late), is_leaf=lanes.is_lanes)
-    return {label: _read(whole[label], ticks, "") | _read(late[label], ticks - tail, "tail_") for label in whole}
+        @jax.checkpoint
+        def chunk(run: Run, start: Array) -> tuple[Run, None]:
+            return lax.scan(step, run, start + jnp.arange(size))
+
+        start = simulate_runs.first(layout, p, params, drawn)
+        end, _ = lax.scan(chunk, start, jnp.arange(0, ticks, size))
+        found = {label: (_over(s, 0), _over(s, 1)) for label, s in end.streams.items()}
+        return {o: _read(whole, ticks, "") | _read(late, ticks - tail, "tail_") for o, (whole, late) in found.items()}
+
+    return jax.vmap(one, out_axes=-1)(seeds)
+
+
+def _over(stream: Stream, window: int) -> Stream:
+    """The sums over the windows from one on: the first ends where the tail starts."""
+    return Stream(stream.absolute[window:].sum(0), stream.square[window:].sum(0), stream.peak[window:].max(0))
 
 
 def _read(stream: Stream, count: int, prefix: str) -> dict[str, Array]:

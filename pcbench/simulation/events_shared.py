@@ -5,39 +5,24 @@ and delay. Packets in flight are kept in rings by packet number.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.simulation import lanes, sample_noise
-from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.problem import Layout, Notes, Packet, PerLane, Problem, State
 from pcbench.simulation.sample_noise import Noise
 from pcbench.simulation.start import begin
 from pcbench.simulation.steps import Happen, Row, jump, measure, note, tells, told
 
 
-class Shift(NamedTuple):
-    """What is added to packets, by their number: what changes then depends on them. P packets."""
-
-    values: Array  # [P, q]
-    notes: Array  # [P]
-
-
-def prepare(
-    layout: Layout, p: Problem, root_seed: Array, seeds: Array, shift: Shift | None = None
-) -> tuple[Happen, State]:
+def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
     """Return what lets a tick's events happen to a block of runs, and the state before tick 0."""
     noise = sample_noise.drawing(p, root_seed, seeds)
     state = rings(layout, p, noise, begin(layout, p, root_seed, seeds))
-    return partial(happen, layout, p, noise, shift), state
-
-
-def where_any(p: Problem, events: Happen) -> Happen:
-    """Return the same for every tick, events or none."""
-    return lambda k, state: lax.cond(p.schedule.event[k], events, lambda k, state: state, k, state)
+    return partial(happen, layout, p, noise), state
 
 
 def rings(layout: Layout, p: Problem, noise: Noise, state: State) -> State:
@@ -59,7 +44,7 @@ def rings(layout: Layout, p: Problem, noise: Noise, state: State) -> State:
     return state._replace(flight=Packet(values, notes))
 
 
-def happen(layout: Layout, p: Problem, noise: Noise, shift: Shift | None, k: Array, state: State) -> State:
+def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> State:
     """Let everything that the schedule has for tick k happen: sense and note, then deliver, the oldest packet first.
 
     Only one packet, never the ring of them, goes through a `cond`, which would copy it: what is not there is written to
@@ -74,12 +59,10 @@ def happen(layout: Layout, p: Problem, noise: Noise, shift: Shift | None, k: Arr
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, new)
 
     def sense() -> PerLane:
-        y = measure(layout, p, k, state, lanes.split(noise(channels, plan.sample[k])))
-        return _shifted(y, shift.values[plan.sense[k]]) if shift else y
+        return measure(layout, p, k, state, lanes.split(noise(channels, plan.sample[k])))
 
     def noted() -> Notes:
-        found = note(layout, p, k, state)
-        return {label: _shifted(each, shift.notes[plan.note[k]]) for label, each in found.items()} if shift else found
+        return note(layout, p, k, state)
 
     values, notes = state.flight
     flight = Packet(put(values, plan.sense[k], sense), put(notes, plan.note[k], noted))
@@ -105,7 +88,3 @@ def happen(layout: Layout, p: Problem, noise: Noise, shift: Shift | None, k: Arr
         state = state._replace(memories=lax.cond(plan.sense[k] >= 0, tell, lambda: state.memories))
     memories = lax.fori_loop(0, plan.arrive.shape[1], deliver, state.memories)
     return state._replace(memories=memories, flight=flight)
-
-
-def _shifted(numbers: PerLane, by: Array) -> PerLane:
-    return over(lambda a, b: a + b.astype(a.dtype))(numbers, by)

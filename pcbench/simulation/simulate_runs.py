@@ -45,6 +45,13 @@ class Run(NamedTuple):
     effort: Tree = ()  # `metrics.Effort` [W]
 
 
+class Shift(NamedTuple):
+    """What is added to packets, by their number, where it is asked what depends on them. P packets."""
+
+    values: Array  # [P, q]
+    notes: Array  # [P]
+
+
 class Draws(NamedTuple):
     """The random numbers of one run; none of them depends on observers or on other runs."""
 
@@ -75,15 +82,10 @@ def simulate_run(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> O
     drawn = draw(layout, p, root_seed, seed)
     params = params_of(layout, p, drawn.plant)
     last = p.schedule.event.shape[0] - 2  # tick N - 1
-
-    def tick(run: Run, k: Array) -> tuple[Run, None]:
-        run = deliver(layout, p, k, sense(layout, p, params, drawn, k, run))
-        run = control(layout, p, k, estimate(layout, p, params, k, run), drawn.command(k))
-        return flow(layout, p, params, k, run, drawn.process(k)), None
-
-    run, _ = lax.scan(tick, first(layout, p, params, drawn), jnp.arange(last))
+    start = first(layout, p, params, drawn)
+    run, _ = lax.scan(lambda run, k: tick(layout, p, params, drawn, run, k), start, jnp.arange(last))
     k = jnp.asarray(last, int)  # a bare number would take the type of what it meets
-    run = estimate(layout, p, params, k, deliver(layout, p, k, sense(layout, p, params, drawn, k, run)))
+    run = estimate(layout, p, params, k, events(layout, p, params, drawn, k, run))
     if isinstance(p.weights, metrics.Weights):
         run = control(layout, p, k, run, drawn.command(k))
     e = errors(layout, p, params, k, run)
@@ -96,6 +98,34 @@ def simulate_run(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> O
         consistency=believed(layout, p, k, run, e) if layout.consistency else (),
         actual=truth(layout, params, present(p, k, True), run.x),
     )
+
+
+def tick(
+    layout: Layout,
+    p: Problem,
+    params: Any,
+    drawn: Draws,
+    run: Run,
+    k: Array,
+    read: Callable[[Array, Run], Tree] = lambda k, run: None,
+    shift: Shift | None = None,
+) -> tuple[Run, Tree]:
+    """Return a run at tick k + 1, and what `read` finds at tick k once its command is given."""
+    run = events(layout, p, params, drawn, k, run, shift)  # 1. sense, 2. deliver
+    run = estimate(layout, p, params, k, run)  # 3. estimate
+    run = control(layout, p, k, run, drawn.command(k))  # 4. control
+    return flow(layout, p, params, k, run, drawn.process(k)), read(k, run)  # 5. flow
+
+
+def events(
+    layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None
+) -> Run:
+    """1. and 2., at a tick at which something is sampled or arrives."""
+
+    def happen(run: Run) -> Run:
+        return deliver(layout, p, k, sense(layout, p, params, drawn, k, run, shift))
+
+    return lax.cond(p.schedule.event[k], happen, lambda run: run, run)
 
 
 def draw(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Draws:
@@ -164,7 +194,7 @@ def noted(layout: Layout, p: Problem, k: Array, memories: Tree, commands: Tree) 
     return {label: o.note(p.gains[label], memories[label], now) for label, o in layout.observers}
 
 
-def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: Run) -> Run:
+def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None) -> Run:
     """1. Take the sample of tick k, if there is one, note for it, and tell the observers that are told."""
     plan = p.schedule
 
@@ -173,8 +203,12 @@ def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: 
         return jax.tree.map(lambda a, v: jnp.where(number >= 0, a.at[place].set(v), a), ring, value)
 
     values, notes = run.flight
-    values = put(values, plan.sense[k], measure(layout, p, params, drawn, k, run.x, plan.sample[k]))
+    y = measure(layout, p, params, drawn, k, run.x, plan.sample[k])
     found = noted(layout, p, k, run.memories, run.commands)
+    if shift:
+        y = y + shift.values[plan.sense[k]]
+        found = jax.tree.map(lambda a: a + shift.notes[plan.note[k]].astype(a.dtype), found)
+    values = put(values, plan.sense[k], y)
     for number in (plan.note[k], *(plan.also[k, i] for i in range(plan.also.shape[1]))):
         notes = put(notes, number, found)
     now, fresh = present(p, k, False, run.commands), plan.sample[k] >= 0
@@ -213,9 +247,7 @@ def errors(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> dict[
 def estimate(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> Run:
     """3. Take the errors of tick k into the sums of its window, and what a closed loop is off its set point."""
     e, window = errors(layout, p, params, k, run), jnp.sum(k >= p.windows[:, 1])
-    streams = {
-        label: added(s, window, lambda s, label=label: metrics.update(s, e[label])) for label, s in run.streams.items()
-    }
+    streams = {label: added(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
     watches = {label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps) for label, w in run.watches.items()}
     tracking = run.tracking
     if layout.controller and run.tracking:
@@ -240,6 +272,7 @@ def control(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
         command, law = make(p.control, now, xhat, coming, run.law)
     else:
         command, law = make(p.control, now, xhat, coming), run.law
+    commands: Any
     if layout.pending:
         commands = network.send(p.network, k, run.commands, command, drawn)
     else:

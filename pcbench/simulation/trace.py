@@ -1,22 +1,15 @@
-"""One run with everything in sight, recorded at every tick 0 .. N.
+"""Runs with everything in sight: recorded at every tick 0 .. N, or at every so many. The ticks are `simulate_runs.tick`."""
 
-Slower than `loop.simulate`, which keeps sums only; the same functions in the same order (`steps.tick`).
-"""
-
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import compiling, lanes
-from pcbench.simulation.closed_loop import aims, held
-from pcbench.simulation.consistency import sigmas, squares
-from pcbench.simulation.events_shared import Shift, prepare, where_any
-from pcbench.simulation.problem import Layout, PerLane, Problem, State
-from pcbench.simulation.start import drawing
-from pcbench.simulation.steps import actual, errors, estimates, tick
+from pcbench.simulation import closed_loop, compiling, consistency, simulate_runs
+from pcbench.simulation.problem import Layout, Problem, params_of, present, truth
+from pcbench.simulation.simulate_runs import Run, Shift
 
 
 class Recording(NamedTuple):
@@ -28,75 +21,7 @@ class Recording(NamedTuple):
     arrived: Array  # [N+1, q] what arrived at this tick, the newest of each channel; NaN where nothing did
     brought: Array  # [N+1, S, q] what each of the packets that arrived brought, NaN where nothing
     target: Array  # [N+1, r] the set point of a closed loop
-    sigma: dict[
-        str, Array
-    ]  # [N+1, n or n + s] standard deviations that observers believe, of a layout with consistency
-
-
-def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
-    """Record one run tick by tick, tick N included; with a `shift`, on packets that are changed by it."""
-    layout = layout._replace(width=1)
-    events, state = prepare(layout, p, root_seed, seed[None], shift)
-    happen, drawn = where_any(p, events), drawing(layout, p, root_seed, seed[None])
-
-    def read(k: Array, state: State) -> Recording:
-        return Recording(
-            x=_whole(actual(layout, p, k, state)),
-            estimates={label: _whole(xhat) for label, xhat in estimates(layout, p, state).items()},
-            u=_whole(held(p, k, state)),
-            arrived=_newest(brought := _brought(layout, p, k, state))[:, 0],
-            brought=brought[..., 0],
-            target=aims(layout, p, k),
-            sigma={label: _whole(each) for label, each in sigmas(layout, p, k, state).items()}
-            if layout.consistency
-            else {},
-        )
-
-    def step(state: State, k: Array) -> tuple[State, Recording]:
-        new, row = tick(layout, p, k, state, drawn(k), happen, read)
-        return lanes.like(new, state, 1), row
-
-    _, out = lax.scan(step, state, jnp.arange(p.schedule.event.shape[0]))
-    return out
-
-
-def _believed(layout: Layout, p: Problem, k: Array, state: State, many: int) -> dict[str, Any]:
-    """What observers believe of their errors at tick k, and how wrong they are."""
-    if not layout.consistency:
-        return {"sigma": {}, "nees": {}}
-    found = squares(layout, p, k, state, errors(layout, p, k, state))
-    return {
-        "sigma": {o: lanes.whole(each, many) for o, each in sigmas(layout, p, k, state).items()},
-        "nees": {o: (lanes.whole(each.whole, many), lanes.whole(each.states, many)) for o, each in found.items()},
-    }
-
-
-def _brought(layout: Layout, p: Problem, k: Array, state: State) -> Array:
-    """What each packet brings that arrives at tick k: [S, q, L], NaN where nothing."""
-    plan, out = p.schedule, []
-    for slot in range(plan.arrive.shape[1]):
-        row = plan.arrive[k, slot] % layout.ring
-        value = lanes.whole(jax.tree.map(lambda ring, row=row: ring[row], state.flight.values), layout.width)
-        out.append(jnp.where(plan.fresh[k, slot][:, None], value, jnp.nan))
-    return jnp.stack(out)
-
-
-def _newest(brought: Array) -> Array:
-    """What arrives at a tick, the newest of each channel: [q, L], NaN where nothing does."""
-    y = brought[0]
-    for value in brought[1:]:
-        y = jnp.where(jnp.isnan(value), y, value)
-    return y
-
-
-def _whole(a: PerLane) -> Array:
-    return lanes.whole(a, 1)[:, 0]
-
-
-@cache
-def compiled() -> Any:
-    """Return `record` compiled, once for each shape in a process."""
-    return compiling.bounded(record, 0)
+    sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers believe, if there is consistency
 
 
 class Thinned(NamedTuple):
@@ -106,41 +31,99 @@ class Thinned(NamedTuple):
     estimates: dict[str, Array]  # [K, n or n + s, L]
     held: Array  # [K, q, L] what has arrived and is held; NaN before
     target: Array  # [K, r] the set point of a closed loop
-    sigma: dict[
-        str, Array
-    ]  # [K, n or n + s, L] standard deviations that observers believe, of a layout with consistency
-    nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; of a layout with consistency
+    sigma: dict[str, Array]  # [K, n or n + s, L] standard deviations that observers believe, if there is consistency
+    nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; likewise
+
+
+def record(layout: Layout, p: Problem, root_seed: Array, seed: Array, shift: Shift | None = None) -> Recording:
+    """Record one run tick by tick, tick N included; with a `shift`, on packets that are changed by it."""
+    start, params, drawn = _started(layout, p, root_seed, seed)
+
+    def read(k: Array, run: Run) -> Recording:
+        brought = _brought(layout, p, k, run)
+        return Recording(
+            x=truth(layout, params, present(p, k, True), run.x),
+            estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
+            u=closed_loop.pushed(present(p, k, True, run.commands), run.commands).u,
+            arrived=_newest(brought),
+            brought=brought,
+            target=closed_loop.aims(layout, p, k),
+            sigma=_sigma(layout, p, k, run),
+        )
+
+    ticks = jnp.arange(p.schedule.event.shape[0])
+    step = partial(simulate_runs.tick, layout, p, params, drawn, read=read, shift=shift)
+    return lax.scan(step, start, ticks)[1]
 
 
 def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Array, seeds: Array) -> Thinned:
     """Record ticks 0, every, 2 every ... of the runs seeds[L], so many rows; their schedule is one for all."""
-    many = seeds.shape[0]
-    layout = layout._replace(width=many)
-    events, state = prepare(layout, p, root_seed, seeds)
-    happen, drawn = where_any(p, events), drawing(layout, p, root_seed, seeds)
-    none = jnp.full((*p.noise_std.shape, many), jnp.nan)
-
-    def read(k: Array, state: State) -> Thinned:
-        return Thinned(
-            x=lanes.whole(actual(layout, p, k, state), many),
-            estimates={o: lanes.whole(xhat, many) for o, xhat in estimates(layout, p, state).items()},
-            held=_newest(_brought(layout, p, k, state)),
-            target=aims(layout, p, k),
-            **_believed(layout, p, k, state, many),
-        )
-
-    def step(carry: tuple[State, Array, Thinned], k: Array) -> tuple[tuple[State, Array, Thinned], None]:
-        state, held, table = carry
-        new, row = tick(layout, p, k, state, drawn(k), happen, read)
-        row = row._replace(held=jnp.where(jnp.isnan(row.held), held, row.held))
-        place = jnp.where(k % every == 0, k // every, rows)  # the last row takes what is not kept
-        table = jax.tree.map(lambda a, v: lax.dynamic_update_index_in_dim(a, v.astype(a.dtype), place, 0), table, row)
-        return (lanes.like(new, state, many), row.held, table), None
-
     ticks = jnp.arange(every * (rows - 1) + 1)
-    shape = jax.eval_shape(lambda: read(ticks[0], state))
-    table = jax.tree.map(lambda a: jnp.zeros((rows + 1, *a.shape), a.dtype), shape)
-    return jax.tree.map(lambda a: a[:rows], lax.scan(step, (state, none, table), ticks)[0][2])
+
+    def one(seed: Array) -> Thinned:
+        start, params, drawn = _started(layout, p, root_seed, seed)
+
+        def read(k: Array, run: Run) -> Thinned:
+            e = simulate_runs.errors(layout, p, params, k, run)
+            squares = simulate_runs.believed(layout, p, k, run, e) if layout.consistency else {}
+            return Thinned(
+                x=truth(layout, params, present(p, k, True), run.x),
+                estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
+                held=_newest(_brought(layout, p, k, run)),
+                target=closed_loop.aims(layout, p, k),
+                sigma=_sigma(layout, p, k, run),
+                nees={label: (each.whole, each.states) for label, each in squares.items()},
+            )
+
+        def step(carry: tuple[Run, Array, Thinned], k: Array) -> tuple[tuple[Run, Array, Thinned], None]:
+            run, held, table = carry
+            run, row = simulate_runs.tick(layout, p, params, drawn, run, k, read)
+            row = row._replace(held=jnp.where(jnp.isnan(row.held), held, row.held))
+            place = jnp.where(k % every == 0, k // every, rows)  # the last row takes what is not kept
+            put = partial(lax.dynamic_update_index_in_dim, index=place, axis=0)
+            return (run, row.held, jax.tree.map(lambda a, v: put(a, v.astype(a.dtype)), table, row)), None
+
+        shape = jax.eval_shape(lambda: read(ticks[0], start))
+        table = jax.tree.map(lambda a: jnp.zeros((rows + 1, *a.shape), a.dtype), shape)
+        end = lax.scan(step, (start, jnp.full(p.noise_std.shape, jnp.nan), table), ticks)[0]
+        return jax.tree.map(lambda a: a[:rows], end[2])
+
+    return jax.vmap(one, out_axes=Thinned(-1, -1, -1, None, -1, -1))(seeds)  # type: ignore[arg-type]
+
+
+def _started(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> tuple[Run, Any, simulate_runs.Draws]:
+    """A run before tick 0, the plant's numbers in it, and its draws."""
+    drawn = simulate_runs.draw(layout, p, root_seed, seed)
+    params = params_of(layout, p, drawn.plant)
+    return simulate_runs.first(layout, p, params, drawn), params, drawn
+
+
+def _sigma(layout: Layout, p: Problem, k: Array, run: Run) -> dict[str, Array]:
+    """The standard deviations of their errors that observers believe at tick k."""
+    if not layout.consistency:
+        return {}
+    found = consistency.covariances(layout, p, k, run.memories, run.commands)
+    return {label: jnp.sqrt(jnp.diagonal(P)) for label, P in found.items()}
+
+
+def _brought(layout: Layout, p: Problem, k: Array, run: Run) -> Array:
+    """What each packet brings that arrives at tick k: [S, q], NaN where nothing."""
+    values = run.flight.values[p.schedule.arrive[k] % layout.ring]
+    return jnp.where(p.schedule.fresh[k], values, jnp.nan)
+
+
+def _newest(brought: Array) -> Array:
+    """What arrives at a tick, the newest of each channel: [q], NaN where nothing does."""
+    y = brought[0]
+    for value in brought[1:]:
+        y = jnp.where(jnp.isnan(value), y, value)
+    return y
+
+
+@cache
+def compiled() -> Any:
+    """Return `record` compiled, once for each shape in a process."""
+    return compiling.bounded(record, 0)
 
 
 @cache

@@ -51,7 +51,7 @@ def runs(name):
     return any(block.reason is None and block.language in ("sh", "python") for block in fenced(name))
 
 
-@pytest.mark.nightly
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in RUN if runs(name)])
 def test_every_block_runs(name, tmp_path):
     for done in walked(name, tmp_path):
