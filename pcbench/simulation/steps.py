@@ -59,8 +59,8 @@ def tick(
 ) -> tuple[State, Any]:
     """Return the state at tick k + 1, and what `read` finds at tick k once its command is given.
 
-    This is the order of events. Recorded and differentiated runs pass `happen`; `loop.simulate` lets events happen itself where
-    there are any, and takes the ticks from there to the next without.
+    This is the order of events of `simulate_runs.tick`, on many lanes. `loop.simulate` lets events happen itself where there
+    are any, and takes the ticks from there to the next without.
     """
     state = happen(k, state)  # 1. sense, 2. deliver
     state = score(layout, p, k, state)  # 3. estimate
