@@ -54,9 +54,10 @@ def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Fil
         yield from _deep(f"options of {scenario}", old["options"].get(scenario, {}), new["options"][scenario], names)
         was, now = (_without_code(each["scenarios"].get(scenario, {})) for each in (old, new))
         yield from _deep(scenario, was, now)
-    before, now_tuned = (_tuned_cells(study) for study in (there, here))
-    for cell in before.keys() & now_tuned.keys():
-        yield from _deep(f"options tuned at {cell}", before[cell], now_tuned[cell], list(before[cell]))
+    old_tuned, new_tuned = (_tuned_cells(study) for study in (there, here))
+    for cell, options in old_tuned.items():
+        if cell in new_tuned:
+            yield from _deep(f"options tuned at {cell}", options, new_tuned[cell], list(options))
     chosen = {k: v for k, v in old["options"]["scenario"].items() if GONE.get(k) != v}
     yield from _deep("options.scenario", chosen, new["options"]["scenario"])
     if not code:  # else that is why

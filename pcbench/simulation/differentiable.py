@@ -43,7 +43,7 @@ def metrics(layout: Layout, p: Problem, ticks: int, tail: int, root_seed: Array,
         def chunk(run: Run, start: Array) -> tuple[Run, None]:
             return lax.scan(step, run, start + jnp.arange(size))
 
-        start = simulate_runs.first(layout, p, params, drawn)
+        start = simulate_runs.initial_run(layout, p, params, drawn)
         end, _ = lax.scan(chunk, start, jnp.arange(0, ticks, size))
         found = {label: (_over(s, 0), _over(s, 1)) for label, s in end.streams.items()}
         return {o: _read(whole, ticks, "") | _read(late, ticks - tail, "tail_") for o, (whole, late) in found.items()}

@@ -82,7 +82,7 @@ def simulate_run(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> O
     drawn = draw(layout, p, root_seed, seed)
     params = params_of(layout, p, drawn.plant)
     last = p.schedule.event.shape[0] - 2  # tick N - 1
-    start = first(layout, p, params, drawn)
+    start = initial_run(layout, p, params, drawn)
     run, _ = lax.scan(lambda run, k: tick(layout, p, params, drawn, run, k), start, jnp.arange(last))
     k = jnp.asarray(last, int)  # a bare number would take the type of what it meets
     run = estimate(layout, p, params, k, events(layout, p, params, drawn, k, run))
@@ -95,7 +95,7 @@ def simulate_run(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> O
         final=e,
         tracking=run.tracking,
         effort=run.effort,
-        consistency=believed(layout, p, k, run, e) if layout.consistency else (),
+        consistency=normalized_errors(layout, p, k, run, e) if layout.consistency else (),
         actual=truth(layout, params, present(p, k, True), run.x),
     )
 
@@ -148,7 +148,7 @@ def draw(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> Draws:
     )
 
 
-def first(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
+def initial_run(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
     """Return a run before tick 0."""
     x = p.x0 + p.spread0 @ drawn.start if layout.random_start else p.x0
     xhat0 = p.xhat0 + p.scatter * (2 * drawn.box - 1) if layout.scattered else p.xhat0
@@ -158,7 +158,7 @@ def first(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
             memories[label] = o.seeded(p.gains[label], memories[label], drawn.words, xhat0)
     memories = jax.tree.map(jnp.asarray, memories)
     loop = closed_loop.before(layout, p, memories)
-    notes = noted(layout, p, jnp.asarray(0, int), memories, loop.commands)
+    notes = take_notes(layout, p, jnp.asarray(0, int), memories, loop.commands)
     ring = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (layout.ring, *jnp.shape(a))))
     windows = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (p.windows.shape[0], *jnp.shape(a))))
     sizes = {label: o.estimate(p.gains[label], memories[label]).shape[0] for label, o in layout.observers}
@@ -188,14 +188,14 @@ def measure(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, x: 
     return sample_noise.rounded(p.rounding, y, v[y.shape[0] :]) if p.rounding else y
 
 
-def noted(layout: Layout, p: Problem, k: Array, memories: Tree, commands: Tree) -> Tree:
+def take_notes(layout: Layout, p: Problem, k: Array, memories: Tree, commands: Tree) -> Tree:
     """Return what every observer notes at tick k, to use it when the sample of now arrives."""
     now = present(p, k, False, commands)
     return {label: o.note(p.gains[label], memories[label], now) for label, o in layout.observers}
 
 
 def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: Run, shift: Shift | None = None) -> Run:
-    """1. Take the sample of tick k, if there is one, note for it, and tell the observers that are told."""
+    """1. Take the sample of tick k, if there is one, note for it, and notify the observers that ask for it."""
     plan = p.schedule
 
     def put(ring: Tree, number: Array, value: Tree) -> Tree:
@@ -204,7 +204,7 @@ def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: 
 
     values, notes = run.flight
     y = measure(layout, p, params, drawn, k, run.x, plan.sample[k])
-    found = noted(layout, p, k, run.memories, run.commands)
+    found = take_notes(layout, p, k, run.memories, run.commands)
     if shift:
         y = y + shift.values[plan.sense[k]]
         found = jax.tree.map(lambda a: a + shift.notes[plan.note[k]].astype(a.dtype), found)
@@ -212,11 +212,11 @@ def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: 
     for number in (plan.note[k], *(plan.also[k, i] for i in range(plan.also.shape[1]))):
         notes = put(notes, number, found)
     now, fresh = present(p, k, False, run.commands), plan.sample[k] >= 0
-    told = {
+    notified = {
         label: o.sampled(p.gains[label], run.memories[label], now, fresh) if o.sampled else run.memories[label]
         for label, o in layout.observers
     }
-    memories = alive(layout, run, chosen(plan.sense[k] >= 0, told, run.memories), run.memories)
+    memories = freeze_diverged(layout, run, select(plan.sense[k] >= 0, notified, run.memories), run.memories)
     return run._replace(memories=memories, flight=Packet(values, notes))
 
 
@@ -232,8 +232,8 @@ def deliver(layout: Layout, p: Problem, k: Array, run: Run) -> Run:
             label: o.jump(p.gains[label], run.memories[label], now, arrival(notes[label]))
             for label, o in layout.observers
         }
-        memories = chosen(number >= 0, jumped, run.memories)
-        run = run._replace(memories=alive(layout, run, memories, run.memories))
+        memories = select(number >= 0, jumped, run.memories)
+        run = run._replace(memories=freeze_diverged(layout, run, memories, run.memories))
     return run
 
 
@@ -247,12 +247,12 @@ def errors(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> dict[
 def estimate(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> Run:
     """3. Take the errors of tick k into the sums of its window, and what a closed loop is off its set point."""
     e, window = errors(layout, p, params, k, run), jnp.sum(k >= p.windows[:, 1])
-    streams = {label: added(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
+    streams = {label: update_window(s, window, partial(metrics.update, e=e[label])) for label, s in run.streams.items()}
     watches = {label: metrics.look(w, k, e[label], p.band, p.bound, p.jumps) for label, w in run.watches.items()}
     tracking = run.tracking
     if layout.controller and run.tracking:
         off = closed_loop.off_target(layout.controller, p, k, run.x)
-        tracking = added(tracking, window, lambda s: metrics.update(s, off))
+        tracking = update_window(tracking, window, lambda s: metrics.update(s, off))
     return run._replace(streams=streams, watches=watches, tracking=tracking)
 
 
@@ -281,7 +281,7 @@ def control(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
     if isinstance(p.weights, metrics.Weights):
         window = jnp.sum(k >= p.windows[:, 1])
         u = closed_loop.pushed(present(p, k, True, commands), commands).u
-        effort = added(effort, window, lambda s: metrics.spend(s, p.weights, k, run.x, u))
+        effort = update_window(effort, window, lambda s: metrics.spend(s, p.weights, k, run.x, u))
     return run._replace(commands=commands, law=law, effort=effort)
 
 
@@ -295,7 +295,7 @@ def flow(layout: Layout, p: Problem, params: Any, k: Array, run: Run, w: Array) 
         memories = {label: o.flow(p.gains[label], run.memories[label], now) for label, o in layout.observers}
     if w.size:
         x = x + (p.process_std @ w if np.ndim(p.process_std) == 2 else p.process_std * w)
-    x, memories = alive(layout, run, (x, memories), (run.x, run.memories))
+    x, memories = freeze_diverged(layout, run, (x, memories), (run.x, run.memories))
     return run._replace(x=x, memories=memories)
 
 
@@ -313,8 +313,10 @@ def as_one_field(layout: Layout, p: Problem, params: Any, now: Now, run: Run) ->
     return moved
 
 
-def believed(layout: Layout, p: Problem, k: Array, run: Run, e: dict[str, Array]) -> dict[str, consistency.Squares]:
-    """Return the errors of tick k normalised by the covariances that observers believe, of those that have one."""
+def normalized_errors(
+    layout: Layout, p: Problem, k: Array, run: Run, e: dict[str, Array]
+) -> dict[str, consistency.Squares]:
+    """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
     prior, found = jnp.diagonal(p.spread0), consistency.covariances(layout, p, k, run.memories, run.commands)
     return {
         label: consistency.normalised(e[label][: len(prior)], P, prior)._replace(
@@ -324,17 +326,17 @@ def believed(layout: Layout, p: Problem, k: Array, run: Run, e: dict[str, Array]
     }
 
 
-def alive(layout: Layout, run: Run, new: Tree, old: Tree) -> Tree:
-    """Return `new`; in a closed loop that has diverged `old`: it stands still."""
+def freeze_diverged(layout: Layout, run: Run, new: Tree, old: Tree) -> Tree:
+    """Return `new`; if a closed loop has diverged, `old`: it is frozen."""
     return closed_loop.unless_diverged(run.watches, new, old) if layout.controller else new
 
 
-def chosen(which: Array, new: Tree, old: Tree) -> Tree:
+def select(which: Array, new: Tree, old: Tree) -> Tree:
     """Return `new` where `which`, else `old`."""
     return jax.tree.map(lambda a, b: jnp.where(which, a, b), new, old)
 
 
-def added(windows: Tree, window: Array, more: Callable[[Tree], Tree]) -> Tree:
+def update_window(windows: Tree, window: Array, more: Callable[[Tree], Tree]) -> Tree:
     """Return sums [W, ...] with those of one window updated by `more`."""
     mine = more(jax.tree.map(lambda a: a[window], windows))
     return jax.tree.map(lambda a, new: a.at[window].set(new), windows, mine)

@@ -21,7 +21,7 @@ class Recording(NamedTuple):
     arrived: Array  # [N+1, q] what arrived at this tick, the newest of each channel; NaN where nothing did
     brought: Array  # [N+1, S, q] what each of the packets that arrived brought, NaN where nothing
     target: Array  # [N+1, r] the set point of a closed loop
-    sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers believe, if there is consistency
+    sigma: dict[str, Array]  # [N+1, n or n + s] standard deviations that observers report, if there is consistency
 
 
 class Thinned(NamedTuple):
@@ -31,7 +31,7 @@ class Thinned(NamedTuple):
     estimates: dict[str, Array]  # [K, n or n + s, L]
     held: Array  # [K, q, L] what has arrived and is held; NaN before
     target: Array  # [K, r] the set point of a closed loop
-    sigma: dict[str, Array]  # [K, n or n + s, L] standard deviations that observers believe, if there is consistency
+    sigma: dict[str, Array]  # [K, n or n + s, L] standard deviations that observers report, if there is consistency
     nees: dict[str, tuple[Array, Array]]  # [K, L] e' P^-1 e over n, and the n; likewise
 
 
@@ -65,7 +65,7 @@ def record_some(layout: Layout, every: int, rows: int, p: Problem, root_seed: Ar
 
         def read(k: Array, run: Run) -> Thinned:
             e = simulate_runs.errors(layout, p, params, k, run)
-            squares = simulate_runs.believed(layout, p, k, run, e) if layout.consistency else {}
+            squares = simulate_runs.normalized_errors(layout, p, k, run, e) if layout.consistency else {}
             return Thinned(
                 x=truth(layout, params, present(p, k, True), run.x),
                 estimates={label: o.estimate(p.gains[label], run.memories[label]) for label, o in layout.observers},
@@ -95,11 +95,11 @@ def _started(layout: Layout, p: Problem, root_seed: Array, seed: Array) -> tuple
     """A run before tick 0, the plant's numbers in it, and its draws."""
     drawn = simulate_runs.draw(layout, p, root_seed, seed)
     params = params_of(layout, p, drawn.plant)
-    return simulate_runs.first(layout, p, params, drawn), params, drawn
+    return simulate_runs.initial_run(layout, p, params, drawn), params, drawn
 
 
 def _sigma(layout: Layout, p: Problem, k: Array, run: Run) -> dict[str, Array]:
-    """The standard deviations of their errors that observers believe at tick k."""
+    """The standard deviations of their errors that observers report at tick k."""
     if not layout.consistency:
         return {}
     found = consistency.covariances(layout, p, k, run.memories, run.commands)

@@ -50,3 +50,12 @@ def test_a_dataset_keeps_its_engine_and_rows_differ_by_rounding(tmp_path, monkey
 def test_an_engine_that_is_none_is_refused():
     with pytest.raises(UserError, match="engine: got 'plain', expected 'steps' or 'products'"):
         read.grid_of(STUDY | {"engine": "plain"}, {}, [])
+
+
+def test_an_engine_that_is_none_in_a_dataset_is_refused(tmp_path):
+    pcbench.run(STUDY, out=tmp_path / "out")
+    path = tmp_path / "out" / "study.toml"
+    path.write_text(path.read_text().replace('engine = "steps"', "engine = 5"))
+    for read_again in (lambda: pcbench.run(STUDY, out=tmp_path / "out"), lambda: pcbench.opened(tmp_path / "out")):
+        with pytest.raises(UserError, match="engine: got 5, expected 'steps' or 'products'"):
+            read_again()
