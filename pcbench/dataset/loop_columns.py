@@ -58,7 +58,7 @@ MEANING = {
     "nees_states": "the n of nees",
     "nis": "nu' S^-1 nu of all samples that came in the order in which they were taken, over how many numbers these were; nu "
     "is what a sample is beyond what the observer expected, S the covariance that it believes nu to have; one number a run, "
-    "with its first signal; null: no sample was judged",
+    "with its first signal; null: no sample was judged; in stats all squares of all runs over all numbers",
     "nis_degrees": "how many numbers nis is over",
     "signal_nees": "e^2 over the variance that the observer believes it to have, at tick N-1; null: it knows this state",
 }

@@ -35,6 +35,7 @@ class Aggregate(NamedTuple):
     diverged: int
     unsettled: NDArray[np.int64]  # [C signals]
     inside: NDArray[np.int64]  # [3, C states] within one, two, three sigma, of an observer that says how wrong it is
+    judged: Moments | None  # [3 C] of innovations: their normalised squares, the numbers these are of, and the difference
 
     @property
     def cells(self) -> int:
@@ -58,8 +59,9 @@ def see(before: Aggregate | None, s: Stack) -> Aggregate:
     values = kept(s.values, good)
     diverged, unsettled, found = int(s.diverged.sum()), kept(s.unsettled, good).sum(-1), moments(values)
     inside = consistency.inside(values[s.every([k for (m, _), k in s.rows.items() if m == "signal_nees"])])
+    judged = _judged(s, values)
     if before is None:
-        return Aggregate(s.rows, found, selection.add(selection.EMPTY, values), diverged, unsettled, inside)
+        return Aggregate(s.rows, found, selection.add(selection.EMPTY, values), diverged, unsettled, inside, judged)
     return Aggregate(
         s.rows,
         merge(before.moments, found),
@@ -67,6 +69,7 @@ def see(before: Aggregate | None, s: Stack) -> Aggregate:
         before.diverged + diverged,
         before.unsettled + unsettled,
         before.inside + inside,
+        merge(before.judged, judged) if before.judged and judged else None,
     )
 
 
@@ -120,6 +123,8 @@ def described(s: Aggregate, quantiles: Values, bounds: Values | None) -> Describ
     for metric, e in known.items():
         at = [r for r, (name, _) in enumerate(names) if name == metric]
         values[:, at, : len(ESTIMATED)] = np.stack(e[1:], 1).reshape(s.cells, sizes[metric], -1)
+        if (metric, 0) in s.rows:
+            values[:, at, len(ESTIMATED) :] = quantiles.reshape(s.cells, K, -1)[:, [s.rows[names[r]] for r in at]]
     shown = np.ones(values.shape[:2], bool)
     if bounds is not None:
         shown[:, [r for r, (name, _) in enumerate(names) if name == "efficiency"]] = ~np.isnan(bounds[:, :many])
@@ -155,6 +160,28 @@ def _of(e: Estimate, at: NDArray[np.int64]) -> Estimate:
     return Estimate(e.n, *(values[at] for values in e[1:]))
 
 
+def _judged(s: Stack, values: Values) -> Moments | None:
+    """The moments of what the mean `nis` is made of; a run without a judged sample adds nothing to it."""
+    if ("nis", 0) not in s.rows:
+        return None
+    nis, degrees = (values[s.every([s.rows[name, 0]])] for name in ("nis", "nis_degrees"))
+    squares = np.where(degrees > 0, nis * degrees, 0.0)
+    return moments(np.concatenate([squares, degrees, squares - degrees]))
+
+
+def _over_all(judged: Moments) -> Estimate:
+    """All normalised squares over all numbers that they are of: a ratio of means, its standard error by the delta method.
+
+    With the ratio r the sum of squares of s - r d is a + r^2 b - r (a + b - c), of a, b and c those of s, d and s - d.
+    Source: Cochran, Sampling Techniques (1977), section 2.11.
+    """
+    (square, degrees, _), (a, b, c) = judged.mean.reshape(3, -1), judged.m2.reshape(3, -1)
+    some = np.where(degrees > 0, degrees, np.nan)
+    ratio = square / some
+    m2 = np.maximum((1 - ratio) * a + (ratio - 1) * ratio * b + ratio * c, 0.0) / some**2
+    return positive(Moments(judged.n, ratio, m2, ratio, ratio))
+
+
 def _known(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
     """What is known of an observer's own covariance: the bands of its normalised squares, and its sigma shares."""
     if ("nees", 0) not in s.rows:
@@ -166,8 +193,9 @@ def _known(s: Aggregate, means: Estimate) -> dict[str, Estimate]:
     whole = consistency.bands(means.n, means.mean[_every(s, [s.rows["nees_states", 0]])])
     each = consistency.bands(means.n, np.where(counts, 1.0, 0.0))
     bands = {"nees_band": whole, "signal_nees_band": each}
-    if (at := s.rows.get(("nis_degrees", 0))) is not None:
-        bands["nis_band"] = consistency.bands(means.n, means.mean[_every(s, [at])])
+    if s.judged is not None:
+        bands["nis"] = _over_all(s.judged)
+        bands["nis_band"] = consistency.bands(means.n, s.judged.mean.reshape(3, -1)[1])
     return dict(zip(consistency.INSIDE, blank, strict=True)) | bands
 
 

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from honest import STUDY as HONEST
+from scipy.stats import t as student
 
 import pcbench
 from pcbench.errors import UserError
@@ -130,7 +131,29 @@ def test_samples_are_judged_on_schedules_of_each_runs_own(names):
         assert (row.ci_low, row.ci_high) == pytest.approx(band(degrees))
         assert row.ci_low < wide.loc[(observer, "nis"), "mean"] < row.ci_high
         mine = runs.loc[observer]
-        assert wide.loc[(observer, "nis"), "mean"] == pytest.approx(mine.nis.mean())
+        check_over_all(wide.loc[(observer, "nis")], mine.nis * mine.nis_degrees, mine.nis_degrees)
+
+
+def check_over_all(row, squares, degrees):
+    """All squares over all numbers, with the standard error of such a ratio (Cochran 1977, section 2.11)."""
+    n, ratio = len(squares), squares.sum() / degrees.sum()
+    se = np.sqrt(((squares - ratio * degrees) ** 2).sum() / (n - 1) / n) / degrees.mean()
+    assert (row["mean"], row.se) == pytest.approx((ratio, se), rel=1e-10)
+    ends = ratio * np.exp(np.array([-1, 1]) * student.ppf(0.975, n - 1) * se / ratio)
+    assert (row.ci_low, row.ci_high) == pytest.approx(tuple(ends), rel=1e-10)
+
+
+def test_a_run_without_a_judged_sample_adds_nothing_to_the_mean_nis():
+    """Nearly all samples are lost: some runs have none, and their own nis is unknown."""
+    lossy = {"lti": HONEST["lti"] | {"loss": 0.93}}
+    result = pcbench.run(HONEST | lossy | {"observers": ["dkf"]}, seeds=64)
+    runs = result.runs[(result.runs.signal == "a") & (result.runs.observer == "dkf")]
+    assert 0 < runs.nis.isna().sum() < 64
+    assert ((runs.nis_degrees == 0) == runs.nis.isna()).all()
+    wide = result.stats[result.stats.signal == "a"].set_index(["observer", "metric"])
+    check_over_all(wide.loc[("dkf", "nis")], (runs.nis * runs.nis_degrees).fillna(0.0), runs.nis_degrees)
+    within = wide.loc[("dkf", "nis_band")]
+    assert (within.ci_low, within.ci_high) == pytest.approx(band(runs.nis_degrees.sum()))
 
 
 def test_consistency_needs_starts_that_are_drawn():
