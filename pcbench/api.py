@@ -16,7 +16,7 @@ from pcbench.gains import versions
 from pcbench.logs import runs as run_as_log
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.planning import all_observers, alone, cost, drafts, padding, samples_of
+from pcbench.planning import all_observers, alone, cost, digits, drafts, padding, samples_of
 from pcbench.plants import signals_of
 from pcbench.scenarios.sources import units
 from pcbench.study import read
@@ -146,6 +146,7 @@ def trace(
     `scenario` is a scenario's name, or a study (TOML file, dict, `pcbench.lti`) with one scenario and one cell.
     Estimates are those of the present, read after the jump of the tick; y is what has arrived and is held, NaN before. `log` is
     a folder for what was measured, put in and true, as a log that `pcbench.replay` reads.
+    Raises DigitsError where rounding decides the errors of an observer, as `run` does.
     """
     names = [observers] if isinstance(observers, str) else list(observers)
     if not 0 <= seed < 2**32:
@@ -164,6 +165,7 @@ def trace(
 
         out = trace.compiled()(p.layout, p.problem, np.asarray(study.root_seed), np.asarray(seed))
         out = jax.tree.map(np.asarray, out)
+        digits.require_of_trace(p, out.x, [out.estimates[called] for called, _ in p.layout.observers])
         samples = samples_of(p.cell, (study.root_seed, seed)) if log is not None else []
     signals = [name for name, _ in signals_of(p.cell.scenario)]
     if log is not None:

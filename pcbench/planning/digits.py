@@ -53,6 +53,14 @@ def require_of(p: Plan, actual: Floats, tail_mae: Floats) -> None:
         raise DigitsError(sentence(p, worst, float(typical[worst])))
 
 
+def require_of_trace(p: Plan, x: Floats, estimates: list[Floats]) -> None:
+    """Raise DigitsError where rounding decides the errors of an observer of one run: x [N+1, n + s], estimates [N+1, m]."""
+    last = p.cell.times.ticks
+    for found in estimates:
+        error = np.abs(x[p.cell.times.tail : last, : found.shape[1]] - found[p.cell.times.tail : last])
+        require_of(p, x[last - 1][:, None], error.mean(0)[:, None])
+
+
 def _require_response(p: Plan, label: str, gains: Any, tail_mae: Floats) -> None:
     """Raise DigitsError where an observer in a loop sums the input's response without the feedback, and that grows too large.
 

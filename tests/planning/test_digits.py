@@ -180,6 +180,14 @@ def test_an_unstable_nonlinear_plant_is_said_to_be_that(monkeypatch):
             pcbench.run(given)
 
 
+@pytest.mark.parametrize("observer", ["dkf", "kf-rewind"])
+def test_nor_is_the_trace_of_a_run(observer):
+    with pytest.raises(DigitsError, match=BLAMELESS):
+        pcbench.trace(study([observer], horizon=9.5), observer)
+    frame = pcbench.trace(study([observer], horizon=4.0), observer)
+    assert np.isfinite(frame[f"{observer}.x1"]).all()
+
+
 def test_estimates_that_are_made_elsewhere_are_not_judged_either():
     (cell,) = read.grid_of(study(["dkf"], horizon=9.5), {}, []).cells
     p = planning.draft(cell, {"dkf": entry_of("dkf").options()})
