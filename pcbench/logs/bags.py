@@ -7,6 +7,7 @@ from typing import Any
 from pcbench.errors import UserError, unreadable
 from pcbench.logs.log import Floats
 from pcbench.logs.messages import parts, require_topic
+from pcbench.logs.unpacked import once, require_small_bag
 
 
 def fields(
@@ -17,6 +18,7 @@ def fields(
     from rosbags.typesys import Stores, get_typestore
 
     try:
+        once(require_small_bag, path, f"{where}: {path.name}", path.stat().st_mtime_ns)
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as reader:
             require_topic(topic, reader.topics, where)
             yield from parts(_messages(reader, topic), wanted, times, unit, where)

@@ -8,7 +8,7 @@ from typing import Any
 from pcbench.errors import UserError, unreadable
 from pcbench.logs.log import Floats
 from pcbench.logs.messages import parts, require_topic
-from pcbench.logs.unpacked import require_small
+from pcbench.logs.unpacked import once, require_small_mcap
 
 
 def fields(
@@ -18,14 +18,12 @@ def fields(
     from mcap.reader import make_reader
 
     try:
+        once(require_small_mcap, path, f"{where}: {path.name}", path.stat().st_mtime_ns)
         with path.open("rb") as file:
             reader = make_reader(file, validate_crcs=True)  # else what is damaged is left out without a word
             summary = reader.get_summary()
             if summary is not None:
                 require_topic(topic, {channel.topic for channel in summary.channels.values()}, where)
-            chunks = [] if summary is None else summary.chunk_indexes
-            for chunk in chunks:  # one at a time is unpacked
-                require_small(chunk.uncompressed_size, chunk.compressed_size, f"{where}: {path.name}")
             indexed = summary is not None and bool(summary.chunk_indexes)
             yield from parts(_messages(reader, topic, where, indexed), wanted, times, unit, where)
     except (UserError, ImportError):

@@ -1,12 +1,16 @@
 """How large a compressed recording is when it is unpacked, found out before it takes memory.
 
 A file of a few kilobytes can unpack to gigabytes. Unpacked, a recording may have PLAIN bytes, or RATIO times the bytes of its
-file if that is more.
+file if that is more; of a bag or MCAP each chunk, for its reader unpacks one at a time. What a file says of its own sizes is
+not believed: every compressed part is unpacked in steps and counted before its reader unpacks it at once.
 """
 
 import zlib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from functools import lru_cache
+from io import BytesIO
 from pathlib import Path
+from typing import Any, BinaryIO
 
 from pcbench.errors import UserError
 
@@ -15,6 +19,8 @@ RATIO = 50  # recordings of sensors are compressed 2 to 20 times
 STEP = 2**16  # bytes that are unpacked at a time
 HEADER = 128  # bytes of a MATLAB file before its first variable
 COMPRESSED = 15  # the type of a compressed variable
+MCAP, CHUNK = b"\x89MCAP0\r\n", 6  # how an MCAP file begins; the kind of a record that is a chunk
+SQLITE = b"SQLite format 3\0"
 
 
 def require_small(unpacked: int, file: int, where: str) -> None:
@@ -49,3 +55,110 @@ def _parts(packed: bytes) -> Iterable[int]:
             packed = unpack.unconsumed_tail
     except zlib.error:
         return
+
+
+@lru_cache(maxsize=64)
+def once(check: Callable[[Path, str], None], path: Path, where: str, changed: int) -> None:
+    """Apply a check to a file once, however many channels and passes there are; `changed` [ns] is when it last was."""
+    check(path, where)
+
+
+def require_small_stream(packed: BinaryIO, codec: str, size: int, where: str) -> None:
+    """Raise UserError if what is packed as zstd, lz4 or bz2 into `size` bytes is too large unpacked."""
+    found = 0
+    try:
+        with _opened(packed, codec) as file:
+            while step := len(file.read(STEP)):
+                found += step
+                require_small(found, size, where)
+    except UserError:
+        raise
+    except Exception:  # what is damaged ends it, its reader says so
+        return
+
+
+def require_small_mcap(path: Path, where: str) -> None:
+    """Raise UserError if a chunk of an MCAP file is too large unpacked, found by its records or by its index."""
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        for codec, packed in _chunks(file):
+            require_small_stream(BytesIO(packed), codec, len(packed), where)
+        file.seek(0)
+        summary = make_reader(file).get_summary()
+        for chunk in [] if summary is None else summary.chunk_indexes:
+            require_small(chunk.uncompressed_size, chunk.compressed_size, where)
+            file.seek(chunk.chunk_start_offset)
+            for codec, packed in _chunks(file, 1):
+                require_small_stream(BytesIO(packed), codec, len(packed), where)
+
+
+def require_small_bag(path: Path, where: str) -> None:
+    """Raise UserError if a file, a chunk or a packed message of a bag is too large unpacked."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    for each in path.iterdir() if path.is_dir() else [path]:
+        if not each.is_file():
+            continue
+        with each.open("rb") as file:
+            head = file.read(len(SQLITE))
+            if not head.startswith((MCAP, SQLITE)) and each.suffix != ".bag":
+                file.seek(0)
+                require_small_stream(file, "zstd", each.stat().st_size, where)
+        if head.startswith(MCAP):
+            require_small_mcap(each, where)
+    with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as opened:
+        for reader in opened.readers:
+            _require_small_parts(reader, path, where)
+
+
+def _require_small_parts(reader: Any, path: Path, where: str) -> None:
+    """The chunks of a bag of ROS 1, the packed messages of one of ROS 2."""
+    for chunk in getattr(reader, "chunks", {}).values():
+        codec = chunk.decompressor.__module__.partition(".")[0]  # of its package
+        with path.open("rb") as file:
+            file.seek(chunk.datapos)
+            if codec in ("bz2", "lz4"):
+                require_small_stream(BytesIO(file.read(chunk.datasize)), codec, chunk.datasize, where)
+    inner = getattr(reader, "storage", reader)
+    if getattr(getattr(inner, "metadata", None), "compression_mode", None) == "message":
+        for storage in inner.storages:
+            for _, _, data in storage.messages(storage.connections):
+                require_small_stream(BytesIO(data), "zstd", len(data), where)
+
+
+def _opened(packed: BinaryIO, codec: str) -> Any:
+    """What is packed as a file to read from."""
+    if codec == "zstd":
+        import zstandard
+
+        return zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True)
+    if codec == "lz4":
+        from lz4 import frame
+
+        return frame.open(packed)
+    import bz2
+
+    return bz2.open(packed)
+
+
+def _chunks(file: BinaryIO, most: int | None = None) -> Iterator[tuple[str, bytes]]:
+    """Yield codec and content of the packed chunks among the records of an MCAP file, from the start or from where it stands.
+
+    Source: the MCAP specification, https://mcap.dev/spec, section "Chunk".
+    """
+    here, size = file.tell(), file.seek(0, 2)
+    file.seek(here or len(MCAP))
+    while most != 0 and len(head := file.read(9)) == 9:
+        end = file.tell() + int.from_bytes(head[1:], "little")
+        if end > size:  # cut off
+            return
+        if head[0] == CHUNK:
+            file.seek(28, 1)  # two times, a size and a check sum
+            codec = file.read(min(int.from_bytes(file.read(4), "little"), 16)).decode("ascii", "replace")
+            many = int.from_bytes(file.read(8), "little")
+            if codec in ("zstd", "lz4"):
+                yield codec, file.read(min(many, size))
+        file.seek(end)
+        most = None if most is None else most - 1

@@ -35,7 +35,9 @@ class Aggregate(NamedTuple):
     diverged: int
     unsettled: NDArray[np.int64]  # [C signals]
     inside: NDArray[np.int64]  # [3, C states] within one, two, three sigma, of an observer that says how wrong it is
-    judged: Moments | None  # [3 C] of innovations: their normalised squares, the numbers these are of, and the difference
+    judged: (
+        Moments | None
+    )  # [3 C] of innovations: their normalised squares, the numbers these are of, and the difference
 
     @property
     def cells(self) -> int:

@@ -39,7 +39,10 @@ def nothing_to_judge(stats, folder):
     if not (folder / "runs").exists():
         return pd.Series(False, stats.index)
     runs = pd.read_parquet(folder / "runs")
-    none = {c: getattr(runs[c].isna().groupby([runs[k] for k in KEY]), "all" if c == "nis" else "any")().to_dict() for c in {*JUDGED.values()} & {*runs}}
+    none = {
+        c: getattr(runs[c].isna().groupby([runs[k] for k in KEY]), "all" if c == "nis" else "any")().to_dict()
+        for c in {*JUDGED.values()} & {*runs}
+    }
     keys = zip(*(stats[k] for k in KEY), strict=True)
     found = [none.get(JUDGED.get(m), {}).get(key, False) for m, key in zip(stats.metric, keys, strict=True)]
     return pd.Series(found, stats.index)

@@ -3,7 +3,9 @@
 import resource
 import subprocess
 import sys
+import tracemalloc
 import zlib
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from scipy.io import loadmat, savemat
 
 from pcbench import toml_text
 from pcbench.errors import UserError
-from pcbench.logs import unpacked
+from pcbench.logs import bags, mcaps, unpacked
 
 OPEN = """
 import resource, sys
@@ -61,6 +63,72 @@ def test_a_chunk_may_be_some_times_larger_than_packed():
         unpacked.require_small(1_500_000_000, 22_000, "log")
     with pytest.raises(UserError, match="expected at most 50 times as much"):
         unpacked.require_small(201 * 2**20, 4 * 2**20, "log")
+
+
+ZEROS = bytes(2**28)
+
+
+def mcap(folder, codec, summary):
+    """An MCAP whose one message is 256 MB of zeros, with a summary, without one, or with one that says it is small."""
+    from mcap.reader import make_reader
+    from mcap.writer import CompressionType, IndexType, Writer
+
+    path = folder / "zeros.mcap"
+    with path.open("wb") as file:
+        index = IndexType.ALL if summary else IndexType.NONE
+        writer = Writer(file, compression=CompressionType[codec], index_types=index, use_statistics=False)
+        writer.start()
+        channel = writer.register_channel("/a", "json", writer.register_schema("a", "jsonschema", b"{}"))
+        writer.add_message(channel, 0, ZEROS, 0)
+        writer.finish()
+    if summary == "false":
+        with path.open("rb") as file:
+            (chunk,) = make_reader(file).get_summary().chunk_indexes
+        size, content = chunk.uncompressed_size.to_bytes(8, "little"), path.read_bytes()
+        ends = (
+            content.index(size),
+            content.rindex(size),
+        )  # in the chunk and in its index; in between perhaps that of lz4
+        for at in ends:
+            content = content[:at] + (1000).to_bytes(8, "little") + content[at + 8 :]
+        path.write_bytes(content)
+    return path, mcaps.fields
+
+
+def bag(folder, ros, how):
+    """A bag whose one message is 256 MB of zeros."""
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
+    if ros == 1:
+        path, writer = folder / "zeros.bag", rosbag1.Writer(folder / "zeros.bag")
+        writer.set_compression(rosbag1.Writer.CompressionFormat[how])
+    else:
+        path, writer = folder / "zeros", rosbag2.Writer(folder / "zeros", version=9)
+        writer.set_compression(rosbag2.CompressionMode[how], rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        writer.write(writer.add_connection("/a", "std_msgs/msg/String", typestore=store), 0, ZEROS)
+    return path, bags.fields
+
+
+LARGE = {
+    f"MCAP {c}, summary {s}": partial(mcap, codec=c, summary=s) for c in ("ZSTD", "LZ4") for s in ("", "true", "false")
+}
+HOW = ((1, "BZ2"), (1, "LZ4"), (2, "FILE"), (2, "MESSAGE"))
+LARGE |= {f"ROS {ros}, {how}": partial(bag, ros=ros, how=how) for ros, how in HOW}
+
+
+@pytest.mark.parametrize("name", LARGE)
+def test_a_bag_that_unpacks_to_much_memory_is_refused_before_it_takes_it(name, tmp_path):
+    path, fields = LARGE[name](tmp_path)
+    tracemalloc.start()
+    try:
+        with pytest.raises(UserError, match=r"MB that unpack to more than 67.1 MB, expected at most 50 times as much"):
+            next(fields(path, "/a", ["data"], set(), None, "log"))
+        assert tracemalloc.get_traced_memory()[1] < 2**27
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize("text", ["{} = 1", "[{}]", "x = {{{} = 1}}", "[[{}]]", 'b = 1\n"q" . {} = 2'])

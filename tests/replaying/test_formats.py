@@ -1,4 +1,4 @@
-"""A run as a bag, an MCAP file, a flight log or a MATLAB file is the run again: its estimates, to the bit."""
+"""A run as a bag, an MCAP file, a flight log or a MATLAB file is the run again: its estimates, to rounding."""
 
 import numpy as np
 import pytest
@@ -27,16 +27,21 @@ def traced(study, folder):
     return frame, folder, recorded.Run(*there, inputs.t, inputs.values[:, 0])
 
 
-def same(found, known):
-    """To the bit, over all ticks of both: a sample that never came is in no recording, so one may end before the other."""
-    many = min(len(found), len(known))
+def same(found, tabled, frame):
+    """To the bit those of the same log in tables, to rounding the run's, for a trace is another program.
+
+    Over all ticks of both: a sample that never came is in no recording, so one may end before the other.
+    """
+    many = min(len(found), len(tabled), len(frame))
     assert many > 380
     for column in found.columns[1:]:
-        np.testing.assert_array_equal(found[column][:many], known[column][:many], err_msg=column)
+        np.testing.assert_array_equal(found[column][:many], tabled[column][:many], err_msg=column)
+        peak = np.abs(frame[column]).max()
+        np.testing.assert_allclose(tabled[column][:many], frame[column][:many], rtol=0, atol=1e-14 * peak)
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def plain(tmp_path_factory):
     return traced(MOTOR, tmp_path_factory.mktemp("plain"))
 
 
@@ -46,27 +51,18 @@ def wild(tmp_path_factory):
     return traced(WILD, tmp_path_factory.mktemp("wild"))
 
 
+@pytest.mark.parametrize("name", ["plain", pytest.param("wild", marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("write", recorded.FORMATS.values(), ids=recorded.FORMATS)
-def test_a_recording_is_its_tables_again_bit_for_bit(run, write, tmp_path):
-    """And these the run, to rounding: programs are made in a hurry here, the slow test asks for the run's bits."""
-    frame, folder, known = run
-    found, tabled = (pcbench.replay(log, MOTOR, OBSERVERS).estimates for log in (write(tmp_path, known), folder))
-    same(found, tabled)
-    for column in found.columns[1:]:
-        np.testing.assert_allclose(tabled[column], frame[column], rtol=0, atol=1e-14 * np.abs(frame[column]).max())
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("write", recorded.FORMATS.values(), ids=recorded.FORMATS)
-def test_a_recording_is_the_run_again_bit_for_bit(run, wild, write, tmp_path):
-    for name, study, (frame, _, known) in (("plain", MOTOR, run), ("wild", WILD, wild)):
-        (tmp_path / name).mkdir()
-        same(pcbench.replay(write(tmp_path / name, known), study, OBSERVERS).estimates, frame)
+def test_a_recording_is_its_tables_again_and_these_the_run(name, request, write, tmp_path):
+    frame, folder, known = request.getfixturevalue(name)
+    study = MOTOR if name == "plain" else WILD
+    found, tabled = (pcbench.replay(log, study, OBSERVERS).estimates for log in (write(tmp_path, known), folder))
+    same(found, tabled, frame)
 
 
 @pytest.mark.parametrize("write", recorded.FORMATS.values(), ids=recorded.FORMATS)
-def test_a_topic_or_a_field_that_is_not_there_is_one_sentence(run, write, tmp_path):
-    path = write(tmp_path, run[2])
+def test_a_topic_or_a_field_that_is_not_there_is_one_sentence(plain, write, tmp_path):
+    path = write(tmp_path, plain[2])
     text = path.read_text()
     for old, new in (
         ("camera", "radar"),
@@ -84,13 +80,13 @@ def test_a_topic_or_a_field_that_is_not_there_is_one_sentence(run, write, tmp_pa
 
 @pytest.mark.parametrize("write", recorded.FORMATS.values(), ids=recorded.FORMATS)
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.97])
-def test_a_recording_that_is_cut_off_is_one_sentence(run, write, share, tmp_path):
+def test_a_recording_that_is_cut_off_is_one_sentence(plain, write, share, tmp_path):
     """But for flight logs: one that is cut off ends earlier, as that of every flight does whose power went."""
-    path = write(tmp_path, run[2])
+    path = write(tmp_path, plain[2])
     file = next(p for p in tmp_path.rglob("run.*") if p.is_file())
     file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
     if file.suffix == ".ulg" and share:
-        assert 0 < survey(reading.opened(path)).rows < len(run[2].t)
+        assert 0 < survey(reading.opened(path)).rows < len(plain[2].t)
         return
     with pytest.raises(UserError, match=r"; expected (a whole|MATLAB's)") as caught:
         survey(reading.opened(path))
@@ -98,20 +94,20 @@ def test_a_recording_that_is_cut_off_is_one_sentence(run, write, share, tmp_path
     assert ": ;" not in str(caught.value)
 
 
-def test_a_flight_log_is_loaded_once_and_of_its_topics_those_that_are_asked_for(run, tmp_path, monkeypatch):
-    path, asked, loads = recorded.ulog(tmp_path, run[2]), [], pyulog.ULog
+def test_a_flight_log_is_loaded_once_and_of_its_topics_those_that_are_asked_for(plain, tmp_path, monkeypatch):
+    path, asked, loads = recorded.ulog(tmp_path, plain[2]), [], pyulog.ULog
     path.write_text(
         path.read_text().replace("[inputs.u1]", "[channels.y2]").replace("motor", "angle")
     )  # one topic, twice
     monkeypatch.setattr(pyulog, "ULog", lambda *given: asked.append(given[1]) or loads(*given))
     log = reading.opened(path)
     for _ in range(2):
-        assert survey(log).rows == 2 * len(run[2].sampled)
+        assert survey(log).rows == 2 * len(plain[2].sampled)
     assert asked == [["angle"]]
 
 
-def test_a_matlab_file_is_loaded_once_and_of_its_variables_those_that_are_asked_for(run, tmp_path, monkeypatch):
-    path, asked, loads = recorded.matlab(tmp_path, run[2]), [], scipy.io.loadmat
+def test_a_matlab_file_is_loaded_once_and_of_its_variables_those_that_are_asked_for(plain, tmp_path, monkeypatch):
+    path, asked, loads = recorded.matlab(tmp_path, plain[2]), [], scipy.io.loadmat
     path.write_text(
         path.read_text().replace("[inputs.u1]", "[channels.y2]").replace("motor", "camera") + '\narrived = "came"'
     )
@@ -120,7 +116,7 @@ def test_a_matlab_file_is_loaded_once_and_of_its_variables_those_that_are_asked_
     )
     log = reading.opened(path)
     for _ in range(2):
-        assert survey(log).rows == 2 * len(run[2].sampled)
+        assert survey(log).rows == 2 * len(plain[2].sampled)
     assert asked == [["camera"]]
 
 
@@ -156,8 +152,8 @@ def test_what_is_received_when_it_is_stamped_did_not_come_before(write, tmp_path
 
 
 @pytest.mark.parametrize("write", [recorded.mcap_of_ros2, recorded.mcap_of_json])
-def test_damage_in_the_middle_is_not_passed_over(run, write, tmp_path):
-    path = write(tmp_path, run[2])
+def test_damage_in_the_middle_is_not_passed_over(plain, write, tmp_path):
+    path = write(tmp_path, plain[2])
     file = next(tmp_path.glob("run.*"))
     data = bytearray(file.read_bytes())
     data[len(data) // 2 : len(data) // 2 + 40] = b"\xff" * 40
@@ -202,8 +198,8 @@ def test_a_mistake_in_the_toml_is_one_sentence(tmp_path, text, sentence):
     assert sentence in str(caught.value)
 
 
-def test_a_table_of_any_shape_is_a_log(run, tmp_path):
-    _, _, known = run
+def test_a_table_of_any_shape_is_a_log(plain, tmp_path):
+    _, _, known = plain
     rows(tmp_path, {"stamp": known.sampled, "came": known.arrived, "x": known.value})
     (tmp_path / "log.toml").write_text(
         'log = "measurements.csv"\n[channels.y1]\nfield = "x"\nunit = "rad"\nsampled = "stamp"\narrived = "came"\nscale = 2.0'
