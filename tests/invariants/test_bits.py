@@ -2,10 +2,12 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 
 import pcbench
 from pcbench import planning
+from pcbench.dataset import verify
 from pcbench.planning import in_memory
 from pcbench.scenarios import SCENARIOS
 from pcbench.simulation import batch
@@ -111,6 +113,23 @@ def test_on_the_arm_with_drift_too(monkeypatch):
 
 
 @pytest.mark.nightly
+@pytest.mark.slow
+@pytest.mark.parametrize("observer", ["ukf", "iekf", "pco"])
+def test_a_study_has_the_same_bits_with_few_seeds_and_many_and_comes_out_again(observer, tmp_path):
+    """A factorisation that is made for many runs at once may depend on how many there are."""
+    scenario = {"base": "cart/white", "name": "short", "horizon": 2.0, "tail": 1.0}
+    study = {"name": "few", "scenario": scenario, "observers": [observer]}
+    many, few = (pcbench.run(study, seeds=n, out=tmp_path / str(n)) for n in (130, 3))
+    kept = many.runs[many.runs.seed < 3].sort_values(["signal", "seed"]).reset_index(drop=True)
+    pd.testing.assert_frame_equal(
+        kept, few.runs.sort_values(["signal", "seed"]).reset_index(drop=True), check_exact=True
+    )
+    for n in (130, 3):
+        found = verify.verify(tmp_path / str(n), None, 0)
+        assert (found.wrong, found.differing) == ([], [])
+        assert found.recomputed
+
+
 def test_other_seeds_and_root_seeds_draw_other_noise():
     a, b, c = (np.asarray(measurement_noise(root, seed, 5)) for root, seed in ((0, 0), (0, 1), (1, 0)))
     assert len({a.tobytes(), b.tobytes(), c.tobytes()}) == 3
