@@ -92,7 +92,7 @@ def _words(known: tuple[str, ...], often: tuple[int, ...]) -> pa.Array:
 
 def _put(target: store.Target, files: Iterator[tuple[str, pa.Table]]) -> None:
     """Put files while the next are made: what they wait for is the disk."""
-    with pools.pool(WRITERS) as threads:
+    with pools.pool(WRITERS, always_wait=True) as threads:
         waiting: deque[Future[None]] = deque()
         for name, table in files:
             waiting.append(threads.submit(lambda n, t: store.put_table(target, n, parquet.sealed(t)), name, table))

@@ -11,7 +11,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from itertools import islice
 from queue import SimpleQueue
-from threading import Lock
+from threading import Condition, Event, Lock, get_ident
 from typing import Any
 
 from pcbench.errors import UserError, shown_address
@@ -43,9 +43,11 @@ def share(memory: str | int | None, address: str | None, workers: int | None, co
 def here(count: int | None = None) -> Iterator[Executor]:
     """Yield the executor of this process: `count` calls at a time, by default one a core or accelerator.
 
-    There are twice as many tasks under way as devices to compute on: while one writes its files, another computes.
+    There are twice as many tasks under way as devices to compute on: while one writes its files, another computes. After Ctrl-C
+    what is written is waited for; what is computed is not, as that may take minutes, and writes nothing when it ends.
     """
     free: SimpleQueue[Any] = SimpleQueue()
+    busy, stopped, change = set[int](), Event(), Condition()  # threads that neither compute nor wait for a device
     for device in batch.devices(count):
         free.put(device)
     many = 2 * free.qsize()
@@ -53,26 +55,56 @@ def here(count: int | None = None) -> Iterator[Executor]:
 
     @contextmanager
     def hold() -> Iterator[Any]:
+        idle()
         device = free.get()
         try:
+            if stopped.is_set():
+                raise CancelledError
             yield device
         finally:
             free.put(device)
+            idle()
+        go_on()
+
+    def idle() -> None:
+        with change:
+            busy.discard(get_ident())
+            change.notify_all()
+
+    def go_on() -> None:
+        with change:
+            if stopped.is_set():
+                raise CancelledError
+            busy.add(get_ident())
+
+    def do(work: Callable[..., Any], task: Any) -> Any:
+        go_on()
+        try:
+            return work(task, hold)
+        finally:
+            idle()
 
     def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
         left, under_way = iter(tasks), set[Future[Any]]()
         while True:
-            under_way |= {pool.submit(work, t, hold) for t in islice(left, many - len(under_way))}
+            under_way |= {pool.submit(do, work, t) for t in islice(left, many - len(under_way))}
             if not under_way:
                 return
-            done, under_way = wait(under_way, return_when=FIRST_COMPLETED)
-            for future in done:
+            ended, under_way = wait(under_way, return_when=FIRST_COMPLETED)
+            for future in ended:
                 yield future.result()
 
     try:
         yield execute
+    except (KeyboardInterrupt, GeneratorExit):
+        with change:
+            stopped.set()
+        pool.shutdown(wait=False, cancel_futures=True)
+        with change:
+            change.wait_for(lambda: not busy)
+        raise
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)  # none writes on when this has ended
+        pool.shutdown(wait=not stopped.is_set(), cancel_futures=True)  # none writes on when this has ended
 
 
 @contextmanager

@@ -5,7 +5,6 @@ the gains leads the observer's own design, in NumPy: of so few numbers central d
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import jax
@@ -18,6 +17,7 @@ from pydantic import ValidationError
 from pcbench.errors import UserError
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
+from pcbench.machine import pools
 from pcbench.planning.padding import Plan
 from pcbench.simulation import batch, differentiable
 from pcbench.simulation.problem import Problem
@@ -63,8 +63,8 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
         if not compiled:
             lowered = jax.jit(jax.value_and_grad(mean, has_aux=True)).lower(reals, others, bare, *calls[0])
             compiled.append(lowered.compile(options))
-        with ThreadPoolExecutor(len(batch.devices())) as pool:
-            parts = list(pool.map(lambda c: batch.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
+        with pools.pool(len(batch.devices())) as threads:
+            parts = list(threads.map(lambda c: batch.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
         slopes = [sum(g) for g in zip(*(slope for _, slope, _ in parts), strict=True)]
         return sum(value for value, _, _ in parts), slopes, any(lost for _, _, lost in parts)
 

@@ -6,10 +6,17 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def pool(threads: int) -> Iterator[ThreadPoolExecutor]:
-    """Yield so many threads. Where the block ends by an error, what has not begun is not done; what has begun is waited for."""
-    made = ThreadPoolExecutor(threads)
+def pool(threads: int, always_wait: bool = False) -> Iterator[ThreadPoolExecutor]:
+    """Yield so many threads. Where the block ends by an error, what has not begun is not done; what has begun is waited for.
+
+    After Ctrl-C that is not waited for, as a compiled call may take minutes: it ends by itself, and nobody reads its results.
+    `always_wait`: of what writes files.
+    """
+    made, wait = ThreadPoolExecutor(threads), True
     try:
         yield made
+    except (KeyboardInterrupt, GeneratorExit):  # the latter within a generator whose caller was stopped
+        wait = always_wait
+        raise
     finally:
-        made.shutdown(wait=True, cancel_futures=True)
+        made.shutdown(wait=wait, cancel_futures=True)

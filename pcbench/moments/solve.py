@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from pcbench.machine import pools
 from pcbench.moments import items as items_of
 from pcbench.moments.apart import ALONE, computed
 from pcbench.moments.believed import Believed
@@ -100,8 +101,8 @@ def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
     """Yield the moments of each planned cell, in their order."""
     parts: dict[int, list[Part]] = {}
     done, unlike = 0, set[Hashable]()
-    with ThreadPoolExecutor(batch.cores()) as pool:
-        for items, found in _computed(pool, _batches(plans, asked, unlike), asked):
+    with pools.pool(batch.cores()) as threads:
+        for items, found in _computed(threads, _batches(plans, asked, unlike), asked):
             for at, item in enumerate(items):
                 parts.setdefault(item.cell, []).append(Part(item, jax.tree.map(lambda a, at=at: a[..., at], found)))
             while done in parts and len(parts[done]) == parts[done][0].item.many:
@@ -177,13 +178,13 @@ def _due(groups: dict[Hashable, list[Item]], number: int) -> Hashable | None:
 
 
 def _computed(
-    pool: ThreadPoolExecutor, batches: Iterable[list[Item]], asked: Asked
+    threads: ThreadPoolExecutor, batches: Iterable[list[Item]], asked: Asked
 ) -> Iterator[tuple[list[Item], Found]]:
     """Yield batches in their order with what they left, some under way at a time."""
     waiting: list[tuple[list[Item], Future[Found]]] = []
     for items in batches:
         work = (_refused, items[0]) if items[0].bend else (_kept, [item.one for item in items], asked)
-        waiting.append((items, pool.submit(batch.in_float64, *work)))
+        waiting.append((items, threads.submit(batch.in_float64, *work)))
         if len(waiting) > 2 * batch.cores():
             first, future = waiting.pop(0)
             yield first, future.result()

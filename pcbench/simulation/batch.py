@@ -9,7 +9,6 @@ import itertools
 import operator
 import os
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from threading import Lock
 from time import perf_counter
@@ -200,12 +199,12 @@ def seconds(made: Program, job: Job) -> float:
 def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, Outcome]]:
     """Simulate jobs of one shape, `count` at a time (default: all cores or accelerators); yield them in order."""
     at_once = devices(count)
-    with ThreadPoolExecutor(len(at_once)) as pool:
+    with pools.pool(len(at_once)) as threads:
         programs = [program(layout, jobs[0], device) for device in at_once]
         waiting = []
         for i, job in enumerate(jobs):
             made = programs[i % len(programs)]
-            waiting.append(pool.submit(in_float64, next, serial(made, [job])))
+            waiting.append(threads.submit(in_float64, next, serial(made, [job])))
             if len(waiting) > 2 * len(at_once):
                 yield waiting.pop(0).result()
         for future in waiting:

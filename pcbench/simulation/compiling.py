@@ -1,7 +1,8 @@
 """Compiled programs of this process, and no more of them than are used. jax keeps them on disk where `process.setup` says."""
 
+import ctypes
 from collections.abc import Callable, Hashable
-from functools import wraps
+from functools import cache, wraps
 from typing import Any
 
 import jax
@@ -45,7 +46,24 @@ class Programs(dict[Hashable, Any]):
         while len(self) > MOST or (len(self) > 1 and sum(self.mappings[each] for each in self) > MAPPINGS):
             oldest = next(iter(self))
             del self[oldest], self.mappings[oldest]
+        _release()
         return found
+
+
+def _release() -> None:
+    """Give the memory that a compiler has freed back to the system: glibc keeps it, half of what a long process holds."""
+    trim = getattr(_libc(), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
+
+
+@cache
+def _libc() -> Any:
+    """The C library of this process; None where it has none that can be asked, as on Windows."""
+    try:
+        return ctypes.CDLL(None)
+    except (OSError, TypeError):
+        return None
 
 
 def _mappings() -> int:

@@ -1,5 +1,6 @@
 """Compiled programs: a process keeps a bounded number of them, and with them its memory mappings."""
 
+import resource
 import subprocess
 import sys
 from pathlib import Path
@@ -50,6 +51,21 @@ def test_fewer_are_kept_of_programs_with_many_mappings(monkeypatch, each, kept):
 def test_mappings_are_those_of_the_process():
     with open("/proc/self/maps") as lines:
         assert abs(compiling._mappings() - sum(1 for _ in lines)) < 50
+
+
+def resident():
+    """Megabytes of this process that are in memory."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() // 2**20
+
+
+@pytest.mark.skipif(not hasattr(compiling._libc(), "malloc_trim"), reason="glibc keeps memory that was freed")
+def test_memory_that_was_freed_goes_back_when_a_program_is_made():
+    before, blocks = resident(), [b"x" * 100_000 for _ in range(3000)]
+    blocks = blocks[-1:]  # the last one keeps all before it from being given back
+    assert resident() - before > 200
+    compiling.Programs().ask("one", list)
+    assert resident() - before < 50
+    assert len(blocks) == 1
 
 
 @pytest.mark.nightly
