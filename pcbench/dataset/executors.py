@@ -24,6 +24,7 @@ AHEAD = 3  # tasks a Dask worker has at hand: one computing, one writing, one wa
 SHARE = 2.0**30  # bytes of results a task may take on a worker whose memory is not known here
 LIVES = 10  # times a task may lose its worker
 PATIENCE = "20s"  # for a scheduler to answer
+ALONE = "120s"  # that a task waits for a worker of this machine, all of which have ended; others may come again
 
 
 def share(memory: str | int | None, address: str | None, workers: int | None, count: int | None) -> float:
@@ -149,6 +150,11 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
                     "--dask: a task lost its worker again and again, expected workers that live; look at their memory, and run "
                     "the same command again to go on."
                 ) from None
+            except distributed.scheduler.NoWorkerError:
+                raise UserError(
+                    "--dask: all workers have ended and none came again, expected workers that live; look at what they print, "
+                    "or leave --dask out."
+                ) from None
             except (CancelledError, AsyncCancelled, OSError) as error:
                 raise UserError(
                     f"--dask: the scheduler is gone ({type(error).__name__}), expected one that lives until the study ends; "
@@ -190,6 +196,9 @@ def _local(distributed: Any, workers: int | None) -> Any:
             "scheduler's address; leave --dask out."
         )
     count = workers or batch.cores()
+    import dask
+
+    dask.config.set({"distributed.scheduler.no-workers-timeout": ALONE})
     single = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
     return distributed.LocalCluster(
         n_workers=count,

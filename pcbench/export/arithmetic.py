@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jax.lax import RoundingMethod
 
-from pcbench.export.terms import Entries, Term, Writer, kind_of, known, written
+from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, written
 from pcbench.planning.cost import ONCE
 from pcbench.simulation.lanes import primitives
 
@@ -26,6 +26,7 @@ SAME = {"copy", "copy_p", "stop_gradient"}
 CONVERTS = {"convert_element_type"}
 FOLDS = dict(zip(primitives.FOLDS, ("+", "LARGER", "SMALLER", "*", "&", "|"), strict=True))
 UNSIGNED = {"int32_t": "uint32_t", "int64_t": "uint64_t"}
+MANY = 16  # choices that are written as a loop: a compiler takes minutes for thousands of branches one by one
 MOST = 8  # a whole power up to here is written as a product
 
 
@@ -112,6 +113,8 @@ def elementwise(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     kind, out = kind_of(aval.dtype), np.empty(aval.shape, object)
     counted = int(name in ONCE and kind == "real")
     each = [np.broadcast_to(a, aval.shape) for a in args]
+    if name == "select_n" and len(each) == 3 and sum(isinstance(x, Term) for x in each[0].flat) > MANY:
+        return _chosen_in_a_loop(w, kind, *each)
     for i in np.ndindex(aval.shape):
         mine = [a[i] for a in each]
         if name == "select_n" and not isinstance(mine[0], Term):
@@ -126,6 +129,32 @@ def elementwise(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
                 text = _by_name(name, eqn.params, kind, texts) or OTHERS[name](eqn.params, kind, texts)
             out[i] = w.let(kind, text, counted)
     return out
+
+
+def _chosen_in_a_loop(w: Writer, kind: str, which: Entries, no: Entries, yes: Entries) -> Entries:
+    """Write a choice between two arrays, entry by entry; where it is known, it is made here."""
+    there = np.array([isinstance(x, Term) for x in which.flat]).reshape(which.shape)
+    out = np.empty(which.shape, object)
+    for i in zip(*np.nonzero(~there), strict=True):
+        out[i] = (yes if which[i] else no)[i]
+    open_ = which[there]
+    same = all(x.text == open_[0].text for x in open_)
+    condition = open_[0].text if same else _indexed(w, "bool", open_)
+    either = [_indexed(w, kind, each[there]) for each in (yes, no)]
+    made = w.room(kind, open_.shape)
+    with w.block(f"for (int i = 0; i < {open_.size}; i++)"):
+        w.say(f"{made[0].store}[i] = {condition} ? {either[0]} : {either[1]};")
+    for i, x in zip(zip(*np.nonzero(there), strict=True), made, strict=True):
+        out[i] = x
+    return out
+
+
+def _indexed(w: Writer, kind: str, values: Entries) -> str:
+    """Entry i of an array: where it stands in one of C, or of one that is written for it."""
+    place = place_of(values) or place_of(w.array(kind, values))
+    if place is None:
+        raise AssertionError("an array that is written stands in one of C")
+    return f"{place.store}[{f'{place.base} + ' if place.base else ''}{f'{place.place} + ' if place.place else ''}i]"
 
 
 def _as_it_is(x: Any, v: Any) -> Any:

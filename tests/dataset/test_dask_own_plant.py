@@ -49,7 +49,7 @@ delay = [0.1, 0.2]
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(("plant", "observers"), [("named", ["ekf", "ukf"]), ("nameless", ["ekf"])])
-def test_workers_without_kept_programs_leave_the_same_bytes(tmp_path, plant, observers):
+def test_workers_leave_the_same_bytes(tmp_path, plant, observers):
     """One worker computes several cells: the second finds the program of the first."""
     (tmp_path / "duffing.py").write_text(PLANT)
     (tmp_path / "study.toml").write_text(STUDY.format(plant=plant, observers=list(observers)).replace("'", '"'))
