@@ -5,14 +5,20 @@ import re
 import tomllib
 import unicodedata
 from html.parser import HTMLParser
+from typing import NamedTuple
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from matplotlib.text import Text
 from rich.progress import Progress, TextColumn
 
+import pcbench
 from pcbench.cli.commands import app
 from pcbench.cli.screen import listing
 from pcbench.cli.screen.tables import Column, Screen, printed
+from pcbench.errors import UserError
 from pcbench.plots.paper import PAPER
 from pcbench.plots.scales import Scale
 from pcbench.plots.sheet import Key, Panel, sheet
@@ -209,3 +215,65 @@ def test_hostile_text_passes_every_command_as_text(tmp_path, capsys, monkeypatch
             assert is_plain(file.read_text(encoding="utf-8")), file
     assert not re.search(r"(?<!scenario )kfbo-\*/", (tmp_path / "c" / "vector.h").read_text())
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b", "c", "one.toml", "study.toml", "t.csv"]
+
+
+RECORDED = {
+    "name": "recorded", "observers": ["dkf"],
+    "lti": {"A": [[0.0]], "B": [[1.0]], "C": [[1.0]], "tick": 0.05, "sampling_period": 0.1, "delay": 0.1, "noise_std": 0.1,
+            "x0": [0.0], "prior_std": [1.0], "horizon": 5.0, "input": "zero"},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [*LABELS, UNPRINTABLE])
+def test_text_of_a_recording_is_text(name, tmp_path, capsys, monkeypatch):
+    """Names of channels, inputs and files that were recorded elsewhere, in every command that reads a recording."""
+    import tomli_w
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "400")
+    (tmp_path / "study.toml").write_text(tomli_w.dumps(RECORDED))
+    replay = ["replay", "--plant", "study.toml", "--observers", "dkf"]
+    (tmp_path / "log").mkdir()
+    t = np.arange(40) * 0.1
+    channel = pa.table({"channel": [name] * 40, "sampled": t, "arrived": t + 0.1, "value": np.sin(t)})
+    pq.write_table(channel, tmp_path / "log" / "measurements.parquet")
+    pq.write_table(pa.table({"t": t, name: 0.0 * t}), tmp_path / "log" / "inputs.parquet")
+    for file, field in ((name, "x"), ("flight.csv", name)):
+        mapping = {"log": file, "channels": {name: {"field": field, "unit": "m", "delay": 0.1}}}
+        (tmp_path / "mapping.toml").write_text(tomli_w.dumps(mapping), encoding="utf-8")
+        (tmp_path / "flight.csv").write_text("t,x\n0,0\n0.1,1\n")
+        for words in (["log", "mapping.toml"], [*replay, "mapping.toml", "--out", "none"]):
+            with pytest.raises(UserError) as refused:
+                app(words, standalone_mode=False)
+            assert is_plain(str(refused.value)), words
+    for words in (["log", "log", "--out", "d.svg"], [*replay, "log", "--out", "r"]):
+        app(words, standalone_mode=False)
+        assert all(map(is_plain, capsys.readouterr())), words
+    for file in (tmp_path / "d.svg", tmp_path / "r" / "replay.json"):
+        content = file.read_text(encoding="utf-8")
+        assert is_plain(content), file
+        assert file.suffix != ".svg" or "<img" not in content
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "d.svg",
+        "flight.csv",
+        "log",
+        "mapping.toml",
+        "r",
+        "study.toml",
+    ]
+
+
+@pytest.mark.parametrize("name", [*LABELS, UNPRINTABLE])
+def test_text_of_a_plant_of_ones_own_is_refused_or_text(name, capsys):
+    """Of what stands here only a path is a unit, of an odd kind: it has no other letters than m/s."""
+    for state in (name, f"{name} [m]", *([] if name.endswith("evil") else [f"x [{name}]"])):
+        with pytest.raises(UserError) as refused:
+            pcbench.plant(step=lambda p, now, x: x, output=lambda p, now, x: x[:1], states=[state], numbers=Numbers(),
+                          operating_point=([0.0], [0.0]), tick=0.1)  # fmt: skip
+        assert is_plain(str(refused.value))
+
+
+class Numbers(NamedTuple):
+    """The numbers of a plant of one's own."""
+
+    gain: float = 1.0
