@@ -133,6 +133,8 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
             "address of a running scheduler such as tcp://10.0.0.1:8786."
         ) from None
 
+    nobody = getattr(distributed.scheduler, "NoWorkerError", ())  # of releases that know a time for it
+
     def execute(work: Callable[..., Any], tasks: Iterable[Any]) -> Iterator[Any]:
         left, under_way = iter(tasks), distributed.as_completed(loop=client.loop)
 
@@ -150,7 +152,7 @@ def dask(address: str, workers: int | None = None) -> Iterator[Executor]:
                     "--dask: a task lost its worker again and again, expected workers that live; look at their memory, and run "
                     "the same command again to go on."
                 ) from None
-            except distributed.scheduler.NoWorkerError:
+            except nobody:
                 raise UserError(
                     "--dask: all workers have ended and none came again, expected workers that live; look at what they print, "
                     "or leave --dask out."

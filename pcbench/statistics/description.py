@@ -63,15 +63,22 @@ def see(before: Aggregate | None, s: Stack) -> Aggregate:
     inside = consistency.inside(values[s.every([k for (m, _), k in s.rows.items() if m == "signal_nees"])])
     judged = _judged(s, values)
     if before is None:
-        return Aggregate(s.rows, found, selection.add(selection.EMPTY, values), diverged, unsettled, inside, judged)
-    return Aggregate(
-        s.rows,
-        merge(before.moments, found),
-        selection.add(before.order, values),
-        before.diverged + diverged,
-        before.unsettled + unsettled,
-        before.inside + inside,
-        merge(before.judged, judged) if before.judged and judged else None,
+        return Aggregate(
+            rows=s.rows,
+            moments=found,
+            order=selection.add(selection.EMPTY, values),
+            diverged=diverged,
+            unsettled=unsettled,
+            inside=inside,
+            judged=judged,
+        )
+    return before._replace(
+        moments=merge(before.moments, found),
+        order=selection.add(before.order, values),
+        diverged=before.diverged + diverged,
+        unsettled=before.unsettled + unsettled,
+        inside=before.inside + inside,
+        judged=merge(before.judged, judged) if before.judged and judged else None,
     )
 
 

@@ -1,5 +1,6 @@
 """Dask's workers leave what this process leaves, byte for byte; one that dies costs nothing but time."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -89,3 +90,30 @@ def test_a_script_that_workers_cannot_import_is_one_sentence(tmp_path):
     assert (
         "pcbench.errors.UserError: --dask: the workers did not start, expected a script that runs below" in done.stderr
     )
+
+
+class Unreadable:
+    """What no worker can read: it ends, and the one that is started in its place likewise."""
+
+    def __reduce__(self):
+        return fails_in_a_child, ()
+
+
+def fails_in_a_child():
+    if multiprocessing.parent_process() is not None:
+        raise ModuleNotFoundError("not here")
+    return Unreadable()
+
+
+def echo(task, hold):
+    return task
+
+
+@pytest.mark.slow
+def test_workers_that_end_for_good_end_the_study_in_a_sentence(monkeypatch):
+    """It waited for ever."""
+    monkeypatch.setattr(executors, "ALONE", "3s")
+    with executors.dask("local", 1) as execute:
+        assert list(execute(echo, [1, 2])) == [1, 2]
+        with pytest.raises(UserError, match="all workers have ended and none came again"):
+            list(execute(echo, [Unreadable()]))
