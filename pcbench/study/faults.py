@@ -6,6 +6,8 @@ from pcbench.scenarios.scenario import LOST
 from pcbench.simulation.schedule import sampling
 from pcbench.study.times import clocks, whole
 
+REACH = 10  # times the horizon: no sample that is later ever arrives
+
 
 def fits(s: Scenario, where: str) -> None:
     """Raise UserError where a fault of samples can have no effect, or cannot be as asked."""
@@ -90,6 +92,20 @@ def _one_by_one(s: Scenario, where: str) -> None:
             f"{where}: got delay_gamma = {measured.delay_gamma:g} and delay_steps, expected one of them; leave one out."
         )
     _has_effect(s, "delay_shape", "delay_gamma", where)
+
+
+def require_delays_within_reach(s: Scenario, where: str) -> None:
+    """Raise UserError where delays of a gamma distribution are beyond all that can arrive, before their steps are listed."""
+    measured = s.sampling
+    if not measured.delay_gamma or measured.continuous:
+        return
+    latest, most = sampling.latest_of_gamma(measured.delay_gamma, measured.delay_shape), REACH * s.horizon
+    if not latest <= most:
+        raise UserError(
+            f"{where}: got delay_gamma = {measured.delay_gamma:g} s with delay_shape = {measured.delay_shape:g}, by which one "
+            f"sample of 10,000 is later than {latest:.3g} s, expected at most {REACH:g} times the horizon of {s.horizon:g} s; "
+            "write a smaller mean."
+        )
 
 
 def _in_turn(s: Scenario, where: str) -> None:

@@ -30,6 +30,7 @@ def fits(s: Scenario, where: str) -> None:
         raise UserError(
             f"{where}: got a drift of {s.truth.drift:g} in {s.name}, where nothing drifts, expected 0; leave it out."
         )
+    faults.require_delays_within_reach(s, where)
     for clock in clocks(s):
         least = sampling.intervals(clock._replace(jitter=0), ticks + clock.jitter)[0]
         if clock.jitter and 2 * clock.jitter >= least:

@@ -90,11 +90,18 @@ def gamma(mean: float, shape: float) -> tuple[float, ...]:
 
     The last one has all that is later, 1e-4 of samples or fewer.
     """
-    from scipy.special import gammainc, gammaincinv
+    from scipy.special import gammainc
 
-    last = max(int(np.ceil(gammaincinv(shape, 1 - 1e-4) * mean / shape)), 1)
+    last = max(int(np.ceil(latest_of_gamma(mean, shape))), 1)
     below = gammainc(shape, (np.arange(last) + 0.5) * shape / mean)
     return tuple(np.diff(below, prepend=0.0, append=1.0).tolist())
+
+
+def latest_of_gamma(mean: float, shape: float) -> float:
+    """Return what a delay of a gamma distribution exceeds in 1e-4 of samples, in the unit of its mean."""
+    from scipy.special import gammaincinv
+
+    return float(gammaincinv(shape, 1 - 1e-4)) * mean / shape
 
 
 def breaks(clock: Clock) -> tuple[float, float]:
