@@ -356,6 +356,14 @@ def test_the_overtaking_that_is_claimed_beforehand_occurs(clocks, most):
     assert max(map(most_ahead, runs)) == per_lane.overtaking(clocks, LONGEST) == most
 
 
+def test_a_sample_is_overtaken_by_no_more_than_all_others_of_its_run():
+    """As late as may be, in a run of 17 samples: room for more would only be compiled."""
+    clock = Clock((0,), 6, 6, spread=900)
+    assert per_lane.overtaking([clock], 100) == 16
+    assert per_lane.overtaking([clock, clock._replace(channels=(1,))], 100) == 33
+    assert per_lane.overtaking([clock], 5000) == 149
+
+
 @pytest.mark.parametrize("error", [0, 9])
 def test_the_room_that_is_claimed_beforehand_is_needed(error):
     clock = Clock((0,), 4, 2, "periodic", 0, 13)

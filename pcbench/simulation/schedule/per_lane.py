@@ -187,7 +187,7 @@ def oldest(clocks: list[Clock], ticks: int, overtaking: int) -> int:
 
 
 def overtaking(clocks: list[Clock], ticks: int) -> int:
-    """Return how many newer samples may arrive before one, whatever the draws."""
+    """Return how many newer samples may arrive before one, whatever the draws; no more than all others of a run."""
     least = [sampling.intervals(c, ticks)[0] for c in clocks]
     wrong = sum(clocks[0].stamp.reach(ticks)) if clocks[0].stamp.drift or clocks[0].stamp.jitter else 0
 
@@ -199,4 +199,5 @@ def overtaking(clocks: list[Clock], ticks: int) -> int:
         return span // least[other] + 1 if span >= 1 else 0
 
     many = range(len(clocks))
-    return max(sum(ahead(own, other) for other in many) for own in many)
+    others = sum(_most(c, ticks) for c in clocks) - 1
+    return min(max(sum(ahead(own, other) for other in many) for own in many), others)
