@@ -92,7 +92,12 @@ def _functions(x: Any, seen: set[int]) -> Iterator[FunctionType]:
     if isinstance(x, FunctionType):
         yield x
     elif isinstance(x, partial):
-        yield from _functions((x.func, x.args, x.keywords), seen)
+        for each in (
+            x.func,
+            *x.args,
+            *x.keywords.values(),
+        ):  # a tuple made here might get the number of one made before
+            yield from _functions(each, seen)
     elif isinstance(x, tuple | Mapping):
         for each in x.values() if isinstance(x, Mapping) else x:
             yield from _functions(each, seen)
