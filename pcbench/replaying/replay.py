@@ -191,6 +191,7 @@ def _run(
     model = smoother.model_of(p.setting, p.problem.xhat0)
     enough = model is not None and smoother.fits(model, a.last + 1)
     y, u = (np.full((a.last + 1 if enough else 0, k), np.nan) for k in (len(a.log.channels), p.m))
+    largest, largest_y = np.zeros(many), np.zeros(q)  # of the truth, by signal, and of what was measured
     schema = folder.fields({o: list(signals[:many]) for o, many in p.sizes.items()}, a.clock.start, a.clock.dt)
     parts = feed.parts(a.log, a.found, a.clock, length, a.last, slots, p.back, p.m, many)
     progress.begin("ticks", a.last + 1)
@@ -203,13 +204,20 @@ def _run(
         for label, numbers in seen.surprise.items():
             flat = np.asarray(numbers).reshape(-1, stretch.JUDGED + q)
             judged.add(label, flat, np.repeat(here >= out_from, slots))
+        largest = np.fmax(largest, np.abs(part.truth[:kept]).max(0, initial=0.0, where=~np.isnan(part.truth[:kept])))
+        value = np.where(part.window.fresh, np.abs(part.window.value), 0.0)
+        largest_y = np.maximum(largest_y, value.max((0, 1), initial=0.0))
         judged.arrived[:] += part.window.fresh.sum((0, 1))
         if enough:
             u[part.first : part.first + kept] = part.inputs[p.back :][:kept]
             k, slot, channel = np.nonzero(part.window.fresh)
             y[part.window.taken[k, slot], channel] = part.window.value[k, slot, channel]
     draft.close()
-    return judged, abreast.score(every), np.asarray(smoother.compiled()(model, u, y)) if enough else None
+    score = abreast.score(every)
+    if score:
+        band, noise = np.asarray(p.problem.band)[:many], np.sqrt(np.asarray(p.setting.noise_variance))
+        a.said.extend(scoring.without_digits(score, largest, signals, [(largest, band), (largest_y, noise)]))
+    return judged, score, np.asarray(smoother.compiled()(model, u, y)) if enough else None
 
 
 def _results(

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from pcbench.planning import digits
 from pcbench.replaying import folder
 from pcbench.replaying.stretch import Score
 from pcbench.simulation import metrics
@@ -36,6 +37,19 @@ def metrics_table(score: Score, signals: Signals, dt: float, tail: int) -> "pd.D
                     dict(zip(COLUMNS, (label, signal, _unit(metric, unit), metric, float(value[0])), strict=True))
                 )
     return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def without_digits(score: Score, largest: Any, signals: Signals, limits: list[tuple[Any, Any]]) -> list[str]:
+    """Return a sentence for each observer of whose errors a float64 has no digits; `largest` [n + s] truth, by signal."""
+    out, late = [], max(float(score.counts[1]), 1.0)
+    for label, (_, after) in score.streams.items():
+        mae = np.asarray(after.absolute) / late
+        out += [
+            f"{label}: fewer than two digits of the errors of {signals[i][0]} are left in float64, as it reaches "
+            f"{digits.amount(float(largest[i]), signals[i][1])}; choose an origin near the state."
+            for i in digits.without(largest[: len(mae)], mae, limits)[:1]
+        ]
+    return out
 
 
 def _unit(metric: str, unit: str) -> str:

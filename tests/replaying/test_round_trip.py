@@ -68,6 +68,25 @@ def test_what_is_known_of_a_log_in_parts_is_what_is_known_of_the_whole(traced, m
         pd.testing.assert_frame_equal(getattr(found, what), getattr(whole, what), rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e12])
+def test_a_state_too_large_for_the_digits_of_its_errors_is_said(size, tmp_path):
+    """A position of 1e12 m is resolved to 0.1 mm; its noise is as large."""
+    t, arrived = np.arange(40) * 0.05, np.arange(40) * 0.05 + 0.1
+    batch = Batch(np.zeros(40, int), t, arrived, size + t, np.arange(40))
+    k = np.arange(200) * 0.01
+    written(tmp_path, batch, ("y1",), None, (("position", "velocity"), k, np.stack([size + k, np.ones(200)], 1)))
+    lti = {
+        "A": [[0.0, 1.0], [0.0, 0.0]],
+        "states": ["position [m]", "velocity [m/s]"],
+        "x0": [size, 1.0],
+        "noise_std": 1e-4,
+    }
+    said = pcbench.replay(tmp_path, {**MOTOR, "lti": MOTOR["lti"] | lti}, ["dkf"]).summary["said"]
+    lost = [sentence for sentence in said if "fewer than two digits" in sentence]
+    assert len(lost) == (size > 0)
+    assert all("dkf" in sentence and "position" in sentence and "1e+12 m" in sentence for sentence in lost)
+
+
 def test_a_slip_of_one_tick_is_seen(traced, tmp_path):
     study, frame, folder = traced["plain"]
     log = tables.opened(folder)
