@@ -1,7 +1,7 @@
-"""Observers over a stretch of a log's ticks, in the order of a simulated tick, with `simulation.steps` and nothing of its own.
+"""Observers over a stretch of a log: the tick of `simulation.simulate_runs`, with the log in place of plant and network.
 
-There is no plant: its state is the truth where a log has it, and what is measured comes with the packet. So a tick is sense
-(observers note), deliver, estimate, flow.
+The state is the truth where the log has it, and what is measured comes with the packet. So a tick is: note what is sampled,
+deliver what arrives, take the errors, move the observers.
 """
 
 from functools import cache, partial
@@ -12,21 +12,13 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.logs.windows import Window
-from pcbench.protocols import Plant
-from pcbench.simulation import compiling, lanes, metrics
-from pcbench.simulation.lanes.entrywise import over
-from pcbench.simulation.problem import Layout, Packet, Problem, State, present
-from pcbench.simulation.start import begin
-from pcbench.simulation.steps import Drawn, Row, arrival_of, errors, estimates, jump, note, tells, tick, told
+from pcbench.protocols import Arrival, Plant
+from pcbench.simulation import compiling, draws, metrics, simulate_runs
+from pcbench.simulation.problem import Layout, Problem, present
+from pcbench.simulation.simulate_runs import Run, select
 
 JUDGED = 4  # numbers of a Surprise, which are followed by one for each channel
-
-
-class Flight(NamedTuple):
-    """What was noted for packets on their way, in rings; and how far what arrived at this tick was from what was expected."""
-
-    notes: Any  # by observer label, [ring, r]
-    surprise: dict[str, Array]  # by observer label of those that say it, [S, JUDGED + q]
+Surprises = dict[str, Array]  # by observer label of those that say it: how far packets are from what was expected
 
 
 class Score(NamedTuple):
@@ -48,20 +40,13 @@ class Read(NamedTuple):
 PLANT = Plant(step=lambda params, now, x: x, output=lambda params, now, x: params)  # nothing moves, nothing is measured
 
 
-def begun(layout: Layout, p: Problem, slots: int, scored: bool, seed: Array) -> tuple[State, Any]:
-    """Return the state before tick 0, and the score of nothing; (): truth is not asked for."""
-    state = begin(layout, p, jnp.asarray(0), seed[None])
-    notes = jax.tree.map(lambda v: jnp.broadcast_to(v, (layout.ring, *jnp.shape(v))), state.flight.notes)
-    able = [label for label, o in layout.observers if o.innovation]
-    state = state._replace(
-        flight=Flight(notes, {label: jnp.zeros((slots, JUDGED + len(p.params))) for label in able}),
-        streams={},
-        watches={},
-    )
+def begun(layout: Layout, p: Problem, slots: int, scored: bool, seed: Array) -> tuple[Run, Any]:
+    """Return the observers before tick 0, and the score of nothing; (): truth is not asked for."""
+    run = simulate_runs.run_from(layout, p, jnp.asarray(p.x0), p.xhat0, draws.words(jnp.asarray(0), seed[None])[:, 0])
     if not scored:
-        return state, ()
-    size = {label: found.shape[0] for label, found in estimates(layout, p, state).items()}
-    return state, Score(
+        return run, ()
+    size = {label: o.estimate(p.gains[label], run.memories[label]).shape[0] for label, o in layout.observers}
+    return run, Score(
         {o: (metrics.start(n), metrics.start(n)) for o, n in size.items()},
         {o: metrics.start_watch(n) for o, n in size.items()},
         {o: jnp.full(n, jnp.nan) for o, n in size.items()},
@@ -70,91 +55,62 @@ def begun(layout: Layout, p: Problem, slots: int, scored: bool, seed: Array) -> 
 
 
 def run(
-    layout: Layout, p: Problem, state: State, score: Any, ticks: Array, w: Window, truth: Array, ends: Array
-) -> tuple[State, Any, Read]:
+    layout: Layout, p: Problem, start: Run, score: Any, ticks: Array, w: Window, truth: Array, ends: Array
+) -> tuple[Run, Any, Read]:
     """Take the observers over `ticks` [K]; `ends` are the tick at which the tail begins, and the last, which is not scored."""
+    q, able = len(p.params), [label for label, o in layout.observers if o.innovation]
+    quiet = {label: jnp.zeros((w.arrive.shape[1], JUDGED + q)) for label in able}
 
-    def step(carry: tuple[State, Any], row: tuple[Array, Window, Array]) -> tuple[tuple[State, Any], Read]:
-        (state, score), (k, w, x) = carry, row
-        state = state._replace(x=x) if x.shape[0] else state
-        new, (seen, e) = tick(layout, p, k, state, NOTHING, partial(happen, layout, p, w), partial(_read, layout, p))
-        score = _scored(p, score, k, ~jnp.any(jnp.isnan(x)), e, ends) if score else score
-        return (lanes.like(new, state, 1), score), seen
+    def step(carry: tuple[Run, Any], row: tuple[Array, Window, Array]) -> tuple[tuple[Run, Any], Read]:
+        (run, score), (k, w, x) = carry, row
+        run = run._replace(x=x) if x.shape[0] else run
+        run, surprise = lax.cond(w.event, partial(events, layout, p, w, k, quiet), lambda run: (run, quiet), run)
+        read = Read({o: f.estimate(p.gains[o], run.memories[o]) for o, f in layout.observers}, surprise)
+        if score:
+            e = simulate_runs.errors(layout, p, p.params, k, run)
+            score = _scored(p, score, k, ~jnp.any(jnp.isnan(x)), e, ends)
+        return (simulate_runs.flow(layout, p, p.params, k, run, jnp.zeros(0)), score), read
 
-    (state, score), seen = lax.scan(step, (state, score), (ticks, w, truth))
-    return state, score, seen
+    (run, score), seen = lax.scan(step, (start, score), (ticks, w, truth))
+    return run, score, seen
 
 
-NOTHING = Drawn(jnp.zeros(0))
-
-
-def happen(layout: Layout, p: Problem, w: Window, k: Array, state: State) -> State:
-    """Let what the log has for tick k happen: note what is taken, deliver what arrives, the oldest packet first."""
-    quiet = jax.tree.map(jnp.zeros_like, state.flight.surprise)
-    return lax.cond(
-        w.event,
-        lambda state: lanes.like(_events(layout, p, w, k, state), state, 1),
-        lambda state: state._replace(flight=state.flight._replace(surprise=quiet)),
-        state,
+def events(layout: Layout, p: Problem, w: Window, k: Array, quiet: Surprises, run: Run) -> tuple[Run, Surprises]:
+    """Let what the log has for tick k happen: note what is sampled, deliver what arrives, the oldest packet first."""
+    place, taken, sampled = w.sense % layout.ring, jnp.asarray(w.sense >= 0), jnp.asarray(w.sampled)
+    found = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
+    notes = jax.tree.map(
+        lambda ring, new: ring.at[place].set(jnp.where(taken, new, ring[place])), run.flight.notes, found
     )
+    memories = select(taken, simulate_runs.notify(layout, p, k, run, sampled), run.memories)
+    run = run._replace(memories=memories, flight=run.flight._replace(notes=notes))
+
+    def deliver(slot: Array, so_far: tuple[Run, Surprises]) -> tuple[Run, Surprises]:
+        def jump(so_far: tuple[Run, Surprises]) -> tuple[Run, Surprises]:
+            run, table = so_far
+            brought = jax.tree.map(lambda ring: ring[w.arrive[slot] % layout.ring], run.flight.notes)
+            age = jnp.full(w.fresh[slot].shape, k - w.taken[slot])
+            arrival = partial(Arrival, w.value[slot], w.fresh[slot], age, w.number[slot], since=w.since[slot])
+            here = surprises(layout, p, k, run, {label: arrival(noted) for label, noted in brought.items()})
+            table = {label: each.at[slot].set(here[label]) for label, each in table.items()}
+            return run._replace(memories=simulate_runs.jump(layout, p, k, run, brought, arrival)), table
+
+        return lax.cond(w.arrive[slot] >= 0, jump, lambda so_far: so_far, so_far)
+
+    done: tuple[Run, Surprises] = lax.fori_loop(0, w.arrive.shape[0], deliver, (run, quiet))
+    return done
 
 
-def _events(layout: Layout, p: Problem, w: Window, k: Array, state: State) -> State:
-    taken = w.sense >= 0
-
-    def put(ring: Any, new: Any) -> Any:
-        place = w.sense % layout.ring
-        value = jnp.where(taken, new, ring[place])
-        return lax.dynamic_update_index_in_dim(ring, value, place, 0)
-
-    own = state.flight.notes
-    noted = lanes.like(note(layout, p, k, state), jax.tree.map(lambda ring: ring[0], own), 1)
-    notes = jax.tree.map(put, own, noted)
-    if tells(layout):
-        after = lambda: lanes.like(told(layout, p, k, state, w.sampled), state.memories, 1)  # noqa: E731
-        state = state._replace(memories=lax.cond(taken, after, lambda: state.memories))
-
-    def deliver(slot: Array, so_far: Any) -> Any:
-        number = w.arrive[slot]
-        brought = jax.tree.map(lambda ring: ring[number % layout.ring], notes)
-        packet = Packet(w.value[slot], brought)
-        age = jnp.full(w.fresh[slot].shape, k - w.taken[slot])
-        row = Row(w.fresh[slot], age, w.number[slot], w.since[slot])
-
-        def jumped(so_far: Any) -> Any:
-            memories, table = so_far
-            there = state._replace(memories=memories)
-            found = surprises(layout, p, k, there, row, packet)
-            table = {label: each.at[slot].set(found[label]) for label, each in table.items()}
-            return lanes.like(jump(layout, p, k, there, row, packet), memories, 1), table
-
-        return lax.cond(number >= 0, jumped, lambda so_far: so_far, so_far)
-
-    quiet = jax.tree.map(jnp.zeros_like, state.flight.surprise)
-    memories, table = lax.fori_loop(0, w.arrive.shape[0], deliver, (state.memories, quiet))
-    return state._replace(memories=memories, flight=Flight(notes, table))
-
-
-def surprises(layout: Layout, p: Problem, k: Array, state: State, row: Row, packet: Packet) -> dict[str, Array]:
+def surprises(layout: Layout, p: Problem, k: Array, run: Run, arrivals: dict[str, Arrival]) -> Surprises:
     """Return how far a packet is from what each observer expects of it, [JUDGED + q]; NaN is what one leaves out."""
-    able = {label: o.innovation for label, o in layout.observers if o.innovation}
-
-    def one_lane(memories: Any, row: Row, packet: Packet) -> dict[str, Array]:
-        now, out = present(p, k, False), {}
-        for label, innovation in able.items():
-            found = innovation(p.gains[label], memories[label], now, arrival_of(row, packet, label))
-            each = jnp.full(row.fresh.shape, jnp.nan) if found.each is None else found.each
+    now, out = present(p, k, False), {}
+    for label, o in layout.observers:
+        if o.innovation:
+            found = o.innovation(p.gains[label], run.memories[label], now, arrivals[label])
+            each = jnp.full(arrivals[label].fresh.shape, jnp.nan) if found.each is None else found.each
             whole = [jnp.asarray(jnp.nan if number is None else number) for number in found[:JUDGED]]
             out[label] = jnp.concatenate([jnp.stack(whole), each])
-        return out
-
-    return {label: lanes.whole(each, 1)[:, 0] for label, each in over(one_lane)(state.memories, row, packet).items()}
-
-
-def _read(layout: Layout, p: Problem, k: Array, state: State) -> tuple[Read, Any]:
-    found = {label: lanes.whole(xhat, 1)[:, 0] for label, xhat in estimates(layout, p, state).items()}
-    e = {label: lanes.whole(each, 1)[:, 0] for label, each in errors(layout, p, k, state).items()}
-    return Read(found, state.flight.surprise), e
+    return out
 
 
 def _scored(p: Problem, score: Score, k: Array, known: Array, e: dict[str, Array], ends: Array) -> Score:

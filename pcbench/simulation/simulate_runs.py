@@ -152,18 +152,27 @@ def initial_run(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
     """Return a run before tick 0."""
     x = p.x0 + p.spread0 @ drawn.start if layout.random_start else p.x0
     xhat0 = p.xhat0 + p.scatter * (2 * drawn.box - 1) if layout.scattered else p.xhat0
+    run = run_from(layout, p, jnp.asarray(x), xhat0, drawn.words)
+    for number in range(p.schedule.early.shape[0]):  # taken before tick 0: they have measured x(0)
+        y = measure(layout, p, params, drawn, jnp.asarray(0, int), run.x, p.schedule.early[number])
+        run = run._replace(flight=run.flight._replace(values=run.flight.values.at[number % layout.ring].set(y)))
+    return run
+
+
+def run_from(layout: Layout, p: Problem, x: Array, xhat0: Array, words: Array) -> Run:
+    """Return a run before tick 0 from a state [n] and its estimate [n], with nothing sampled; `words` as in `Draws`."""
     memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
     for label, o in layout.observers:
         if o.seeded:
-            memories[label] = o.seeded(p.gains[label], memories[label], drawn.words, xhat0)
+            memories[label] = o.seeded(p.gains[label], memories[label], words, xhat0)
     memories = jax.tree.map(jnp.asarray, memories)
     loop = closed_loop.before(layout, p, memories)
     notes = take_notes(layout, p, jnp.asarray(0, int), memories, loop.commands)
     ring = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (layout.ring, *jnp.shape(a))))
     windows = partial(jax.tree.map, lambda a: jnp.broadcast_to(a, (p.windows.shape[0], *jnp.shape(a))))
     sizes = {label: o.estimate(p.gains[label], memories[label]).shape[0] for label, o in layout.observers}
-    run = Run(
-        x=jnp.asarray(x),
+    return Run(
+        x=x,
         memories=memories,
         flight=Packet(ring(jnp.zeros(p.noise_std.shape[0])), ring(notes)),
         streams={label: windows(metrics.start(size)) for label, size in sizes.items()},
@@ -173,10 +182,6 @@ def initial_run(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
         tracking=windows(loop.tracking),
         effort=windows(loop.effort),
     )
-    for number in range(p.schedule.early.shape[0]):  # taken before tick 0: they have measured x(0)
-        y = measure(layout, p, params, drawn, jnp.asarray(0, int), run.x, p.schedule.early[number])
-        run = run._replace(flight=run.flight._replace(values=run.flight.values.at[number % layout.ring].set(y)))
-    return run
 
 
 def measure(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, x: Array, numbers: Array) -> Array:
@@ -211,30 +216,39 @@ def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: 
     values = put(values, plan.sense[k], y)
     for number in (plan.note[k], *(plan.also[k, i] for i in range(plan.also.shape[1]))):
         notes = put(notes, number, found)
-    now, fresh = present(p, k, False, run.commands), plan.sample[k] >= 0
-    notified = {
+    notified = notify(layout, p, k, run, plan.sample[k] >= 0)
+    memories = freeze_diverged(layout, run, select(plan.sense[k] >= 0, notified, run.memories), run.memories)
+    return run._replace(memories=memories, flight=Packet(values, notes))
+
+
+def notify(layout: Layout, p: Problem, k: Array, run: Run, fresh: Array) -> Tree:
+    """Return the memories after the observers that ask for it are told which channels [q] are sampled at tick k."""
+    now = present(p, k, False, run.commands)
+    return {
         label: o.sampled(p.gains[label], run.memories[label], now, fresh) if o.sampled else run.memories[label]
         for label, o in layout.observers
     }
-    memories = freeze_diverged(layout, run, select(plan.sense[k] >= 0, notified, run.memories), run.memories)
-    return run._replace(memories=memories, flight=Packet(values, notes))
 
 
 def deliver(layout: Layout, p: Problem, k: Array, run: Run) -> Run:
     """2. Let the observers use the packets that arrive at tick k, the oldest first."""
     plan = p.schedule
     for slot in range(plan.arrive.shape[1]):
-        number, fresh, now = plan.arrive[k, slot], plan.fresh[k, slot], present(p, k, False, run.commands)
+        number, fresh = plan.arrive[k, slot], plan.fresh[k, slot]
         values, notes = jax.tree.map(lambda a, i=number % layout.ring: a[i], run.flight)
         age = jnp.full(fresh.shape, k - plan.believed[k, slot])
         arrival = partial(Arrival, values, fresh, age, plan.number[k, slot], since=plan.since[k, slot])
-        jumped = {
-            label: o.jump(p.gains[label], run.memories[label], now, arrival(notes[label]))
-            for label, o in layout.observers
-        }
-        memories = select(number >= 0, jumped, run.memories)
+        memories = select(number >= 0, jump(layout, p, k, run, notes, arrival), run.memories)
         run = run._replace(memories=freeze_diverged(layout, run, memories, run.memories))
     return run
+
+
+def jump(layout: Layout, p: Problem, k: Array, run: Run, notes: Tree, arrival: Callable[[Any], Arrival]) -> Tree:
+    """Return the memories after a packet that arrives at tick k: `arrival` makes it of what an observer noted."""
+    now = present(p, k, False, run.commands)
+    return {
+        label: o.jump(p.gains[label], run.memories[label], now, arrival(notes[label])) for label, o in layout.observers
+    }
 
 
 def errors(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> dict[str, Array]:
