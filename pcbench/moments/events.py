@@ -25,15 +25,16 @@ from pcbench.moments.covariance import both, product, squared
 from pcbench.moments.given import Event
 from pcbench.moments.merging import merged
 from pcbench.moments.vector import Form, slope, vector, vectors
-from pcbench.simulation import steps
-from pcbench.simulation.problem import Layout, Packet, State
-from pcbench.simulation.steps import Row
+from pcbench.protocols import Arrival
+from pcbench.simulation import simulate_runs
+from pcbench.simulation.problem import Layout, present
+from pcbench.simulation.simulate_runs import Run, select
 
 
 class Moving(NamedTuple):
     """What moves, of C cells; D numbers that noise reaches, those of the state first, then those of packets."""
 
-    runs: State  # [1 + P, ..., C] the run without noise, and runs with noise
+    runs: Run  # [1 + P, ..., C] the run without noise, and runs with noise
     flight: Float[Array, "1+P rows f C"]  # packets on the network by number: what was measured, what was noted
     P: Float[Array, "D D C"]  # covariance without the start
     apart: Float[Array, "P+s D C"]  # where linear maps put runs with noise, less the run without; effects of the start
@@ -51,31 +52,43 @@ class Means(NamedTuple):
     mix: Any = ()  # merging.Mix, where the cells are modes
 
 
-def sense(layout: Layout, p: Any, k: Array, state: State, nothing: Any, rest: Any) -> Array:
+class Row(NamedTuple):
+    """What is known of an arrival besides what it brings; q outputs."""
+
+    fresh: Array  # [q]
+    age: Array  # [q] as the observers believe it
+    number: Array  # [q]
+    since: Array
+
+
+def sense(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, rest: Any) -> Array:
     """Return what is measured, without its noise, and what is noted, of all observers: [f]."""
-    y = steps.measure(layout, p, k, state, jnp.zeros(p.noise_std.shape[0]))
-    notes = steps.note(layout, p, k, state)
+    y = layout.plant.output(p.params, present(p, k, True), run.x)
+    notes = simulate_runs.take_notes(layout, p, k, run.memories, run.commands)
     return jnp.concatenate([y, *(notes[label] for label, _ in layout.observers)])
 
 
-def tell(layout: Layout, p: Any, k: Array, state: State, nothing: Any, fresh: Array) -> State:
-    """Return the state after observers were told which channels [q] are sampled now, where any is."""
-    after, there = steps.told(layout, p, k, state, fresh), jnp.any(fresh)
-    new = jax.tree.map(lambda a, b: jnp.where(there, a, b).astype(b.dtype), after, state.memories)
-    return state._replace(memories=new)
+def tell(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, fresh: Array) -> Run:
+    """Return the run after observers were told which channels [q] are sampled now, where any is."""
+    return _updated(jnp.any(fresh), simulate_runs.notify(layout, p, k, run, fresh), run)
 
 
-def jump(layout: Layout, p: Any, k: Array, state: State, packet: Array, rest: Any) -> State:
-    """Return the state after a packet [f], where one arrives: `rest` is (whether, Row)."""
-    there, about = rest
-    found = jax.eval_shape(lambda state: steps.note(layout, p, k, state), state)
-    each, at = {}, p.noise_std.shape[0]
+def jump(layout: Layout, p: Any, k: Array, run: Run, packet: Array, rest: Any) -> Run:
+    """Return the run after a packet [f], where one arrives: `rest` is (whether, Row)."""
+    there, row = rest
+    found = jax.eval_shape(lambda run: simulate_runs.take_notes(layout, p, k, run.memories, run.commands), run)
+    notes, at = {}, p.noise_std.shape[0]
     for label, _ in layout.observers:
-        each[label] = packet[at : at + found[label].shape[0]]
+        notes[label] = packet[at : at + found[label].shape[0]]
         at += found[label].shape[0]
-    after = steps.jump(layout, p, k, state, about, Packet(packet[: p.noise_std.shape[0]], each))
-    new = jax.tree.map(lambda a, b: jnp.where(there, a, b).astype(b.dtype), after, state.memories)
-    return state._replace(memories=new)
+    arrival = partial(Arrival, packet[: p.noise_std.shape[0]], row.fresh, row.age, row.number, since=row.since)
+    return _updated(there, simulate_runs.jump(layout, p, k, run, notes, arrival), run)
+
+
+def _updated(there: Array, memories: Any, run: Run) -> Run:
+    """The run with new memories, where they are `there`; of the types that they had."""
+    new = jax.tree.map(lambda a, b: a.astype(b.dtype), select(there, memories, run.memories), run.memories)
+    return run._replace(memories=new)
 
 
 def happen(by: Means, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
@@ -92,7 +105,7 @@ def happen(by: Means, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
         noted = rows == _place(more, m)[None, None]
         here = here | (noted & (jnp.arange(m.flight.shape[2]) >= q)[None, :, None])
     m = taken(by, k, m, here)
-    m = told(by, k, now.sampled, m) if steps.tells(by.layout) else m
+    m = told(by, k, now.sampled, m) if any(o.sampled for _, o in by.layout.observers) else m
 
     arriving = now.arrive, now.believed, now.fresh, now.index, now.since
 
@@ -106,7 +119,7 @@ def happen(by: Means, k: Array, now: Event, m: Moving, noise: Array) -> Moving:
 def taken(by: Means, k: Array, m: Moving, here: Array) -> Moving:
     """Put what is measured and noted now in the places [rows, f, C] that are `here`."""
     nothing = jnp.zeros((0, by.std.shape[1]))
-    new = jax.vmap(lambda state: by.over(partial(sense, by.layout))(k, state, nothing, ()))(m.runs)
+    new = jax.vmap(lambda run: by.over(partial(sense, by.layout))(k, run, nothing, ()))(m.runs)
     flight = jnp.where(here[None], new[:, None], m.flight)
     if not by.form.flight:
         return m._replace(flight=flight)
@@ -125,7 +138,7 @@ def told(by: Means, k: Array, fresh: Array, m: Moving) -> Moving:
     """Tell the observers of each cell what is sampled now, [q, C]."""
     nothing = jnp.zeros((0, by.std.shape[1]))
     M = by.over(slope(by.form, partial(tell, by.layout), partial(vector, by.form)))(k, _mean(m), nothing, fresh)
-    runs = jax.vmap(lambda state: by.over(partial(tell, by.layout))(k, state, nothing, fresh))(m.runs)
+    runs = jax.vmap(lambda run: by.over(partial(tell, by.layout))(k, run, nothing, fresh))(m.runs)
 
     def rows(P: Array) -> Array:
         return jnp.concatenate([product(M, P[: len(M)]), P[len(M) :]])
@@ -146,7 +159,7 @@ def _delivered(by: Means, k: Array, arriving: Any, m: Moving, noise: Array) -> M
     M = by.over(slope(form, partial(jump, by.layout), partial(vector, form)))(k, _mean(m), packets[0], rest)
     A, scaled = M.shape[0], noise[:, :, None] * by.std[None]
     packets = packets.at[1:, :q].add(scaled)
-    jumped = jax.vmap(lambda state, packet: by.over(partial(jump, by.layout))(k, state, packet, rest))(m.runs, packets)
+    jumped = jax.vmap(lambda run, packet: by.over(partial(jump, by.layout))(k, run, packet, rest))(m.runs, packets)
     runs = jax.tree.map(partial(_mixed, by.chance), jumped, m.runs)
     step = vectors(form, jumped) - vectors(form, m.runs)
     G = M[:, A : A + q] * by.std[None]
@@ -185,5 +198,5 @@ def _each(rows: Callable[[Array], Array], apart: Array) -> Array:
     return jax.vmap(lambda d: rows(d[:, None])[:, 0])(apart)
 
 
-def _mean(m: Moving) -> State:
+def _mean(m: Moving) -> Run:
     return jax.tree.map(lambda a: a[0], m.runs)

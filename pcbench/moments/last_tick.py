@@ -10,7 +10,8 @@ from jax import Array, lax
 from pcbench.moments.events import Means
 from pcbench.moments.sums import Read
 from pcbench.simulation import consistency
-from pcbench.simulation.problem import Layout, State
+from pcbench.simulation.problem import Layout
+from pcbench.simulation.simulate_runs import Run
 
 
 class Last(NamedTuple):
@@ -20,7 +21,7 @@ class Last(NamedTuple):
     believed: dict[str, Array]  # by observer that has a covariance, of what it estimates: [z, z, C]
 
 
-def kept(by: Means, k: Array, here: Array, mean: State, read: Read, before: Last) -> Last:
+def kept(by: Means, k: Array, here: Array, mean: Run, read: Read, before: Last) -> Last:
     """Return what there is of errors and of what observers believe of them, where the one tick read is that for it."""
     Z = read.runs.errors.shape[2]
     nothing = jnp.zeros((0, by.std.shape[1]))
@@ -31,12 +32,12 @@ def kept(by: Means, k: Array, here: Array, mean: State, read: Read, before: Last
     return lax.cond(here, found, lambda: before)
 
 
-def _believed(layout: Layout, p: Any, k: Array, state: State, nothing: Any, rest: Any) -> dict[str, Array]:
+def _believed(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, rest: Any) -> dict[str, Array]:
     """What the observers of one cell believe of their errors at tick k."""
-    return consistency.covariances(layout, p, k, state.memories, state.commands)
+    return consistency.covariances(layout, p, k, run.memories, run.commands)
 
 
-def nothing(by: Means, mean: State, signals: int) -> Last:
+def nothing(by: Means, mean: Run, signals: int) -> Last:
     """Return room for what is kept of the last tick."""
     cells, zero = by.std.shape[1], jnp.asarray(0)
     shapes = jax.eval_shape(lambda: by.over(partial(_believed, by.layout))(zero, mean, jnp.zeros((0, cells)), ()))

@@ -25,7 +25,8 @@ from pcbench.moments.stretch import Ways, along, recorded, rows, ways
 from pcbench.moments.sums import Seen
 from pcbench.moments.ticks import Tick, flat, matrix_of, next_change, one_cell
 from pcbench.moments.vector import over_cells, slope, steady, timed, vector
-from pcbench.simulation.problem import Layout, State
+from pcbench.simulation.problem import Layout
+from pcbench.simulation.simulate_runs import Run
 
 
 def run(layout: Layout, shape: Shape, given: Given) -> Found:
@@ -110,7 +111,7 @@ def _begin(by: Means, shape: Shape, given: Given) -> tuple[Carried, Ways]:
     return Carried(m, tick, *kept, last), go
 
 
-def _shapes(by: Means, given: Given, runs: State, late: Any) -> tuple[int, Seen]:
+def _shapes(by: Means, given: Given, runs: Run, late: Any) -> tuple[int, Seen]:
     """How many numbers are read at a tick, and their shapes."""
     none = jnp.zeros((given.ticks.shape[2], by.std.shape[1]))
     mean = jax.tree.map(lambda a: a[0], runs)

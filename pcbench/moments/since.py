@@ -3,7 +3,7 @@
 Where it does, what it makes of an arrival depends on which sample came before, on losses too.
 """
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from pcbench.moments.start import begin
-from pcbench.simulation import steps
-from pcbench.simulation.problem import Layout, Packet, Problem
+from pcbench.protocols import Arrival
+from pcbench.simulation import simulate_runs
+from pcbench.simulation.problem import Layout, Problem
 
 
 def asked(layout: Layout, problem: Problem) -> bool:
@@ -25,13 +26,14 @@ def asked(layout: Layout, problem: Problem) -> bool:
 def _asks(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> bool:
     p = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*each) for each in shapes])
     zero, n, q = jnp.asarray(0), p.x0.shape[0], p.noise_std.shape[0]
-    state = jax.eval_shape(lambda p: begin(layout, p, zero, (), jnp.zeros(2 * n), ()), p)
-    notes = jax.eval_shape(lambda p, s: steps.note(layout, p, zero, s), p, state)
+    run = jax.eval_shape(lambda p: begin(layout, p, zero, (), jnp.zeros(2 * n), ()), p)
+    notes = jax.eval_shape(lambda p, r: simulate_runs.take_notes(layout, p, zero, r.memories, r.commands), p, run)
 
-    def jump(since: Any, p: Any, state: Any, notes: Any) -> Any:
-        row = steps.Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), since)
-        return steps.jump(layout, p, zero, state, row, Packet(jnp.zeros(q), notes))
+    def jump(since: Any, p: Any, run: Any, notes: Any) -> Any:
+        none = jnp.zeros(q, int)
+        arrival = partial(Arrival, jnp.zeros(q), jnp.ones(q, bool), none, none, since=since)
+        return simulate_runs.jump(layout, p, zero, run, notes, arrival)
 
-    made = jax.make_jaxpr(jump)(zero, p, state, notes).jaxpr
+    made = jax.make_jaxpr(jump)(zero, p, run, notes).jaxpr
     mine = made.invars[0]
     return any(v is mine for v in [*made.outvars, *(v for e in made.eqns for v in e.invars)])

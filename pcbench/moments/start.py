@@ -6,10 +6,11 @@ import jax.numpy as jnp
 from jax import Array
 
 from pcbench.simulation.closed_loop import before
-from pcbench.simulation.problem import Layout, State
+from pcbench.simulation.problem import Layout
+from pcbench.simulation.simulate_runs import Run
 
 
-def begin(layout: Layout, p: Any, k: Array, state: Any, drawn: Array, rest: Any) -> State:
+def begin(layout: Layout, p: Any, k: Array, state: Any, drawn: Array, rest: Any) -> Run:
     """Return the state before tick 0 of one cell; drawn [2 n], of mean 0 and variance 1, for the plant and for the estimate."""
     n = p.x0.shape[0]
     x = p.x0 + p.spread0 @ drawn[:n] if layout.random_start else jnp.asarray(p.x0) * 1.0
@@ -17,11 +18,10 @@ def begin(layout: Layout, p: Any, k: Array, state: Any, drawn: Array, rest: Any)
     xhat0 = p.xhat0 + scatter
     memories = {label: o.init(p.gains[label], xhat0) for label, o in layout.observers}
     loop = before(layout, p, memories)
-    return State(
+    return Run(
         x=x,
-        drawn=(),
         memories=memories,
-        flight=(),
+        flight=(),  # type: ignore[arg-type]  # `events.Moving` has what is on the network
         streams={},
         watches={},
         commands=loop.commands,

@@ -11,9 +11,10 @@ from jax import Array, lax
 from pcbench.moments.events import Means
 from pcbench.moments.sums import Seen
 from pcbench.moments.vector import Form, along, slope, vector
-from pcbench.simulation import network, steps
-from pcbench.simulation.closed_loop import held, off_target
-from pcbench.simulation.problem import Layout, State
+from pcbench.simulation import network, simulate_runs
+from pcbench.simulation.closed_loop import off_target, pushed
+from pcbench.simulation.problem import Layout, present
+from pcbench.simulation.simulate_runs import Run
 
 BLOCK = 16  # ticks whose matrices are looked at together
 
@@ -25,7 +26,7 @@ class Tick(NamedTuple):
     shown: Any  # [A + V, C]; (): it is the same at every tick, or changes at ticks that are known
 
 
-def flown(by: Means, k: Array, runs: State, entering: Array, late: Any, tick: Tick) -> tuple[State, Seen, Tick]:
+def flown(by: Means, k: Array, runs: Run, entering: Array, late: Any, tick: Tick) -> tuple[Run, Seen, Tick]:
     """Return the runs after a tick, what is seen of them, and the matrix of the tick."""
     form, one = by.form, partial(one_cell, by.layout)
     if isinstance(tick.shown, tuple):
@@ -35,7 +36,7 @@ def flown(by: Means, k: Array, runs: State, entering: Array, late: Any, tick: Ti
     A = many - entering.shape[1]
     mark = jnp.broadcast_to(_mark(many)[:, None], (many, cells))
 
-    def each(state: State, entering: Array) -> Any:
+    def each(state: Run, entering: Array) -> Any:
         return by.over(along(form, one))(k, state, entering, late, mark[:A], mark[A:])
 
     (found, seen), tangent = jax.vmap(each)(runs, entering)
@@ -53,24 +54,24 @@ def matrix_of(by: Means) -> Any:
     return by.over(slope(by.form, partial(one_cell, by.layout), partial(flat, by.form)))
 
 
-def one_cell(layout: Layout, p: Any, k: Array, state: State, noise: Array, late: Any) -> tuple[State, Seen]:
-    """Go one tick with one cell, by `steps.tick`, and read what is read of it."""
+def one_cell(layout: Layout, p: Any, k: Array, run: Run, noise: Array, late: Any) -> tuple[Run, Seen]:
+    """Go one tick with one cell, by `simulate_runs.advance`, and read what is read of it."""
     process, p, loop, none = p.process_std.shape[0], p._replace(weights=()), layout.controller, jnp.zeros(0)
-    now = steps.Drawn(noise[:process], network.Drawn(late[0], late[1], noise[process:]) if layout.pending else ())
+    command = network.Drawn(late[0], late[1], noise[process:]) if layout.pending else ()
 
-    def read(k: Array, state: State) -> Seen:
+    def read(k: Array, run: Run) -> Seen:
         return Seen(
-            errors=jnp.concatenate([e for _, e in sorted(steps.errors(layout, p, k, state).items())]),
-            off=off_target(loop, p, k, state.x) if loop else none,
-            x=state.x if loop else none,
-            u=held(p, k, state) if loop else none,
+            errors=jnp.concatenate([e for _, e in sorted(simulate_runs.errors(layout, p, p.params, k, run).items())]),
+            off=off_target(loop, p, k, run.x) if loop else none,
+            x=run.x if loop else none,
+            u=pushed(present(p, k, True, run.commands), run.commands).u if loop else none,
         )
 
-    new, seen = steps.tick(layout, p, k, state, now, read=read)
-    return jax.tree.map(lambda a, b: jnp.asarray(a).astype(jnp.result_type(b)), new, state), seen
+    new, seen = simulate_runs.advance(layout, p, p.params, k, run, noise[:process], command, read)
+    return jax.tree.map(lambda a, b: jnp.asarray(a).astype(jnp.result_type(b)), new, run), seen
 
 
-def flat(form: Form, found: tuple[State, Seen]) -> Array:
+def flat(form: Form, found: tuple[Run, Seen]) -> Array:
     """Return what noise reaches of the state, and all that is seen."""
     return jnp.concatenate([vector(form, found[0]), *found[1]])
 
@@ -80,7 +81,7 @@ def _mark(many: int) -> Array:
     return jnp.asarray(np.random.default_rng(many).normal(size=many))
 
 
-def next_change(by: Means, runs: State, ticks: int, none: Array) -> Array:
+def next_change(by: Means, runs: Run, ticks: int, none: Array) -> Array:
     """Return for each tick, [N+1], the first later one whose matrix is another one's, of a matrix that reads no state."""
     form, cells = by.form, none.shape[-1]
     one, mean = by.over(along(form, partial(one_cell, by.layout))), jax.tree.map(lambda a: a[0], runs)

@@ -18,7 +18,8 @@ from pcbench.moments.given import SMALL
 from pcbench.simulation import start
 from pcbench.simulation.lanes import entrywise, is_lanes, join, split
 from pcbench.simulation.lifted.reach import reach
-from pcbench.simulation.problem import Layout, Problem, State
+from pcbench.simulation.problem import Layout, Problem
+from pcbench.simulation.simulate_runs import Run
 
 WRITTEN_OUT = 16  # numbers of a state up to which functions of many cells go entry by entry: half the time, but
 # twice as long to compile
@@ -79,18 +80,18 @@ def _begun(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> Any:
     return jax.eval_shape(partial(start.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
 
 
-def vector(form: Form, state: State) -> Array:
+def vector(form: Form, state: Run) -> Array:
     """Return what noise reaches of a state of one cell."""
     each = itertools.compress(jax.tree.leaves(state), form.moving)
     return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(a) for a in each)])
 
 
-def vectors(form: Form, runs: State) -> Array:
+def vectors(form: Form, runs: Run) -> Array:
     """Return the same of many runs and cells: [runs, A, C] of leaves [runs, ..., C]."""
     return jax.vmap(jax.vmap(partial(vector, form), -1, -1))(runs)
 
 
-def put(form: Form, state: State, z: Array) -> State:
+def put(form: Form, state: Run, z: Array) -> Run:
     """Return the state with another vector."""
     leaves, tree = jax.tree.flatten(state)
     at, out = 0, []
@@ -103,7 +104,7 @@ def put(form: Form, state: State, z: Array) -> State:
 def along(form: Form, f: OneCell) -> OneCell:
     """Return f with its derivative: (problem, tick, state, entering, rest, dz, d entering) -> (value, tangent)."""
 
-    def both(p: Any, k: Array, state: State, entering: Array, rest: Any, dz: Array, de: Array) -> Any:
+    def both(p: Any, k: Array, state: Run, entering: Array, rest: Any, dz: Array, de: Array) -> Any:
         def moved(z: Array, e: Array) -> Any:
             return f(p, k, put(form, state, z), e, rest)
 
@@ -115,7 +116,7 @@ def along(form: Form, f: OneCell) -> OneCell:
 def slope(form: Form, f: OneCell, flat: Callable[[Any], Array]) -> OneCell:
     """Return the matrix of f: (problem, tick, state, entering, rest) -> [numbers of f, numbers of the state and entering]."""
 
-    def matrix(p: Any, k: Array, state: State, entering: Array, rest: Any) -> Array:
+    def matrix(p: Any, k: Array, state: Run, entering: Array, rest: Any) -> Array:
         z = vector(form, state)
 
         def moved(both: Array) -> Array:

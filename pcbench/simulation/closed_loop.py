@@ -13,7 +13,7 @@ from jax import Array, lax
 from pcbench.protocols import Controller, Now
 from pcbench.simulation import actuator, metrics, network
 from pcbench.simulation.lanes.entrywise import over
-from pcbench.simulation.problem import Layout, Memories, PerLane, Problem, State, present
+from pcbench.simulation.problem import Layout, Memories, Problem, State, present
 
 Tree = TypeVar("Tree")
 
@@ -83,11 +83,6 @@ def control(layout: Layout, p: Problem, k: Array, state: State, drawn: Any = ())
 def pushed(now: Now, commands: Any) -> Now:
     """Return the present as it is for the plant: its input with the noise that no observer is told."""
     return now._replace(u=now.u + commands.noise) if isinstance(commands, network.Commands) else now
-
-
-def held(p: Problem, k: Array, state: State) -> PerLane:
-    """Return the input held over tick k, once it is decided: [m]."""
-    return over(lambda k, commands: pushed(present(p, k, True, commands), commands).u)(k, state.commands)
 
 
 def aims(layout: Layout, p: Problem, k: Array) -> Array:

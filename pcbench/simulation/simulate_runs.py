@@ -113,8 +113,25 @@ def tick(
     """Return a run at tick k + 1, and what `read` finds at tick k once its command is given."""
     run = events(layout, p, params, drawn, k, run, shift)  # 1. sense, 2. deliver
     run = estimate(layout, p, params, k, run)  # 3. estimate
-    run = control(layout, p, k, run, drawn.command(k))  # 4. control
-    return flow(layout, p, params, k, run, drawn.process(k)), read(k, run)  # 5. flow
+    return advance(layout, p, params, k, run, drawn.process(k), drawn.command(k), read)
+
+
+def advance(
+    layout: Layout,
+    p: Problem,
+    params: Any,
+    k: Array,
+    run: Run,
+    w: Array,
+    command: Any,
+    read: Callable[[Array, Run], Tree],
+) -> tuple[Run, Tree]:
+    """Return a run at tick k + 1 from one at tick k after its events, and what `read` finds once the command is given.
+
+    `w` [n] is the noise of the process, `command` what the network draws (`network.Drawn`).
+    """
+    run = control(layout, p, k, run, command)  # 4. control
+    return flow(layout, p, params, k, run, w), read(k, run)  # 5. flow
 
 
 def events(
