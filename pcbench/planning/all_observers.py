@@ -18,9 +18,7 @@ from pcbench.study.read import ALL, FROM_HERE
 
 def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Grid:
     """Return a study with its cells, as `read.grid_of`; "all" among its observers becomes those that can run."""
-    raw = raw_of(study, overrides, FROM_HERE)
-    where = where_of(study, raw)
-    raw |= {key: value for key, value in changes.items() if value is not None}
+    raw, where = read.changed(study, changes, overrides)
     return read.grid(resolved(raw, where), where, FROM_HERE)
 
 

@@ -62,9 +62,10 @@ def positive(m: Moments) -> Estimate:
 
 def root(squares: Estimate) -> Estimate:
     """Return the roots of mean squares."""
-    centre = np.sqrt(squares.mean)
+    with np.errstate(invalid="ignore"):  # of exact moments that have no digits left, which are refused
+        centre, low, high = np.sqrt(squares.mean), np.sqrt(squares.ci_low), np.sqrt(squares.ci_high)
     se = np.where(centre > 0, squares.se / (2 * np.where(centre > 0, centre, 1.0)), squares.se)
-    return Estimate(squares.n, centre, se, np.sqrt(squares.ci_low), np.sqrt(squares.ci_high))
+    return Estimate(squares.n, centre, se, low, high)
 
 
 def reached(bound: Values, pooled: Estimate) -> Estimate:

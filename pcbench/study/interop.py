@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.errors import UserError, unknown
+from pcbench.errors import UserError, said, unknown
 from pcbench.plants.lti import nominal
 from pcbench.study import Study
 from pcbench.study.lti import Lti
@@ -63,7 +63,13 @@ def to_control(study: Study) -> Any:
 
 def _state_space(system: Any) -> dict[str, Any]:
     """The [lti] table's matrices of a system."""
-    form = system if all(hasattr(system, key) for key in "ABCD") else getattr(system, "to_ss", lambda: None)()
+    try:
+        form = system if all(hasattr(system, key) for key in "ABCD") else getattr(system, "to_ss", lambda: None)()
+    except (NotImplementedError, ImportError, ValueError, ArithmeticError) as error:  # of the library that made it
+        raise UserError(
+            f"pcbench.lti: got {type(system).__name__}, which its library cannot convert ('{said(error)}'), expected a "
+            "state-space system; give its A, B, C and D."
+        ) from error
     if form is None:
         raise UserError(
             f"pcbench.lti: got {type(system).__name__}, expected a state-space system of scipy.signal or python-control; "

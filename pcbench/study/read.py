@@ -154,10 +154,14 @@ def parse(raw: dict[str, Any], where: str) -> Study:
 
 def grid_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Grid:
     """Return a checked study with its cells from a name, a TOML file, a dict or a Study, with top-level `changes` put in."""
+    return grid(*changed(study, changes, overrides), FROM_HERE)
+
+
+def changed(study: Described, changes: dict[str, Any], overrides: list[str]) -> tuple[dict[str, Any], str]:
+    """Return a raw study from a name, a TOML file, a dict or a Study, with `changes` put in, and what it is called."""
     raw = raw_of(study, overrides, FROM_HERE)
     where = where_of(study, raw)
-    raw |= {key: plain(value) for key, value in changes.items() if value is not None}
-    return grid(raw, where, FROM_HERE)
+    return raw | {key: plain(value) for key, value in changes.items() if value is not None}, where
 
 
 def study_of(study: Described, changes: dict[str, Any], overrides: list[str]) -> Study:

@@ -102,16 +102,16 @@ def multirate(
 
 
 Taken = tuple[int, int]  # a sample: the tick at which it is taken, its channel
-Stage = tuple[int, Matrix]  # a tick and the covariance of then
-After = Callable[[Matrix, int, int], Matrix]  # (P, ticks, channel) -> P that many ticks on, with its sample
+Stage = tuple[int, Matrix]  # a tick and a root S of the covariance of then, P = S S'
+After = Callable[[Matrix, int, int], Matrix]  # (S, ticks, channel) -> S that many ticks on, with its sample
 
 
 class Steps(NamedTuple):
     """What covariance recursions of one model, noise and R have found on their way, for others of the same."""
 
-    # (P to the bit, ticks, channel) -> P that many ticks on, with its sample
+    # (S to the bit, ticks, channel) -> S that many ticks on, with its sample
     after: dict[tuple[bytes, int, int], Matrix]
-    over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, the covariance that noise adds
+    over: dict[int, tuple[Matrix, Matrix]]  # ticks -> the map over them, a root of the covariance that noise adds
     flow: dict[str, Matrix]  # the same for 0, 1, 2, ... ticks, one by one: "maps" and "noise" [ticks, n, n]
     # (P0 to the bit, samples) -> the stages after none, one, two ... of them
     chains: dict[tuple[bytes, tuple[Taken, ...]], list[Stage]]
@@ -143,16 +143,17 @@ def posterior_variance(
     With x(0) ~ N(xhat0, P0) this is the Bayesian (posterior Cramer-Rao) bound: at tick k it uses every sample that has
     arrived. `samples` are (arrival, taken, channel) in ticks, in any order; R[q] variances. Source: Kalman; Van Trees. It
     exists only where R > 0. `steps` of earlier calls with the same `doubled`, `noise`, C and R save time, and change no bit.
+    Roots of covariances are carried, by orthogonal transformations: with a prior 1e8 times the noise P would keep no digit.
     """
     steps = no_steps() if steps is None else steps
-    since = _newest(partial(_after, steps, doubled, noise, C, R), P0, samples, steps)
+    since = _newest(partial(_after, steps, doubled, noise, C, R), root(P0), samples, steps)
     edges = [tick for tick in since if tick < ticks.stop] + [ticks.stop]
     spans: dict[tuple[int, int], tuple[int, Matrix]] = {}  # ticks after a sample -> how often, the sum of covariances
-    for (taken, P), (start, stop) in zip((since[tick] for tick in edges[:-1]), pairwise(edges), strict=True):
+    for (taken, S), (start, stop) in zip((since[tick] for tick in edges[:-1]), pairwise(edges), strict=True):
         if stop > ticks.start:
             span = max(start, ticks.start) - taken, stop - taken
             often, added = spans.get(span, (0, 0.0))
-            spans[span] = often + 1, added + P
+            spans[span] = often + 1, added + S @ S.T
     F, G = _flow(steps, doubled, noise, max(stop for _, stop in spans))
     total = np.zeros(len(P0))
     for (start, stop), (often, P) in spans.items():
@@ -162,28 +163,28 @@ def posterior_variance(
     return total / len(ticks)
 
 
-def _newest(after: After, P0: Matrix, samples: list[tuple[int, int, int]], steps: Steps) -> dict[int, Stage]:
+def _newest(after: After, S0: Matrix, samples: list[tuple[int, int, int]], steps: Steps) -> dict[int, Stage]:
     """From which tick on nothing newer is known than which stage: the tick of a sample and the covariance after it."""
     in_order = sorted((taken, channel, arrival) for arrival, taken, channel in samples)
     each = tuple((taken, channel) for taken, channel, _ in in_order)
     if any(a > b for (*_, a), (*_, b) in pairwise(in_order)):
-        return _overtaken(after, P0, samples)
-    key = P0.tobytes(), each
+        return _overtaken(after, S0, samples)
+    key = S0.tobytes(), each
     if key not in steps.chains:
         if len(steps.chains) >= CHAINS:
             steps.chains.clear()
-        steps.chains[key] = _chain(after, [(0, P0)], each)
+        steps.chains[key] = _chain(after, [(0, S0)], each)
     stages = steps.chains[key]
     return {0: stages[0]} | {arrival: stages[i] for i, (*_, arrival) in enumerate(in_order, 1)}
 
 
-def _overtaken(after: After, P0: Matrix, samples: list[tuple[int, int, int]]) -> dict[int, Stage]:
+def _overtaken(after: After, S0: Matrix, samples: list[tuple[int, int, int]]) -> dict[int, Stage]:
     """The same where a sample may arrive after a newer one: what came of newer ones is found again."""
     arriving: dict[int, list[Taken]] = {}
     for arrival, taken, channel in samples:
         arriving.setdefault(arrival, []).append((taken, channel))
     known: list[Taken] = []  # oldest first
-    stages: list[Stage] = [(0, P0)]  # after none, one, two ... of them
+    stages: list[Stage] = [(0, S0)]  # after none, one, two ... of them
     since = {0: stages[0]}
     for tick in sorted(arriving):
         for one in sorted(arriving[tick]):
@@ -198,25 +199,47 @@ def _overtaken(after: After, P0: Matrix, samples: list[tuple[int, int, int]]) ->
 def _chain(after: After, stages: list[Stage], samples: Iterable[Taken]) -> list[Stage]:
     """Add the stages after some samples, oldest first."""
     for taken, channel in samples:
-        at, P = stages[-1]
-        stages.append((taken, after(P, taken - at, channel)))
+        at, S = stages[-1]
+        stages.append((taken, after(S, taken - at, channel)))
     return stages
 
 
 def _after(
-    steps: Steps, doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, P: Matrix, ticks: int, channel: int
+    steps: Steps, doubled: Matrix, noise: Matrix, C: Matrix, R: Matrix, S: Matrix, ticks: int, channel: int
 ) -> Matrix:
-    """The covariance some ticks on, after a sample of one channel: once it repeats itself, nothing is computed."""
-    key = P.tobytes(), ticks, channel
+    """The root some ticks on, after a sample of one channel: once it repeats itself, nothing is computed."""
+    key = S.tobytes(), ticks, channel
     if (found := steps.after.get(key)) is not None:
         return found
     if ticks not in steps.over:
-        steps.over[ticks] = _over(doubled, noise, ticks)
-    E, Q = steps.over[ticks]
+        map_, added = _over(doubled, noise, ticks)
+        steps.over[ticks] = map_, root(added)
+    E, G = steps.over[ticks]
     if len(steps.after) >= ROOM:
         steps.after.clear()
-    found = steps.after[key] = update(E @ P @ E.T + Q, C[channel : channel + 1], R[channel : channel + 1, None])
+    found = steps.after[key] = root_after(np.hstack([E @ S, G]), C[channel], float(R[channel]))
     return found
+
+
+def root_after(S: Matrix, c: Matrix, r: float) -> Matrix:
+    """Return a root [n, n] of the posterior covariance after y = c x + v, v ~ N(0, r), of a root S [n, k] of the prior one.
+
+    [sqrt(r), c S; 0, S] times an orthogonal matrix is [s, 0; K s, S+]: lower triangular, of a diagonal not below 0.
+    Source: Kailath, Sayed, Hassibi, Linear Estimation, 2000, section 12.3.
+    """
+    n, k = S.shape
+    before = np.zeros((n + 1, 1 + k))
+    before[0, 0], before[0, 1:], before[1:, 1:] = np.sqrt(r), c @ S, S
+    after = np.asarray(np.linalg.qr(before.T, mode="r"), float).T
+    return np.asarray(after[1:, 1:] * np.where(after.diagonal()[1:] < 0, -1.0, 1.0), float)
+
+
+def root(P: Matrix) -> Matrix:
+    """Return a root S of P = S S', of eigenvalues not below 0."""
+    if not np.count_nonzero(P - np.diag(P.diagonal())):
+        return np.diag(np.sqrt(P.diagonal()))
+    size, V = np.linalg.eigh((P + P.T) / 2)
+    return np.asarray(V * np.sqrt(np.maximum(size, 0.0)), float)
 
 
 def _flow(steps: Steps, doubled: Matrix, noise: Matrix, many: int) -> tuple[Matrix, Matrix]:

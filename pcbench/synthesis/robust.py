@@ -19,7 +19,7 @@ import numpy as np
 
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
-from pcbench.synthesis import error_bounds, remembered, solvers
+from pcbench.synthesis import error_bounds, remembered, riccati, solvers
 from pcbench.synthesis.certificate import SHORT, Certificate
 from pcbench.synthesis.ranges import Maps
 
@@ -114,7 +114,7 @@ def _solve(task: RobustTask, kind: Kind, decay: float | None, energy: float, whe
     rules: list[Any] = []
     keep = P - Y @ C
     for Phi, Q, T in zip(*task.maps.seen[:3], strict=True):
-        M, G = keep @ (Phi / S[:, None] * S), keep @ _root(Q / S[:, None] / S)
+        M, G = keep @ (Phi / S[:, None] * S), keep @ riccati.root(Q / S[:, None] / S)
         if decay is not None or kind == "decay":
             grown = np.exp((decay or 0.0) * T) * M
             rules.append(cp.bmat([[P, grown.T], [grown, P]]) >> (-cost * np.eye(2 * n) if kind == "decay" else 0))
@@ -167,14 +167,8 @@ def certify(found: RobustGain, task: RobustTask, kind: Kind) -> Certificate:
     if kind == "hinf":
         what += "; sum |W e|^2 <= g^2 sum |noise|^2"
         keep = np.eye(len(L)) - L @ task.C
-        B = np.stack([np.hstack([keep @ _root(Q), -L @ _root(task.R)]) for Q in maps.Q])
+        B = np.stack([np.hstack([keep @ riccati.root(Q), -L @ riccati.root(task.R)]) for Q in maps.Q])
         g = error_bounds.gain_bound(F, B, task.W, P)
         numbers |= {"g": g}
         rate = rate if np.isfinite(g) else float("nan")
     return Certificate(what, rate, found.solver, found.status, numbers, rate)
-
-
-def _root(Q: Matrix) -> Matrix:
-    """G with G G' = Q >= 0."""
-    values, vectors = np.linalg.eigh((Q + Q.T) / 2)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from loops import TICK, plant, resting
+from scipy.linalg import expm
 
 from pcbench.controllers.parts.set_points import SetPoint, reference, rest
 
@@ -39,3 +40,14 @@ def test_where_it_cannot_the_rest_is_that_of_least_squares():
     x, u = resting(P, r, [1, 0, 2])
     np.testing.assert_allclose(got.x, x, atol=1e-12)
     np.testing.assert_allclose(got.u, u, atol=1e-10)
+
+
+@pytest.mark.parametrize("tick", [0.05, 0.01, 1e-3, 1e-5])
+def test_what_cannot_rest_is_not_led_far_away(tick):
+    """A position cannot rest at a velocity of 0.5, whatever the tick: only the velocity's equation is solved."""
+    A, B = np.array([[0.0, 1.0], [-2.0, 0.3]]), np.array([[0.0], [1.5]])
+    whole = expm(tick * np.block([[A, B], [np.zeros((1, 3))]]))
+    position, velocity, u = (rest(whole[:2, :2], whole[:2, 2:], [1]) @ np.array([0.5])).tolist()
+    least = -0.15 / (2.0**2 + 1.5**2) * np.array([-2.0, 1.5])  # -2 position + 0.3 * 0.5 + 1.5 u = 0
+    assert velocity == 0.5
+    np.testing.assert_allclose([position, u], least, atol=2 * tick)

@@ -6,7 +6,7 @@ The reference propagates mean and covariance of the error without a single rando
 import numpy as np
 import pytest
 from harness import CART, ODD, Case, noise, trace
-from reference import cart, linear, moments
+from reference import cart, linear, long_digits, moments
 
 import pcbench
 from pcbench.dynamics import linear as synthesis
@@ -113,3 +113,17 @@ def test_the_bound_has_the_same_bits_whatever_was_found_before():
             riccati.posterior_variance(*given, steps=steps), riccati.posterior_variance(*given)
         )
     assert len(steps.chains) == 2  # the first two cells share one; samples of the others but the third overtake
+
+
+@pytest.mark.parametrize("prior", [1e3, 1e5, 1e7])
+def test_the_bound_keeps_its_digits_where_the_prior_is_far_larger_than_the_noise(prior):
+    """Beside 80 digits; a recursion of P itself is off by 1e-4 of a prior 1e8 times the noise, and efficiency exceeds 1."""
+    F, c, r, ticks = [[0.75, 0.125], [0.0, 1.0]], [1.0, 0.0], 1e-6, 60
+    doubled, P0 = np.array([F]), prior**2 * np.eye(2)
+    for _ in range(5):
+        doubled = np.concatenate([doubled, [doubled[-1] @ doubled[-1]]])
+    samples = [(tick, tick, 0) for tick in range(ticks)]
+    given = (doubled, 0 * doubled, np.array([c]), np.array([r]), P0, samples)
+    want = long_digits.posterior_variances(F, c, P0.tolist(), r, ticks)
+    got = [riccati.posterior_variance(*given, range(k, k + 1)) for k in range(ticks)]
+    np.testing.assert_allclose(got[2:], want[2:], rtol=1e-15 * prior / np.sqrt(r) + 1e-12)

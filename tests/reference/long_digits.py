@@ -27,3 +27,19 @@ def steady_rms(a, h, prior, q, r, period, delay, ticks, tail):
                 V = F2 * V + Q
             total += V if k >= tail else 0
         return float((total / (ticks - tail)).sqrt()), float(V)
+
+
+def posterior_variances(F, c, P0, r, ticks):
+    """Return the variances [ticks, n] after a sample y = c x + v, v ~ N(0, r), at every tick of x+ = F x, in 80 digits."""
+    with localcontext() as context:
+        context.prec = 80
+        F, c, P = ([[Decimal(str(value)) for value in row] for row in M] for M in (F, [c], P0))
+        n, (c,), out = len(F), c, []
+        for _ in range(ticks):
+            Pc = [sum(P[i][j] * c[j] for j in range(n)) for i in range(n)]
+            s = sum(c[i] * Pc[i] for i in range(n)) + Decimal(str(r))
+            P = [[P[i][j] - Pc[i] * Pc[j] / s for j in range(n)] for i in range(n)]
+            out.append([float(P[i][i]) for i in range(n)])
+            FP = [[sum(F[i][k] * P[k][j] for k in range(n)) for j in range(n)] for i in range(n)]
+            P = [[sum(FP[i][k] * F[j][k] for k in range(n)) for j in range(n)] for i in range(n)]
+        return out

@@ -85,3 +85,12 @@ def test_what_cannot_be_taken_is_one_sentence(make, sentence):
     with pytest.raises(UserError, match=sentence) as error:
         make()
     assert "\n" not in str(error.value)
+
+
+def test_what_its_library_cannot_convert_is_a_sentence():
+    class Many:
+        def to_ss(self):
+            raise NotImplementedError("no MIMO system without Slycot")
+
+    with pytest.raises(UserError, match=r"got Many, which its library cannot convert .'no MIMO system without Slycot'."):
+        pcbench.lti(Many(), sampling_period=0.1, delay=0.1, noise_std=0.1)

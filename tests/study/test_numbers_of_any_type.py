@@ -6,6 +6,7 @@ import pytest
 
 import pcbench
 from pcbench.errors import UserError
+from pcbench.planning import all_observers
 from pcbench.study import limits, read, scenarios_of
 from pcbench.study.cells import cells_of
 from pcbench.study.scenario_fit import SIZES
@@ -31,7 +32,10 @@ AXES = {
 
 
 def values(study, **changes):
-    return [cell.values["delay"] for cell in read.grid_of(study, changes, []).cells]
+    """Of both readers: what a function of the package is given goes through the one that knows "all" observers."""
+    grids = [reader.grid_of(study, changes, []) for reader in (read, all_observers)]
+    assert grids[0] == grids[1]
+    return [cell.values["delay"] for cell in grids[0].cells]
 
 
 @pytest.mark.parametrize("kind", AXES)
@@ -53,12 +57,19 @@ def test_seeds_observers_and_options_accept_other_types():
         "observers": np.array(["dkf", "kfbo"]),
         "options": {"kfbo": {"R": np.float64(0.25)}},
     }
-    study = read.grid_of(STUDY, changes, []).study
+    study = all_observers.grid_of(STUDY, changes, []).study
     assert (study.seeds, study.first_seed, study.root_seed, study.observers) == (4, 2, 3, ["dkf", "kfbo"])
     assert study.options == {"kfbo": {"R": 0.25}}
     assert all(type(n) is int for n in (study.seeds, study.first_seed, study.root_seed))
     matrices = {key: np.array(LTI[key]) for key in "ABC"}
     assert read.grid_of(STUDY | {"lti": LTI | matrices}, {}, []).study.lti == read.grid_of(STUDY, {}, []).study.lti
+
+
+def test_a_run_accepts_other_types():
+    plain = pcbench.run(STUDY, seeds=2, axes={"delay": [0.1, 0.2]}).stats
+    for axis in AXES.values():
+        other = pcbench.run(STUDY, seeds=np.int64(2), observers=np.array(["dkf"]), axes={"delay": axis}).stats
+        pd.testing.assert_frame_equal(other, plain)
 
 
 def test_functions_of_the_package_accept_other_types():

@@ -3,6 +3,9 @@
 A set point gives some states a value r(t). The others, and the input, are those under which the plant rests, as well as it can:
 
     x_ref of a chosen state = r,    (x_ref elsewhere, u_ref) = argmin |(Phi - I) x_ref + Gamma u_ref|, the least of all such
+
+Directions in which the plant moves by no more than the rounding of Phi are taken not to move it: a position cannot rest at a
+velocity of 0.5, and is not led to 1e14 for it.
 """
 
 from collections.abc import Mapping
@@ -62,6 +65,9 @@ def _step(given: Any) -> Any:
 SetPoints = dict[str, Annotated[SetPoint, BeforeValidator(_step)]]  # by state
 
 
+ROUNDING = 16 * float(np.finfo(np.float64).eps)
+
+
 class Reference(NamedTuple):
     """What a law leads the plant to, a row a tick from tick 0 on."""
 
@@ -75,7 +81,10 @@ def rest(Phi: Matrix, Gamma: Matrix, chosen: list[int]) -> Matrix:
     whole, free = np.hstack([Phi - np.eye(n), Gamma]), [i for i in range(n + m) if i not in chosen]
     out = np.zeros((n + m, len(chosen)))
     out[chosen, range(len(chosen))] = 1.0
-    out[free] = np.linalg.lstsq(whole[:, free], -whole[:, chosen], rcond=None)[0]
+    size = float(np.linalg.norm(whole[:, free], 2))
+    rounding = ROUNDING * (n + m) * max(float(np.linalg.norm(Phi, 2)), 1.0)  # of Phi - I: what is below it is not known
+    if size > rounding:
+        out[free] = np.linalg.lstsq(whole[:, free], -whole[:, chosen], rcond=rounding / size)[0]
     return out
 
 
