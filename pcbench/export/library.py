@@ -41,10 +41,10 @@ ORDER = """   At tick k, in this order:
      5. {label}_flow; then {label}_next(&now).
 
    {label}_jump returns 0; or 1, with the memory unchanged, for a measurement outside its room. The oldest admissible age is
-   {macro} = {oldest} ticks ({seconds:g} s), and no measurement may be from before tick 0 or after now. It returns 1 as well
-   for a measurement that more newer ones overtook than on the schedule of this room, and after so long without a measurement
-   that the inputs since are no longer stored: then begin again with {label}_begin and {label}_init."""
-OLDEST = "{macro}_OLDEST_AGE"
+   {macro} = {oldest} ticks ({seconds:g} s), and no measurement may be from before tick 0 or after now. There is room for a
+   measurement that at most {macro_overtaking} = {overtaking} newer ones overtook; for others it may return 1, and after so
+   long without one that the inputs since are no longer stored: then begin again with {label}_begin and {label}_init."""
+OLDEST, OVERTAKING = "{macro}_OLDEST_AGE", "{macro}_OVERTAKING"
 ADMITTED = """    for (int j = 0; j < {outputs}; j++) {{
         if (a->fresh[j] && (a->age[j] < 0 || a->age[j] > {macro} || a->age[j] > now->tick)) {{
             return 1;
@@ -89,6 +89,7 @@ class About(NamedTuple):
     outputs: int
     rows: int  # of past inputs
     oldest: int  # [ticks] the greatest age that a measurement may have
+    overtaking: int  # how many newer measurements may arrive before one
 
 
 def comment(text: str) -> str:
@@ -131,6 +132,8 @@ def header(about: About, s: Source) -> str:
         sampled=SAMPLED.format(label=label) if _has(s, "sampled") else "",
         macro=_macro(about),
         oldest=about.oldest,
+        macro_overtaking=OVERTAKING.format(macro=about.label.upper()),
+        overtaking=about.overtaking,
         seconds=about.oldest * about.dt,
     )
     order = (
@@ -156,6 +159,7 @@ def header(about: About, s: Source) -> str:
         "#include <stdint.h>",
         "",
         f"#define {_macro(about)} {about.oldest} /* ticks */",
+        f"#define {OVERTAKING.format(macro=about.label.upper())} {about.overtaking} /* newer measurements */",
         "",
         "#ifdef OBSERVER_FLOAT",
         f"typedef float {label}_real;",

@@ -75,6 +75,7 @@ def test_jump_refuses_measurement_older_than_room_and_changes_nothing(name, tmp_
     found = files.exported(plant, name)
     oldest = found.about.oldest
     assert re.search(rf"_OLDEST_AGE {oldest} /\* ticks \*/", found.files[f"{found.about.label}.h"])
+    assert f"_OVERTAKING {found.about.overtaking} /* newer measurements */" in found.files[f"{found.about.label}.h"]
     assert 5 <= oldest < 100, "the ages that follow are about this room"
     run = {"every": 5, "late": 5, "at": 152, "ticks": 700}  # longer than the horizon
     usual = driven(found, tmp_path, **run, age=-1)
