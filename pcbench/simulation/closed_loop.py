@@ -11,9 +11,8 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.protocols import Controller, Now
-from pcbench.simulation import actuator, metrics, network
-from pcbench.simulation.lanes.entrywise import over
-from pcbench.simulation.problem import Layout, Memories, Problem, State, present
+from pcbench.simulation import metrics, network
+from pcbench.simulation.problem import Layout, Memories, Problem
 
 Tree = TypeVar("Tree")
 
@@ -32,52 +31,18 @@ def before(layout: Layout, p: Problem, memories: Memories) -> Started:
     if layout.controller is None:
         return Started()
     ((label, observer),), controller = layout.observers, layout.controller
-
-    def one_lane(memory: Any) -> Array:
-        xhat = observer.estimate(p.gains[label], memory)
-        ticks = jnp.arange(-layout.commands, 0)  # tick n stands in row n mod R
-        return lax.map(lambda n: controller.before(p.control, n, xhat), ticks)  # a loop: a row at a time, not R copies
-
-    law, start = (), controller.start
+    xhat = observer.estimate(p.gains[label], memories[label])
     if layout.pending:
-        commands = network.empty(layout.commands, layout.pending, p.network.std.shape[0])
+        commands: Any = network.empty(layout.commands, layout.pending, p.network.std.shape[0])
     else:
-        commands = over(one_lane)(memories[label])
-    if start:
-        law = over(lambda memory: start(p.control, observer.estimate(p.gains[label], memory)))(memories[label])
+        ticks = jnp.arange(-layout.commands, 0)  # tick n stands in row n mod R
+        commands = lax.map(lambda n: controller.before(p.control, n, xhat), ticks)  # a row at a time, not R copies
     return Started(
         commands,
         metrics.start(off_target(controller, p, jnp.asarray(0), p.x0).shape[0]),
-        law,
+        controller.start(p.control, xhat) if controller.start else (),
         metrics.start_effort() if isinstance(p.weights, metrics.Weights) else (),
     )
-
-
-def control(layout: Layout, p: Problem, k: Array, state: State, drawn: Any = ()) -> State:
-    """Give the command of tick k in a closed loop, made of the estimate of now; `drawn` is the network's (`network.Drawn`)."""
-    if layout.controller is None:
-        return state
-    ((label, observer),), controller = layout.observers, layout.controller
-
-    def one_lane(k: Array, memory: Any, commands: Any, law: Any, effort: Any, x: Array, drawn: Any) -> Any:
-        def coming(i: Array) -> Array:
-            sent = commands.sent if layout.pending else commands
-            return actuator.read(p.line, sent, k + i, k - 1)
-
-        now, xhat = present(p, k, False, commands), observer.estimate(p.gains[label], memory)
-        command: Any = controller.command
-        if controller.start:
-            c, law = command(p.control, now, xhat, coming, law)
-        else:
-            c = command(p.control, now, xhat, coming)
-        commands = network.send(p.network, k, commands, c, drawn) if layout.pending else actuator.write(commands, k, c)
-        if isinstance(p.weights, metrics.Weights):
-            effort = metrics.spend(effort, p.weights, k, x, pushed(present(p, k, True, commands), commands).u)
-        return commands, law, effort
-
-    given = state.memories[label], state.commands, state.law, state.effort, state.x, drawn
-    commands, law, effort = over(one_lane)(k, *given)
-    return state._replace(commands=commands, law=law, effort=effort)
 
 
 def pushed(now: Now, commands: Any) -> Now:

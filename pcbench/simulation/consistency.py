@@ -17,9 +17,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from pcbench.protocols import Covariance, Surprise
-from pcbench.simulation import judging
-from pcbench.simulation.lanes.entrywise import over
-from pcbench.simulation.problem import Layout, Problem, State, present
+from pcbench.simulation.problem import Layout, Problem, present
 
 KNOWN = 1e-9  # part of the prior's standard deviation
 RANK = 1e-11  # part of a correlation matrix's largest eigenvalue
@@ -32,19 +30,6 @@ class Squares(NamedTuple):
     signal: Array  # [n], NaN of a state that does not count
     states: Array  # that rank
     innovation: Surprise | None = None  # sums over the run, of an observer that says what it expects of samples
-
-
-def squares(layout: Layout, p: Problem, k: Array, state: State, errors: dict[str, Any]) -> dict[str, Squares]:
-    """Return them by observer, of those that have a covariance; errors are those of tick k, after its jumps."""
-
-    def one_lane(k: Array, memories: Any, commands: Any, e: dict[str, Array]) -> dict[str, Squares]:
-        prior, believed = jnp.diagonal(p.spread0), covariances(layout, p, k, memories, commands)
-        return {
-            label: normalised(e[label][: len(prior)], P, prior)._replace(innovation=judging.sums(memories[label]))
-            for label, P in believed.items()
-        }
-
-    return over(one_lane)(k, state.memories, state.commands, errors) if _able(layout) else {}
 
 
 def covariances(layout: Layout, p: Problem, k: Array, memories: Any, commands: Any = ()) -> dict[str, Array]:

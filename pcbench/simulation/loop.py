@@ -13,8 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import consistency, events_per_lane, events_shared, judging, lanes, steps
-from pcbench.simulation.closed_loop import control
+from pcbench.simulation import events_per_lane, events_shared, judging, lanes, steps
 from pcbench.simulation.lifted import flow as lifted
 from pcbench.simulation.metrics import Weights
 from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
@@ -45,7 +44,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
 
     def tick(layout: Layout, k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))
-        new = lanes.like(steps.tick(layout, p, k, full, drawn(k))[0], full, layout.width)
+        new = lanes.like(steps.tick(layout, p, k, full, drawn(k)), full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
 
     def stepped(layout: Layout, start: Array, stop: Array, state: State) -> State:
@@ -68,9 +67,9 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
     state = state._replace(memories=events.whole(state.memories))
     last = steps.score(layout, p, end, state)  # of the last tick its error is all that is needed
     if isinstance(p.weights, Weights):  # or its command, where the input counts
-        last = control(layout, p, end, last, drawn(end).command)
+        last = steps.control(layout, p, end, last, drawn(end).command)
     errors = steps.errors(layout, p, end, state)
-    squares = consistency.squares(layout, p, end, state, errors) if layout.consistency else ()
+    squares = steps.squares(layout, p, end, state, errors) if layout.consistency else ()
     left = (
         (last.streams, last.tracking, last.effort),
         last.watches,

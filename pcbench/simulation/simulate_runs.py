@@ -171,7 +171,7 @@ def initial_run(layout: Layout, p: Problem, params: Any, drawn: Draws) -> Run:
     xhat0 = p.xhat0 + p.scatter * (2 * drawn.box - 1) if layout.scattered else p.xhat0
     run = run_from(layout, p, jnp.asarray(x), xhat0, drawn.words)
     for number in range(p.schedule.early.shape[0]):  # taken before tick 0: they have measured x(0)
-        y = measure(layout, p, params, drawn, jnp.asarray(0, int), run.x, p.schedule.early[number])
+        y = measure(layout, p, params, jnp.asarray(0, int), run.x, drawn.sample(p.schedule.early[number]))
         run = run._replace(flight=run.flight._replace(values=run.flight.values.at[number % layout.ring].set(y)))
     return run
 
@@ -201,9 +201,9 @@ def run_from(layout: Layout, p: Problem, x: Array, xhat0: Array, words: Array) -
     )
 
 
-def measure(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, x: Array, numbers: Array) -> Array:
-    """Return what every channel measures at tick k, [q]: samples of these numbers [q]."""
-    y, v = layout.plant.output(params, present(p, k, True), x), drawn.sample(numbers)
+def measure(layout: Layout, p: Problem, params: Any, k: Array, x: Array, v: Array) -> Array:
+    """Return what every channel measures at tick k, [q]; v is its noise, and what its rounding draws. A loop's y sees no u."""
+    y = layout.plant.output(params, present(p, k, True), x)
     if layout.continuous:
         return y
     y = y + p.noise_std * v[: y.shape[0]]
@@ -225,7 +225,7 @@ def sense(layout: Layout, p: Problem, params: Any, drawn: Draws, k: Array, run: 
         return jax.tree.map(lambda a, v: jnp.where(number >= 0, a.at[place].set(v), a), ring, value)
 
     values, notes = run.flight
-    y = measure(layout, p, params, drawn, k, run.x, plan.sample[k])
+    y = measure(layout, p, params, k, run.x, drawn.sample(plan.sample[k]))
     found = take_notes(layout, p, k, run.memories, run.commands)
     if shift:
         y = y + shift.values[plan.sense[k]]
@@ -288,9 +288,19 @@ def estimate(layout: Layout, p: Problem, params: Any, k: Array, run: Run) -> Run
 
 
 def control(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
-    """4. Give the command of tick k in a closed loop, made of the estimate of now; and add what it costs."""
+    """4. Give the command of tick k in a closed loop, and add what it costs."""
     if layout.controller is None:
         return run
+    run = command(layout, p, k, run, drawn)
+    if not isinstance(p.weights, metrics.Weights):
+        return run
+    window = jnp.sum(k >= p.windows[:, 1])
+    effort = update_window(run.effort, window, partial(spend, layout, p, k, run))
+    return run._replace(effort=effort)
+
+
+def command(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
+    """Return the run with the command of tick k, which its controller makes of the estimate of now."""
     ((label, observer),), controller = layout.observers, layout.controller
     now, xhat = present(p, k, False, run.commands), observer.estimate(p.gains[label], run.memories[label])
     sent = run.commands.sent if layout.pending else run.commands
@@ -298,22 +308,23 @@ def control(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
     def coming(i: Array) -> Array:
         return actuator.read(p.line, sent, k + i, k - 1)
 
-    make: Any = controller.command
-    if controller.start:
-        command, law = make(p.control, now, xhat, coming, run.law)
+    make: Any = controller.command if controller else None
+    if controller and controller.start:
+        c, law = make(p.control, now, xhat, coming, run.law)
     else:
-        command, law = make(p.control, now, xhat, coming), run.law
+        c, law = make(p.control, now, xhat, coming), run.law
     commands: Any
     if layout.pending:
-        commands = network.send(p.network, k, run.commands, command, drawn)
+        commands = network.send(p.network, k, run.commands, c, drawn)
     else:
-        commands = actuator.write(run.commands, k, command)
-    effort = run.effort
-    if isinstance(p.weights, metrics.Weights):
-        window = jnp.sum(k >= p.windows[:, 1])
-        u = closed_loop.pushed(present(p, k, True, commands), commands).u
-        effort = update_window(effort, window, lambda s: metrics.spend(s, p.weights, k, run.x, u))
-    return run._replace(commands=commands, law=law, effort=effort)
+        commands = actuator.write(run.commands, k, c)
+    return run._replace(commands=commands, law=law)
+
+
+def spend(layout: Layout, p: Problem, k: Array, run: Run, effort: metrics.Effort) -> metrics.Effort:
+    """Return the effort with what the input of tick k costs."""
+    u = closed_loop.pushed(present(p, k, True, run.commands), run.commands).u
+    return metrics.spend(effort, p.weights, k, run.x, u)
 
 
 def flow(layout: Layout, p: Problem, params: Any, k: Array, run: Run, w: Array) -> Run:

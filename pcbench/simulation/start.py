@@ -1,6 +1,7 @@
 """The state before tick 0: start, memories, what a run draws for itself; with whatever will differ between lanes spread."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import jax
@@ -34,7 +35,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     """
     k = jnp.asarray(0)
     memories = _memories(layout, p, root_seed, seeds)
-    loop = before(layout, p, memories)
+    loop = over(partial(before, layout, p))(memories)
     state = State(
         x=_plant(layout, p, root_seed, seeds),
         drawn=drawn_numbers(layout, root_seed, seeds),
@@ -56,7 +57,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     ready = jax.tree.map(lambda x: x if lanes.is_lanes(x) else jnp.asarray(x), state, is_leaf=lanes.is_lanes)
     drawn, happen = drawing(layout, p, root_seed, seeds)(k), _everything(layout, p)
     ready = ready._replace(commands=network.tabled(ready.commands) if layout.pending else table(ready.commands))
-    return lanes.settle(lambda state: steps.tick(layout, p, k, state, drawn, happen)[0], ready, layout.width)
+    return lanes.settle(lambda state: steps.tick(layout, p, k, happen(k, state), drawn), ready, layout.width)
 
 
 def _plant(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:

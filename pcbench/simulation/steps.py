@@ -1,19 +1,18 @@
-"""The steps of a tick, in their order: sense, deliver, estimate, control, flow; and `tick`, which takes them.
+"""The steps of a tick on many lanes: the functions of one run in `simulate_runs`, each carried over the lanes.
 
-Plant and observers are one-lane functions carried over the lanes by `lanes.entrywise`. At which ticks something is sensed or
-delivered say `events_shared` and `events_per_lane`. In an open loop all observers watch one plant. A closed loop
-simulates a single observer, which drives a plant of its own (`closed_loop`).
+At which ticks something is sensed or delivered say `events_shared` and `events_per_lane`. In an open loop all observers watch
+one plant. A closed loop simulates a single observer, which drives a plant of its own.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 from jax import Array
 
-from pcbench.dynamics.integrate import rk4
-from pcbench.protocols import Arrival, Memory, Now
-from pcbench.simulation import metrics
-from pcbench.simulation.closed_loop import control, off_target, pushed, unless_diverged
+from pcbench.protocols import Arrival
+from pcbench.simulation import metrics, simulate_runs
+from pcbench.simulation.closed_loop import off_target
 from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.problem import (
     Layout,
@@ -27,10 +26,9 @@ from pcbench.simulation.problem import (
     present,
     truth,
 )
-from pcbench.simulation.sample_noise import rounded
+from pcbench.simulation.simulate_runs import Run, freeze_diverged
 
 Happen = Callable[[Array, State], State]  # (tick, state) -> state after all that is sensed and delivered at the tick
-Read = Callable[[Array, State], Any]  # (tick, state) -> what is to be kept of it
 
 
 class Drawn(NamedTuple):
@@ -49,68 +47,57 @@ class Row(NamedTuple):
     since: PerLane
 
 
-def nothing(k: Array, state: State) -> State:
-    """Return the state unchanged: the `happen` of a tick without events."""
-    return state
+class Lane(NamedTuple):
+    """What steps read of a state; of one lane, a part of a `Run`."""
+
+    x: Any = ()
+    memories: Any = ()
+    commands: Any = ()
+    watches: Any = ()  # of a closed loop, which is frozen once it has diverged
+
+    @property
+    def run(self) -> Run:
+        """Return it as the definition has it."""
+        return Run(self.x, self.memories, Packet((), {}), {}, self.watches, self.commands)
 
 
-def tick(
-    layout: Layout, p: Problem, k: Array, state: State, drawn: Drawn, happen: Happen = nothing, read: Read | None = None
-) -> tuple[State, Any]:
-    """Return the state at tick k + 1, and what `read` finds at tick k once its command is given.
+def seen(layout: Layout, state: State) -> Lane:
+    """Return what observers see of a state."""
+    return Lane((), state.memories, state.commands, state.watches if layout.controller else {})
 
-    This is the order of events of `simulate_runs.tick`, on many lanes. `loop.simulate` lets events happen itself where there
-    are any, and takes the ticks from there to the next without.
-    """
-    state = happen(k, state)  # 1. sense, 2. deliver
+
+def tick(layout: Layout, p: Problem, k: Array, state: State, drawn: Drawn) -> State:
+    """Return the state at tick k + 1, of one at tick k after its events: the order is that of `simulate_runs.tick`."""
     state = score(layout, p, k, state)  # 3. estimate
     state = control(layout, p, k, state, drawn.command)  # 4. control
-    seen = read(k, state) if read else None
-    return flow(layout, p, k, state, drawn.process), seen  # 5. flow
+    return flow(layout, p, k, state, drawn.process)  # 5. flow
 
 
 # 1. sense
 
 
 def measure(layout: Layout, p: Problem, k: Array, state: State, noise: PerLane) -> PerLane:
-    """Return what every channel measures at tick k: y[q] with its noise [q], and rounded where it is (`sample_noise`).
-
-    In a closed loop y does not see u.
-    """
-    q = p.noise_std.shape[0]
+    """Return what every channel measures at tick k, [q]."""
 
     def one_lane(k: Array, x: Array, drawn: Any, v: Array) -> Array:
-        y = layout.plant.output(params_of(layout, p, drawn), present(p, k, True), x)
-        if layout.continuous:
-            return y
-        y = y + p.noise_std * v[:q]
-        return rounded(p.rounding, y, v[q:]) if p.rounding else y
+        return simulate_runs.measure(layout, p, params_of(layout, p, drawn), k, x, v)
 
     return over(one_lane)(k, state.x, state.drawn, noise)
 
 
 def note(layout: Layout, p: Problem, k: Array, state: State) -> Notes:
     """Return what every observer notes at tick k."""
-
-    def one_lane(k: Array, memories: Memories, commands: Any) -> Notes:
-        now = present(p, k, False, commands)
-        return {label: o.note(p.gains[label], memories[label], now) for label, o in layout.observers}
-
-    return over(one_lane)(k, state.memories, state.commands)
+    return over(partial(simulate_runs.take_notes, layout, p))(k, state.memories, state.commands)
 
 
 def told(layout: Layout, p: Problem, k: Array, state: State, fresh: PerLane) -> Memories:
     """Return the memories after observers were told which channels [q] are sampled at tick k; `tells` says whether any is."""
 
-    def one_lane(k: Array, memories: Memories, commands: Any, watches: Any, fresh: Array) -> Memories:
-        now = present(p, k, False, commands)
-        after = memories | {
-            label: o.sampled(p.gains[label], memories[label], now, fresh) for label, o in layout.observers if o.sampled
-        }
-        return unless_diverged(watches, after, memories) if layout.controller else after
+    def one_lane(k: Array, lane: Lane, fresh: Array) -> Memories:
+        after = simulate_runs.notify(layout, p, k, lane.run, fresh)
+        return freeze_diverged(layout, lane.run, after, lane.memories)
 
-    watches = state.watches if layout.controller else {}
-    return over(one_lane)(k, state.memories, state.commands, watches, fresh)
+    return over(one_lane)(k, seen(layout, state), fresh)
 
 
 def tells(layout: Layout) -> bool:
@@ -124,21 +111,12 @@ def tells(layout: Layout) -> bool:
 def jump(layout: Layout, p: Problem, k: Array, state: State, row: Row, packet: Packet) -> Memories:
     """Return the memories after a packet that arrives at tick k."""
 
-    def one_lane(k: Array, memories: Memories, commands: Any, watches: Any, row: Row, packet: Packet) -> Memories:
-        now = present(p, k, False, commands)
-        jumped = {
-            label: o.jump(p.gains[label], memories[label], now, arrival_of(row, packet, label))
-            for label, o in layout.observers
-        }
-        return unless_diverged(watches, jumped, memories) if layout.controller else jumped
+    def one_lane(k: Array, lane: Lane, row: Row, packet: Packet) -> Memories:
+        arrival = partial(Arrival, packet.values, row.fresh, row.age, row.number, since=row.since)
+        after = simulate_runs.jump(layout, p, k, lane.run, packet.notes, arrival)
+        return freeze_diverged(layout, lane.run, after, lane.memories)
 
-    watches = state.watches if layout.controller else {}
-    return over(one_lane)(k, state.memories, state.commands, watches, row, packet)
-
-
-def arrival_of(row: Row, packet: Packet, label: str) -> Arrival:
-    """Return a packet as it arrives at the observer of a label."""
-    return Arrival(packet.values, row.fresh, row.age, row.number, packet.notes[label], row.since)
+    return over(one_lane)(k, seen(layout, state), row, packet)
 
 
 # 3. estimate
@@ -164,8 +142,11 @@ def actual(layout: Layout, p: Problem, k: Array, state: State) -> PerLane:
 
 def errors(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, PerLane]:
     """Return e of every observer at tick k, of all that it estimates."""
-    subtract = over(lambda z, found: {label: z[: each.shape[0]] - each for label, each in found.items()})
-    return subtract(actual(layout, p, k, state), estimates(layout, p, state))
+
+    def one_lane(k: Array, lane: Lane, drawn: Any) -> dict[str, Array]:
+        return simulate_runs.errors(layout, p, params_of(layout, p, drawn), k, lane.run)
+
+    return over(one_lane)(k, Lane(state.x, state.memories), state.drawn)
 
 
 def score(layout: Layout, p: Problem, k: Array, state: State) -> State:
@@ -183,44 +164,40 @@ def score(layout: Layout, p: Problem, k: Array, state: State) -> State:
     return state._replace(streams=streams, watches=watches, tracking=tracking)
 
 
-# 5. flow (4., control, is in `closed_loop`)
+def squares(layout: Layout, p: Problem, k: Array, state: State, e: dict[str, PerLane]) -> dict[str, Any]:
+    """Return the errors of tick k divided by the covariances that observers report, of those that have one."""
+
+    def one_lane(k: Array, lane: Lane, e: dict[str, Array]) -> dict[str, Any]:
+        return simulate_runs.normalized_errors(layout, p, k, lane.run, e)
+
+    return over(one_lane)(k, seen(layout, state), e)
+
+
+# 4. control, 5. flow
+
+
+def control(layout: Layout, p: Problem, k: Array, state: State, drawn: Any = ()) -> State:
+    """Give the command of tick k in a closed loop, and add what it costs; `drawn` is the network's (`network.Drawn`)."""
+    if layout.controller is None:
+        return state
+
+    def one_lane(k: Array, lane: Lane, law: Any, effort: Any, drawn: Any) -> Any:
+        run = simulate_runs.command(layout, p, k, lane.run._replace(law=law), drawn)
+        if isinstance(p.weights, metrics.Weights):
+            effort = simulate_runs.spend(layout, p, k, run, effort)
+        return run.commands, run.law, effort
+
+    lane = Lane(state.x, state.memories, state.commands)
+    commands, law, effort = over(one_lane)(k, lane, state.law, state.effort, drawn)
+    return state._replace(commands=commands, law=law, effort=effort)
 
 
 def flow(layout: Layout, p: Problem, k: Array, state: State, w: PerLane) -> State:
     """Move plant and observers from tick k to tick k + 1, the plant with the process noise w [n]."""
 
-    def one_lane(k: Array, x: Array, drawn: Any, memories: Memories, watches: Any, commands: Any, w: Array) -> Any:
-        now, params = present(p, k, True, commands), params_of(layout, p, drawn)
-        if layout.continuous:
-            moved, flowed = _together(layout, p, params, now, x, memories, commands)
-        else:
-            moved = layout.plant.step(params, pushed(now, commands), x)
-            flowed = {label: o.flow(p.gains[label], memories[label], now) for label, o in layout.observers}
-        moved = moved + _scaled(p.process_std, w) if w.size else moved
-        if layout.controller:
-            return unless_diverged(watches, (moved, flowed), (x, memories))
-        return moved, flowed
+    def one_lane(k: Array, lane: Lane, drawn: Any, w: Array) -> Any:
+        run = simulate_runs.flow(layout, p, params_of(layout, p, drawn), k, lane.run, w)
+        return run.x, run.memories
 
-    watches = state.watches if layout.controller else {}
-    x, memories = over(one_lane)(k, state.x, state.drawn, state.memories, watches, state.commands, w)
+    x, memories = over(one_lane)(k, seen(layout, state)._replace(x=state.x), state.drawn, w)
     return state._replace(x=x, memories=memories)
-
-
-def _scaled(std: Any, w: Array) -> Array:
-    """Process noise [n] of the standard deviations std [n], or of the root std [n, n] of its covariance."""
-    return std @ w if std.ndim == 2 else std * w
-
-
-def _together(
-    layout: Layout, p: Problem, params: Any, now: Now, x: Array, memories: Memories, commands: Any
-) -> tuple[Array, Memories]:
-    """Move plant and observers by one tick as one field: at every stage the observers see y of that stage."""
-    plant_field: Any = layout.plant.field
-
-    def field(t: Array, z: tuple[Array, dict[str, Memory]]) -> tuple[Array, dict[str, Memory]]:
-        there, (x, memories) = now._replace(t=t), z
-        y = layout.plant.output(params, there, x)
-        rates = {label: o.field(p.gains[label], memories[label], there, y) for label, o in layout.observers if o.field}
-        return plant_field(params, pushed(there, commands), x), rates
-
-    return rk4(field, now.t, (x, memories), now.dt)

@@ -92,5 +92,7 @@ def test_what_its_library_cannot_convert_is_a_sentence():
         def to_ss(self):
             raise NotImplementedError("no MIMO system without Slycot")
 
-    with pytest.raises(UserError, match=r"got Many, which its library cannot convert .'no MIMO system without Slycot'."):
+    with pytest.raises(
+        UserError, match=r"got Many, which its library cannot convert .'no MIMO system without Slycot'."
+    ):
         pcbench.lti(Many(), sampling_period=0.1, delay=0.1, noise_std=0.1)
