@@ -60,6 +60,12 @@ CASES = {
         "axes": {"loss": [0.2], "delay_jitter": [0.05], "jitter": [0.02]},
         **RANDOM,
     },
+    "clones": {
+        "lti": LTI | {"delay": [0.5, 0.5], "sampling_period": [0.1, 0.1]},
+        "observers": ["kf-cloning", "kf-larsen"],
+        "axes": {"loss": [0.2], "delay_jitter": [0.05]},
+        "options": {"scenario": {"random_start": True, "consistency": True}},
+    },
     "stamps": {"lti": LTI, "observers": ["dkf"], "axes": {"stamp_jitter": [0.02], "loss": [0.1]}},
     "loop": {"lti": LTI, "observers": ["dkf"], "controller": LQR, **RANDOM},
     "random loop": {"lti": LTI, "observers": ["kf-now"], "controller": LQR, "axes": {"loss": [0.3]}},

@@ -23,10 +23,11 @@ from jaxtyping import Bool, Float, Int
 from pcbench.dynamics.integrate import after, covariance_after
 from pcbench.errors import UserError
 from pcbench.observers.parts import kalman, linear_filter, reordering
-from pcbench.protocols import Arrival, Now, Room, Surprise
+from pcbench.protocols import Arrival, Now, Room, Surprise, together
 from pcbench.synthesis.certificate import Setting
 
 MOST = 16  # clones: a covariance of 17 states' worth squared is carried through every update
+LARGE = 256  # numbers of P
 Gain = Callable[
     [Array, Array, Array], Array
 ]  # (h [joint], s, which rows are of now or of the sample's time) -> K [joint]
@@ -75,6 +76,11 @@ def carried(gains: Any, memory: Memory, now: Now) -> Memory:
 
 def sampled(gains: Any, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> Memory:
     """Make a clone of the present, in place of the oldest."""
+    found: Memory = _whole(memory, lambda memory, fresh: _sampled(gains, memory, now, fresh))(memory, fresh)
+    return found
+
+
+def _sampled(gains: Any, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> Memory:
     memory = carried(gains, memory, now)
     J, n = memory.clones.shape
     mine = jnp.arange(J) == memory.made % J
@@ -91,10 +97,19 @@ def sampled(gains: Any, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> M
     )
 
 
+def _whole(memory: Memory, f: Any) -> Any:
+    """The function for one run as it is carried over many: in one piece, where entry by entry it would compile for minutes."""
+    return together(f) if memory.P.size >= LARGE else f
+
+
 def jumping(gain: Gain) -> Any:
     """Return the jump of an observer with this gain."""
 
     def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
+        found: Memory = _whole(memory, lambda memory, arrival: jumped(gains, memory, now, arrival))(memory, arrival)
+        return found
+
+    def jumped(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
         sample, memory = reordering.sample_of(now, arrival, gains.D), carried(gains, memory, now)
         n, P = memory.xhat.shape[0], memory.P
         z = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)])
@@ -116,6 +131,11 @@ def jumping(gain: Gain) -> Any:
 
 def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
     """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
+    found: Surprise = _whole(memory, lambda memory, arrival: _innovation(gains, memory, now, arrival))(memory, arrival)
+    return found
+
+
+def _innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
     sample, memory = reordering.sample_of(now, arrival, gains.D), carried(gains, memory, now)
     z, P = jnp.concatenate([memory.xhat - memory.g, memory.clones.reshape(-1)]), memory.P
     mine = jnp.append(False, memory.taken == sample.taken)
