@@ -110,11 +110,6 @@ def differences(a: Owned, b: Owned) -> list[str]:
     return list(dict.fromkeys([*changes(old, new), *changes(new, old)]))
 
 
-def numbers_in(owned: Owned) -> dict[str, list[str]]:
-    """Return by scenario the digests of the cells in order of number, as a study's text says."""
-    return dict(toml_text.parse(owned.text)["resolved"]["cells"])
-
-
 def begin(target: store.Target, owned: Owned) -> None:
     """Prepare the folder: delete the closing tables of an earlier run (with `fresh` its blocks too), then write study.toml."""
     store.make(target)

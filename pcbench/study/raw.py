@@ -36,6 +36,11 @@ def raw_of(what: Described, overrides: list[str], gate: Gate) -> dict[str, Any]:
         raw = {"name": name.rpartition(":")[2], "scenarios": [name]}
     elif name.endswith(".toml") or _is_file(name):
         raw, folder = _read(Path(name)), Path(name).parent
+    elif _is_folder(name):
+        raise UserError(
+            f"{short(name)}: got a folder, expected a study, a scenario or a TOML file; pcbench status shows what a folder of "
+            "results holds."
+        )
     else:
         raise unknown("study", "study, scenario or TOML file", name, [*STUDIES, *SCENARIOS])
     for text in overrides:
@@ -157,6 +162,13 @@ def _read(path: Path) -> dict[str, Any]:
         ) from None
     raw.pop("resolved", None)
     return {"name": path.stem} | raw
+
+
+def _is_folder(what: str) -> bool:
+    try:
+        return Path(what).is_dir()
+    except OSError:  # a name too long to be one
+        return False
 
 
 def _is_file(what: str) -> bool:

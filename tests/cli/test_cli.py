@@ -53,6 +53,7 @@ BAD = {
     "seeds in words": (["run", "quick", "--seeds", "many"], "--seeds", "valid integer"),
     "too late": (["run", "quick", "--set", "axes.delay=11"], "got 11 s", "at most the horizon"),
     "no file": (["run", "nowhere.toml"], "nowhere.toml", "cannot be read"),
+    "a folder": (["run", "."], ".: got a folder", "pcbench status"),
     "no equals sign": (["run", "quick", "--set", "axes.delay"], "--set axes.delay", "KEY=VALUE"),
     "command": (["rum", "quick"], "rum", "--help"),
     "flag": (["run", "quick", "--sedes", "3"], "--sedes", "--help"),

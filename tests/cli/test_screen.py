@@ -333,7 +333,9 @@ def test_who_knows_how_wrong_it_is_stands_in_a_table_with_its_verdict(cells, exa
 
 def test_of_who_believes_nothing_nothing_is_said():
     console = Screen(file=io.StringIO(), width=100)
-    assert consistency.said("cart/slow", believed(1).iloc[:0], console) == []
+    nothing, refused = believed(1).iloc[:0], believed(1).assign(mean=np.nan)
+    for stats in (nothing, refused):
+        assert consistency.said("cart/slow", stats, console) == []
     assert console.file.getvalue() == ""
 
 

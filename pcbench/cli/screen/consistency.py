@@ -31,7 +31,7 @@ def said(name: str, stats: pd.DataFrame, console: Console) -> list[str]:
     part = stats[stats.metric.isin([*SHOWN, *(BANDS[m] for m in SHOWN)])]
     cells = [(cell, _by_observer(rows)) for cell, rows in part.groupby("cell", sort=False)]
     found = [(cell, o, wide) for cell, wide in cells for o in dict.fromkeys(wide.index.get_level_values("observer"))]
-    if not found:
+    if not any(judged(wide, o, metric) for _, o, wide in found for metric in SHOWN):
         return []
     if len(found) > LONGEST:
         columns = _counted(found)
