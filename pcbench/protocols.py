@@ -22,7 +22,7 @@ Memory = Any  # a pytree of arrays: an observer's state between ticks
 Delay = Callable[[Any], Any]  # of a closed loop: t [s], an array -> tau [s]
 
 
-TOGETHER = "together"  # the name by which simulations know a function that `together` has made
+TOGETHER = "pcbench_together"  # the name by which simulations know a function that `together` has made
 
 
 def together(f: Callable[..., Any]) -> Callable[..., Any]:
@@ -31,10 +31,11 @@ def together(f: Callable[..., Any]) -> Callable[..., Any]:
     Other functions are carried over entry by entry, which is faster where arrays are small, and compiles slowly where not.
     """
 
-    def together(*args: Any) -> Any:
+    def whole(*args: Any) -> Any:
         return f(*args)
 
-    return jax.jit(together)
+    whole.__name__ = TOGETHER  # a user's own function may be called `together`
+    return jax.jit(whole)
 
 
 class Now(NamedTuple):

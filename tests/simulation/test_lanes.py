@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
+from pcbench import protocols
 from pcbench.errors import UserError
 from pcbench.protocols import together
 from pcbench.simulation import lanes
@@ -237,3 +238,18 @@ def test_in_one_piece_what_is_the_same_in_all_lanes_stays_so_and_many_rows_lie_t
     assert (found[0].rows, found[0].parts.shape) == (50, (3,))
     assert (found[1], found[2].rows) == (5, None)
     assert found[0].parts[1].shape == (50, L)
+
+
+def test_a_function_of_a_user_called_together_is_one_like_any_other(monkeypatch):
+    @jax.jit
+    def together(x):
+        return x * 2.0
+
+    def refused(*given):
+        raise AssertionError
+
+    x = lanes.split(jnp.ones((3, L)))
+    monkeypatch.setattr(entrywise, "_together", refused)
+    np.testing.assert_array_equal(lanes.join(over(together)(x)), 2 * np.ones((3, L)))
+    with pytest.raises(AssertionError):
+        over(protocols.together(lambda x: x * 2.0))(x)
