@@ -17,9 +17,9 @@ from pcbench.moments.realised import Realised
 ALONE = "observer"  # what an observer is called that goes by itself
 
 
-def computed(ones: list[Realised], recorded: str, every: int = 1) -> Found:
+def computed(ones: list[Realised], recorded: str, every: int = 1, width: int | None = None) -> Found:
     """Return what cells of one layout leave, [..., at least as many as there are], no observer spoilt by another."""
-    found = compute(ones, recorded, every)
+    found = compute(ones, recorded, every, width)
     layout = ones[0].layout
     spoilt = [
         at for at in range(len(ones)) if not all(np.isfinite(a[..., at]).all() for a in jax.tree.leaves(found.sums))

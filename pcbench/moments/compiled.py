@@ -21,10 +21,12 @@ from pcbench.simulation.schedule import shared
 FEW, SOME, MANY = 8, 64, 128  # cells a call; of the cart's a cell costs four fifths with 128 of what it does with 64
 
 
-def compute(ones: list[Realised], recorded: str, every: int = 1) -> Found:
-    """Return what a batch leaves, [..., FEW, SOME or MANY], with what is recorded at every so many ticks."""
-    own = own_of(ones[0].problem)
-    width = _width(len(ones), (ones[0].layout, own, recorded, every))
+def compute(ones: list[Realised], recorded: str, every: int = 1, width: int | None = None) -> Found:
+    """Return what a batch leaves, [..., FEW, SOME or MANY], with what is recorded at every so many ticks.
+
+    `width` is how many the call is for; None: as few as have room for the batch.
+    """
+    own, width = own_of(ones[0].problem), width or width_of(ones, set())
     each = _alike([ones[min(i, len(ones) - 1)] for i in range(width)])
     given = together([one.problem for one in each], [one.network for one in each], [one.chance for one in each])
     if ones[0].mode:
@@ -33,13 +35,14 @@ def compute(ones: list[Realised], recorded: str, every: int = 1) -> Found:
     return jax.tree.map(np.asarray, made(given))
 
 
-def _width(cells: int, kind: Hashable) -> int:
-    """Return how many cells a call is for; the last ones of a study go by the program of those before, not by another."""
-    if cells <= FEW:
+def width_of(ones: list[Realised], wide: set[Hashable]) -> int:
+    """Return how many cells a call for these is for: of a kind that is `wide` already, the last ones go by its program."""
+    kind = ones[0].layout, own_of(ones[0].problem)
+    if len(ones) <= FEW:
         return FEW
-    if cells <= SOME and kind not in _WIDE:
+    if len(ones) <= SOME and kind not in wide:
         return SOME
-    _WIDE.add(kind)
+    wide.add(kind)
     return MANY
 
 
@@ -90,6 +93,5 @@ class Making:
     made: Any = None
 
 
-_WIDE = set[Hashable]()  # kinds of cells of which there were more than SOME in a call
 _ASKING = Lock()
 _MADE = compiling.Programs()

@@ -17,7 +17,7 @@ from pcbench.moments.believed import Believed
 from pcbench.moments.bending import ROUNDING, bent
 from pcbench.moments.carried import Found
 from pcbench.moments.combined import combined
-from pcbench.moments.compiled import MANY
+from pcbench.moments.compiled import MANY, width_of
 from pcbench.moments.given import shared_of
 from pcbench.moments.items import Asked, Item
 from pcbench.moments.modes import delays_alone
@@ -182,8 +182,12 @@ def _computed(
 ) -> Iterator[tuple[list[Item], Found]]:
     """Yield batches in their order with what they left, some under way at a time."""
     waiting: list[tuple[list[Item], Future[Found]]] = []
+    wide = set[Hashable]()  # of this call alone: what was computed before decides no bit
     for items in batches:
-        work = (_refused, items[0]) if items[0].bend else (_kept, [item.one for item in items], asked)
+        work: tuple[Any, ...] = (_refused, items[0])
+        if not items[0].bend:
+            ones = [item.one for item in items]
+            work = _kept, ones, asked, width_of(ones, wide)
         waiting.append((items, threads.submit(batch.in_float64, *work)))
         if len(waiting) > 2 * batch.cores():
             first, future = waiting.pop(0)
@@ -192,9 +196,9 @@ def _computed(
         yield items, future.result()
 
 
-def _kept(ones: list[Realised], asked: Asked) -> Found:
+def _kept(ones: list[Realised], asked: Asked, width: int | None = None) -> Found:
     """Compute a batch, and of what is recorded keep what is asked for: cells are read one by one, and first."""
-    found = computed(ones, asked.recorded, asked.every(int(ones[0].problem.windows[-1, 1])))
+    found = computed(ones, asked.recorded, asked.every(int(ones[0].problem.windows[-1, 1])), width)
     return found._replace(rows=jax.tree.map(_cells_first, found.rows))
 
 

@@ -1,5 +1,7 @@
 """Cells that go through a program side by side, their functions written out entry by entry: the numbers of one alone."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -57,3 +59,13 @@ def test_where_a_matrix_changes_is_known_beforehand_where_it_reads_the_tick_but_
     assert not timed(long, own, lambda p, k, state: p["own"] * p["common"][k], state), (
         "it has another row at every tick"
     )
+
+
+def test_how_many_go_side_by_side_depends_on_the_cells_of_a_study_alone(monkeypatch):
+    """The last cells of a study go by the program of those before; what another study had before decides no bit."""
+    monkeypatch.setattr(compiled, "own_of", lambda problem: ())
+    cell, wide = SimpleNamespace(layout="one", problem=()), set()
+    assert compiled.width_of([cell] * compiled.MANY, wide) == compiled.MANY
+    assert compiled.width_of([cell] * compiled.SOME, wide) == compiled.MANY
+    assert compiled.width_of([cell] * compiled.SOME, set()) == compiled.SOME
+    assert compiled.width_of([cell] * compiled.FEW, wide) == compiled.FEW
