@@ -71,7 +71,8 @@ def difference(pairs: "pd.DataFrame", observer: str, best: str) -> str:
     if forward.empty and backward.empty:
         return "-"
     row, sign = (forward.iloc[0], 1) if len(forward) else (backward.iloc[0], -1)
-    if row.n != 1 and (row.p_holm > 0.05 or row.prob_a_better == 0.5):  # one run says nothing of others
+    same = row.p_holm > 0.05 or row.prob_a_better == 0.5 or row.mean_diff == 0
+    if row.n != 1 and same:  # one run says nothing of others
         return "="
     low, high = sorted((sign * row.ci_low, sign * row.ci_high))
     return estimate(sign * row.mean_diff, low, high, sign="+")

@@ -68,6 +68,7 @@ def test_a_difference_is_that_of_the_observer_to_the_best_whichever_stands_first
         ({"p_holm": 0.051}, "="),
         ({"p_holm": 0.05}, "+0.40 ± 0.10"),
         ({"prob_a_better": 0.5}, "="),
+        ({"mean_diff": 0.0, "ci_low": 0.0, "ci_high": 0.0, "p_holm": NAN, "prob_a_better": NAN}, "="),
         ({"n": 1, "ci_low": NAN, "ci_high": NAN, "p_holm": 0.2}, "+0.4 ± ?"),
         ({"mean_diff": NAN}, "-"),
         ({"ci_low": 0.4, "ci_high": 0.4, "p_holm": NAN}, "+0.4"),
