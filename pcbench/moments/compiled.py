@@ -1,8 +1,6 @@
 """Compiled programs of exact moments and calls of them: `FEW`, `SOME` or `MANY` cells side by side."""
 
 from collections.abc import Hashable
-from dataclasses import dataclass, field
-from threading import Lock
 from typing import Any
 
 import jax
@@ -56,20 +54,16 @@ def _alike(each: list[Realised]) -> list[Realised]:
     return [one._replace(problem=one.problem._replace(schedule=s)) for one, s in zip(each, wide, strict=True)]
 
 
-_COMPILING = Lock()
-
-
 def _program(one: Realised, own: tuple[bool, ...], width: int, recorded: str, every: int, given: Given) -> Any:
     leaves, tree = jax.tree.flatten(given)
     key = one.layout, own, width, recorded, every, tree, tuple((np.shape(a), np.asarray(a).dtype) for a in leaves)
-    with _ASKING:
-        waiting = _MADE.ask(key, Making)
-    with waiting.lock:  # the second thread to ask waits for the first one's program; another is made beside it
-        if waiting.made is None:
-            form = form_of(one.layout, one.problem)
-            written = width > FEW and not form.flight and form.many <= WRITTEN_OUT
-            waiting.made = _compiled(one.layout, Shape(width, form, own, recorded, every, written), given)
-        return waiting.made
+
+    def new() -> Any:
+        form = form_of(one.layout, one.problem)
+        written = width > FEW and not form.flight and form.many <= WRITTEN_OUT
+        return _compiled(one.layout, Shape(width, form, own, recorded, every, written), given)
+
+    return _MADE.ask(key, new)
 
 
 def _compiled(layout: Layout, shape: Shape, given: Given) -> Any:
@@ -85,13 +79,4 @@ def _compiled(layout: Layout, shape: Shape, given: Given) -> Any:
     return jax.jit(moments).lower(shapes).compile(options)
 
 
-@dataclass
-class Making:
-    """A program that is made by the thread that holds its lock."""
-
-    lock: Any = field(default_factory=Lock)
-    made: Any = None
-
-
-_ASKING = Lock()
 _MADE = compiling.Programs()

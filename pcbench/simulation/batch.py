@@ -10,7 +10,6 @@ import operator
 import os
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache, partial
-from threading import Lock
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -80,12 +79,11 @@ def program(layout: Layout, job: Job, device: Any = None) -> Program:
             "the size of errors compared here; call pcbench.setup(), or run inside jax.enable_x64(True)."
         )
     leaves, tree = jax.tree.flatten(arguments(job, layout.width))
-    with _COMPILING:  # the second thread to ask waits for the first one's program
-        made_for = layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves)
-        return _PROGRAMS.ask(made_for, lambda: _compiled(*made_for))
+    made_for = layout, device or jax.devices()[0], tree, tuple((np.shape(a), a.dtype) for a in leaves)
+    found: Program = _PROGRAMS.ask(made_for, lambda: _compiled(*made_for))
+    return found
 
 
-_COMPILING = Lock()
 _PROGRAMS = compiling.Programs()
 _NUMBERS = itertools.count(1)
 

@@ -1,13 +1,15 @@
 """Compiled programs of this process, and no more of them than are used. jax keeps them on disk where `process.setup` says."""
 
 import ctypes
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from functools import cache, wraps
+from threading import Lock, Semaphore
 from typing import Any
 
 import jax
 
 MOST = 16  # programs that one cache keeps
+AT_ONCE = 2  # programs that are made side by side: a compiler may take gigabytes for one
 MAPPINGS = 10_000  # of memory, that these have together: a program has 130 to 5,000, and Linux allows a process 65,530
 
 
@@ -25,29 +27,60 @@ def bounded(function: Callable[..., Any], static_argnums: int | tuple[int, ...] 
     return call
 
 
-class Programs(dict[Hashable, Any]):
-    """The programs that were asked for last, by what they are compiled for, within `MOST` and `MAPPINGS`."""
+class Made:
+    """A program, or the place of one that is being made by the thread that holds its lock."""
 
-    made = 0  # so far
+    def __init__(self) -> None:
+        """Begin without one."""
+        self.lock = Lock()
+        self.program: Any = None
+        self.mappings = 0  # of memory, as far as it was made within `ask`
+
+
+class Programs:
+    """The programs that were asked for last, by what they are compiled for, within `MOST` and `MAPPINGS`.
+
+    Threads that ask for different ones make `AT_ONCE` of them side by side; who asks for one that is being made waits for it.
+    """
 
     def __init__(self) -> None:
         """Begin with none."""
-        super().__init__()
-        self.mappings: dict[Hashable, int] = {}  # of each program, as far as it was made within `ask`
+        self.made = 0  # so far
+        self._kept: dict[Hashable, Made] = {}
+        self._lock, self._room = Lock(), Semaphore(AT_ONCE)
+
+    def __iter__(self) -> Iterator[Hashable]:
+        """Iterate over what programs are compiled for, the one that was asked for last at the end."""
+        return iter(self._kept)
+
+    def __len__(self) -> int:
+        """Return how many there are."""
+        return len(self._kept)
 
     def ask(self, key: Hashable, new: Callable[[], Any]) -> Any:
         """Return the program of a key, made by `new` if there is none."""
-        if key in self:
-            self[key] = found = self.pop(key)
-            return found
+        with self._lock:
+            self._kept[key] = one = self._kept.pop(key, None) or Made()
+        with one.lock:
+            if one.program is None:
+                try:
+                    with self._room:
+                        self._make(one, new)
+                except BaseException:
+                    with self._lock:
+                        self._kept.pop(key, None)
+                    raise
+                _release()
+            return one.program
+
+    def _make(self, one: Made, new: Callable[[], Any]) -> None:
+        """Make a program, and drop the oldest ones for it."""
         before = _mappings()
-        self[key] = found = new()
-        self.mappings[key], self.made = _mappings() - before, self.made + 1
-        while len(self) > MOST or (len(self) > 1 and sum(self.mappings[each] for each in self) > MAPPINGS):
-            oldest = next(iter(self))
-            del self[oldest], self.mappings[oldest]
-        _release()
-        return found
+        one.program = new()
+        with self._lock:
+            one.mappings, self.made = _mappings() - before, self.made + 1
+            while len(self) > MOST or (len(self) > 1 and sum(o.mappings for o in self._kept.values()) > MAPPINGS):
+                del self._kept[next(iter(self))]
 
 
 def _release() -> None:

@@ -3,7 +3,9 @@
 import resource
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import numpy as np
 import pytest
@@ -29,6 +31,29 @@ def test_programs_that_were_asked_for_last_are_kept():
     programs.ask("new", lambda: ["new"])
     assert list(programs) == [*range(2, compiling.MOST), 0, "new"]
     assert programs.made == compiling.MOST + 1
+
+
+def test_different_programs_are_made_side_by_side_and_one_is_made_once():
+    programs, both = compiling.Programs(), Barrier(2, timeout=30)
+
+    def new():
+        both.wait()  # breaks unless the other one is being made too
+        return [0]
+
+    with ThreadPoolExecutor(4) as threads:
+        found = list(threads.map(lambda key: programs.ask(key, new), "abab"))
+    assert found[0] is found[2]
+    assert found[1] is found[3]
+    assert found[0] is not found[1]
+    assert programs.made == 2
+
+
+def test_a_program_that_cannot_be_made_is_asked_for_again():
+    programs = compiling.Programs()
+    with pytest.raises(ZeroDivisionError):
+        programs.ask("one", lambda: 1 / 0)
+    assert list(programs) == []
+    assert programs.ask("one", lambda: 1) == 1
 
 
 @pytest.mark.parametrize(("each", "kept"), [(600, 16), (1000, 10), (4000, 2), (6000, 1), (20_000, 1)])
