@@ -11,6 +11,9 @@ draws, with the fixed and with a random start; a difference above 1e-9 ends the 
 Timing: rows take turns (see `turns`); best and median of the turns. 'busy' is CPU time over wall time. Each number of cores
 has a process of its own, whose runtime is given as many threads and no more (NPROC): one that waits does so by spinning, so
 that with two a row on one core would be busy 2. All rows on one core are held to it.
+Rows of other kinds (process noise, a schedule for each run, a closed loop, a nonlinear plant) stand beside the definition of a
+run, `vmap` of `lax.scan`, which computes the same to 1e-9: an engine that is slower than it is none. Each has lane-ticks of
+its own, so that of these rows only the ratio to the definition can be compared.
 A turn of pcbench is what a user gets of a cell: jobs stacked, sent, simulated and read; the maps of a lifted flow are made anew
 in each turn, once for its calls, as they are in a study. All draw their noise inside the time.
 With --history a table of ratios on one core gets a line, one a release: they are of one process, whatever the machine.
@@ -23,6 +26,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from time import perf_counter
@@ -39,14 +43,18 @@ from turns import Row, Timed, take
 import pcbench
 from pcbench import planning
 from pcbench.machine import process, provenance
+from pcbench.planning import padding
+from pcbench.planning.padding import Plan
 from pcbench.simulation import batch, draws
 from pcbench.simulation.lifted import kept_maps
 from pcbench.simulation.problem import Layout, Outcome, Problem
+from pcbench.simulation.simulate_runs import simulate_runs
 from pcbench.study import read
 
 SCENARIO, OBSERVERS = "cart/white", ["pccebo", "kfbo"]
 TOLERANCE = 1e-9
 FEW = 64  # lanes with --small
+LANES = 256  # of other kinds
 JOBS = 3  # a device and turn: the next call is prepared while the last one runs, as in a study
 KINDS = {  # watch, random start, lifted
     "pcbench, streams": (False, False, True),
@@ -55,13 +63,36 @@ KINDS = {  # watch, random start, lifted
     "pcbench, full product, random start": (True, True, True),
     "pcbench, the same, stepped": (True, True, False),
 }
+PLANT = {
+    "A": [[0.0, 1.0], [-2.0, -3.0]],
+    "B": [[0.0], [1.0]],
+    "C": [[1.0, 0.0]],
+    "tick": 0.001,
+    "sampling_period": 0.05,
+    "delay": 0.1,
+    "noise_std": 0.1,
+    "process_std": [0.01, 0.05],
+}
+OTHERS: dict[str, dict[str, Any]] = {  # studies of one cell; each has a horizon of its own with --small
+    "process noise": {"lti": PLANT, "observers": ["pccebo", "dkf"]},
+    "a schedule for each run": {"lti": PLANT | {"jitter": 0.02, "loss": 0.2}, "observers": ["dkf"]},
+    "closed loop": {
+        "lti": PLANT,
+        "observers": ["dkf"],
+        "controller": {"use": "lqr", "Q1": [1.0, 1.0], "Q2": [0.1]},
+    },
+    "nonlinear plant": {"scenario": {"base": "reactor/batch", "name": "batch"}, "observers": ["ekf"]},
+}
+DEFINITION, OURS = ", by the definition", ", pcbench"  # how their rows end
+SHORT = {"process noise": 1.0, "a schedule for each run": 1.0, "closed loop": 1.0, "nonlinear plant": 100.0}  # [s]
 CAPTION = (
     "Every row: plant, pccebo and kfbo one tick on; MAE, RMSE and peak of both states streamed; float64; same numbers to "
     "1e-9. NumPy and numba simulate the plant in every lane. With the fixed start and no process noise the plant is the "
     "same in all lanes, and pcbench computes it once: like for like are its random-start rows, where the plant differs "
     "from lane to lane. (b) and (c) have what depends on the input alone prepared beforehand; the full product adds "
     "settling time and divergence. Stepped: tick by tick in every lane. Ratios are of the best of one process, a "
-    "process for a number of cores; busy is CPU over wall time."
+    "process for a number of cores; busy is CPU over wall time. To definition: of the row above, the same runs by vmap of "
+    "lax.scan, on all cores that XLA takes."
 )
 
 
@@ -139,9 +170,47 @@ def baseline_rows(case: Case, problem: Problem, width: int, cores: int) -> list[
     ]
 
 
-def report(rows: list[Row], timed: Timed, ticks: int) -> list[dict[str, Any]]:
+def other_rows(cores: int, small: bool) -> list[tuple[Row, int]]:
+    """Return the definition's and pcbench's row of each other kind, with their ticks, after a check that they agree."""
+    lanes, out = FEW if small else LANES, []
+    for kind, given in OTHERS.items():
+        table = "lti" if "lti" in given else "scenario"
+        cut = {table: given[table] | {"horizon": SHORT[kind], "tail": SHORT[kind] / 2}} if small else {}
+        (p,) = planning.plan(read.study_of({"name": "kind", "seeds": lanes} | given | cut, {}, []))
+        layout, seeds, ticks = p.layout._replace(width=lanes), np.arange(lanes), p.cell.times.ticks
+        jobs = [batch.Job(p.problem, 0, seeds + i * lanes) for i in range(cores)]
+        made, start = batch.program(layout, jobs[0]), perf_counter()
+        defined = by_the_definition(p, lanes)
+        expected = jax.tree.map(np.asarray, defined().streams)
+        seconds = perf_counter() - start
+        (got,) = (out.streams for _, out in batch.serial(made, jobs[:1]))
+        for label in expected:
+            agree(
+                f"{kind}, {label}",
+                *(np.stack([s.absolute.sum(0), s.square.sum(0), s.peak.max(0)]) for s in (got[label], expected[label])),
+                ticks,
+            )
+        out.append((Row(f"{kind}{DEFINITION}", cores, lanes, lanes, defined, seconds), ticks))
+        work = partial(turn, layout, jobs, cores)
+        out.append((Row(f"{kind}{OURS}", cores, lanes * cores, lanes * cores, work, made.compile_seconds), ticks))
+    return out
+
+
+def by_the_definition(p: Plan, lanes: int) -> Callable[[], Outcome]:
+    """Return what simulates runs 0 .. `lanes` - 1 of a cell by `simulate_runs`, each on its schedule if these are random."""
+    schedules = None
+    if p.cell.times.random:
+        each = padding.fit([planning.alone(p, 0, seed) for seed in range(lanes)])
+        p = each[0]._replace(layout=each[0].layout._replace(ring=max(one.layout.ring for one in each)))
+        schedules = jax.tree.map(lambda *a: np.stack(a), *(one.problem.schedule for one in each))
+    call, problem = jax.jit(simulate_runs, static_argnums=0), jax.tree.map(np.asarray, p.problem)
+    return lambda: jax.block_until_ready(call(p.layout, problem, np.asarray(0), np.arange(lanes), schedules))
+
+
+def report(rows: list[Row], timed: Timed, ticks: list[int]) -> list[dict[str, Any]]:
     """Return the table's rows as data; rates in millions of lane-ticks a second."""
-    rates = np.array([row.runs * ticks / 1e6 for row in rows])[:, None] / timed.wall
+    rates = np.array([row.runs * many / 1e6 for row, many in zip(rows, ticks, strict=True)])[:, None] / timed.wall
+    of_the_cart = sum(not row.what.endswith((DEFINITION, OURS)) for row in rows)
     best, median, busy = rates.max(1), np.median(rates, 1), np.median(timed.cpu / timed.wall, 1)
     return [
         {
@@ -149,11 +218,12 @@ def report(rows: list[Row], timed: Timed, ticks: int) -> list[dict[str, Any]]:
             "cores": row.cores,
             "busy": float(busy[i]),
             "lanes": row.lanes,
-            "ticks": ticks,
+            "ticks": ticks[i],
             "best": float(best[i]),
             "median": float(median[i]),
-            "ratio_a": float(best[i] / best[0]),
-            "ratio_b": float(best[i] / best[1]),
+            "ratio_a": float(best[i] / best[0]) if i < of_the_cart else None,
+            "ratio_b": float(best[i] / best[1]) if i < of_the_cart else None,
+            "ratio_definition": float(best[i] / best[i - 1]) if row.what.endswith(OURS) else None,
             "compile_seconds": row.compile_seconds,
         }
         for i, row in enumerate(rows)
@@ -170,6 +240,7 @@ COLUMNS = {  # key: head and format
     "median": ("median [M/s]", "{:,.3g}"),
     "ratio_a": ("to (a)", "{:,.0f}"),
     "ratio_b": ("to (b)", "{:,.3g}"),
+    "ratio_definition": ("to definition", "{:,.3g}"),
     "compile_seconds": ("compile [s]", "{:.1f}"),
 }
 
@@ -217,8 +288,10 @@ def measured(cores: int, small: bool) -> list[dict[str, Any]]:
     rows, sums = pcbench_rows(layout, problems, cores, ticks)
     others = baseline_rows(case, problems[False], layout.width, cores)
     check_baselines(case, problems, sums)
-    rows = others + rows
-    return report(rows, take(rows, 1 if small else 5), ticks)
+    more = other_rows(cores, small)
+    rows = [*others, *rows, *(row for row, _ in more)]
+    every = [ticks] * (len(rows) - len(more)) + [many for _, many in more]
+    return report(rows, take(rows, 1 if small else 5), every)
 
 
 def in_its_own_process(cores: int, small: bool) -> list[dict[str, Any]]:

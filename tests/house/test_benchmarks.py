@@ -13,7 +13,18 @@ import pytest
 FOLDER = Path(__file__).parents[2] / "benchmarks"
 HELPERS = {"baselines", "map_study", "turns"}  # imported by the others
 ROWS = {  # what each prints, and how often
-    "throughput": {"(a)": 1, "(b)": 1, "(c)": 1, "pcbench, streams": 2, "pcbench, full product": 2, "random start": 2},
+    "throughput": {
+        "(a)": 1,
+        "(b)": 1,
+        "(c)": 1,
+        "pcbench, streams": 2,
+        "pcbench, full product": 2,
+        "random start": 2,
+        "process noise, pcbench": 1,
+        "a schedule for each run, pcbench": 1,
+        "closed loop, pcbench": 1,
+        "nonlinear plant, pcbench": 1,
+    },
     "random_schedules": {
         "one schedule for all": 2,
         "jitter 0.04 s": 2,
