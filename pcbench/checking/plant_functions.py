@@ -10,6 +10,7 @@ from pcbench.checking import pure
 from pcbench.checking.finding import Noted, Skipped, require
 from pcbench.checking.lanes import WIDTH, same_in_lanes
 from pcbench.checking.plant_trial import Given, Trial, asked, entries_of, moves, points, shown_at
+from pcbench.dynamics.linear import held
 from pcbench.errors import UserError, raised
 from pcbench.plants import numbers_of
 
@@ -71,8 +72,11 @@ def slopes(t: Trial) -> str:
     linear = t.model.known is None and (
         t.entry.model is None or t.entry.residual is not None
     )  # then the model is the slope
+    motion, A, B = moves(t), t.model.A, t.model.B
+    if motion.name == "step" and not t.model.discrete:
+        A, B = held(A, B, t.scenario.dt)
     for a, model in (
-        (moves(t), (t.model.A, t.model.B)),
+        (motion, (A, B)),
         (next(a for a in asked(t) if a.name == "output"), (t.model.C, t.model.feedthrough)),
     ):
         f, here = jax.jit(a.f), points(t)

@@ -163,7 +163,7 @@ def _exported(c: Chosen) -> Exported:
         outputs=q,
         rows=c.rows,
         oldest=_oldest(c, s),
-        overtaking=c.setting.overtaking,
+        newer=c.setting.overtaking,
     )
     found = numbers.described(about, c.setting, c.certificate, c.cell.options[c.label].model_dump(), gains)
     files: dict[str, str | bytes] = {

@@ -41,10 +41,10 @@ ORDER = """   At tick k, in this order:
      5. {label}_flow; then {label}_next(&now).
 
    {label}_jump returns 0; or 1, with the memory unchanged, for a measurement outside its room. The oldest admissible age is
-   {macro} = {oldest} ticks ({seconds:g} s), and no measurement may be from before tick 0 or after now. There is room for a
-   measurement that at most {macro_overtaking} = {overtaking} newer ones overtook; for others it may return 1, and after so
-   long without one that the inputs since are no longer stored: then begin again with {label}_begin and {label}_init."""
-OLDEST, OVERTAKING = "{macro}_OLDEST_AGE", "{macro}_OVERTAKING"
+   {macro} = {oldest} ticks ({seconds:g} s), and no measurement may be from before tick 0 or after now. A
+   measurement may arrive after at most {macro_newer} = {newer} newer ones; after more of them {label}_jump may return 1. It
+   returns 1 if the inputs since the last measurement are no longer stored: begin again with {label}_begin and {label}_init."""
+OLDEST, NEWER = "{macro}_OLDEST_AGE", "{macro}_MAX_NEWER"
 ADMITTED = """    for (int j = 0; j < {outputs}; j++) {{
         if (a->fresh[j] && (a->age[j] < 0 || a->age[j] > {macro} || a->age[j] > now->tick)) {{
             return 1;
@@ -89,7 +89,7 @@ class About(NamedTuple):
     outputs: int
     rows: int  # of past inputs
     oldest: int  # [ticks] the greatest age that a measurement may have
-    overtaking: int  # how many newer measurements may arrive before one
+    newer: int  # how many newer measurements may arrive before one
 
 
 def comment(text: str) -> str:
@@ -132,8 +132,8 @@ def header(about: About, s: Source) -> str:
         sampled=SAMPLED.format(label=label) if _has(s, "sampled") else "",
         macro=_macro(about),
         oldest=about.oldest,
-        macro_overtaking=OVERTAKING.format(macro=about.label.upper()),
-        overtaking=about.overtaking,
+        macro_newer=NEWER.format(macro=about.label.upper()),
+        newer=about.newer,
         seconds=about.oldest * about.dt,
     )
     order = (
@@ -159,7 +159,7 @@ def header(about: About, s: Source) -> str:
         "#include <stdint.h>",
         "",
         f"#define {_macro(about)} {about.oldest} /* ticks */",
-        f"#define {OVERTAKING.format(macro=about.label.upper())} {about.overtaking} /* newer measurements */",
+        f"#define {NEWER.format(macro=about.label.upper())} {about.newer} /* newer measurements */",
         "",
         "#ifdef OBSERVER_FLOAT",
         f"typedef float {label}_real;",

@@ -12,12 +12,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench.moments.events import Row, jump, sense
+from pcbench.moments.events import jump, sense
 from pcbench.moments.start import begin
 from pcbench.moments.ticks import flat, one_cell
 from pcbench.moments.vector import OneCell, form_of, slope, vector
 from pcbench.simulation.lifted.reach import reach
-from pcbench.simulation.problem import Layout, Problem
+from pcbench.simulation.problem import Layout, Problem, Row
 
 
 def curved(layout: Layout, problem: Problem) -> bool:

@@ -27,7 +27,7 @@ from pcbench.moments.merging import merged
 from pcbench.moments.vector import Form, slope, vector, vectors
 from pcbench.protocols import Arrival
 from pcbench.simulation import simulate_runs
-from pcbench.simulation.problem import Layout, present
+from pcbench.simulation.problem import Layout, Row, present
 from pcbench.simulation.simulate_runs import Run, select
 
 
@@ -50,15 +50,6 @@ class Means(NamedTuple):
     std: Array  # [q, C] of a sample
     chance: Array  # [C] that a sample arrives at all; 1: it does
     mix: Any = ()  # merging.Mix, where the cells are modes
-
-
-class Row(NamedTuple):
-    """What is known of an arrival besides what it brings; q outputs."""
-
-    fresh: Array  # [q]
-    age: Array  # [q] as the observers believe it
-    number: Array  # [q]
-    since: Array
 
 
 def sense(layout: Layout, p: Any, k: Array, run: Run, nothing: Any, rest: Any) -> Array:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from pcbench.simulation.closed_loop import before
-from pcbench.simulation.problem import Layout
+from pcbench.simulation.problem import Layout, Packet
 from pcbench.simulation.simulate_runs import Run
 
 
@@ -21,7 +21,7 @@ def begin(layout: Layout, p: Any, k: Array, state: Any, drawn: Array, rest: Any)
     return Run(
         x=x,
         memories=memories,
-        flight=(),  # type: ignore[arg-type]  # `events.Moving` has what is on the network
+        flight=Packet((), {}),  # `events.Moving` has what is on the network
         streams={},
         watches={},
         commands=loop.commands,

@@ -61,7 +61,7 @@ def require_of_trace(p: Plan, x: Floats, estimates: list[Floats]) -> None:
         require_of(p, x[last - 1][:, None], error.mean(0)[:, None])
 
 
-def without(size: Floats, tail_mae: Floats, limits: list[tuple[Floats, Floats]]) -> list[int]:
+def unresolved_signals(size: Floats, tail_mae: Floats, limits: list[tuple[Floats, Floats]]) -> list[int]:
     """Return the signals of a replay whose mean errors `tail_mae` [m] are rounding; `size` [m] is the largest of each.
 
     `limits` are sizes and what their rounding is held against: settling bands of signals, noise of measured numbers.

@@ -216,7 +216,7 @@ def _run(
     score = abreast.score(every)
     if score:
         band, noise = np.asarray(p.problem.band)[:many], np.sqrt(np.asarray(p.setting.noise_variance))
-        a.said.extend(scoring.without_digits(score, largest, signals, [(largest, band), (largest_y, noise)]))
+        a.said.extend(scoring.rounding_warnings(score, largest, signals, [(largest, band), (largest_y, noise)]))
     return judged, score, np.asarray(smoother.compiled()(model, u, y)) if enough else None
 
 

@@ -39,7 +39,7 @@ def metrics_table(score: Score, signals: Signals, dt: float, tail: int) -> "pd.D
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def without_digits(score: Score, largest: Any, signals: Signals, limits: list[tuple[Any, Any]]) -> list[str]:
+def rounding_warnings(score: Score, largest: Any, signals: Signals, limits: list[tuple[Any, Any]]) -> list[str]:
     """Return a sentence for each observer of whose errors a float64 has no digits; `largest` [n + s] truth, by signal."""
     out, late = [], max(float(score.counts[1]), 1.0)
     for label, (_, after) in score.streams.items():
@@ -47,7 +47,7 @@ def without_digits(score: Score, largest: Any, signals: Signals, limits: list[tu
         out += [
             f"{label}: fewer than two digits of the errors of {signals[i][0]} are left in float64, as it reaches "
             f"{digits.amount(float(largest[i]), signals[i][1])}; choose an origin near the state."
-            for i in digits.without(largest[: len(mae)], mae, limits)[:1]
+            for i in digits.unresolved_signals(largest[: len(mae)], mae, limits)[:1]
         ]
     return out
 

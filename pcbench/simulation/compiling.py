@@ -63,22 +63,18 @@ class Programs:
             self._kept[key] = one = self._kept.pop(key, None) or Made()
         with one.lock:
             if one.program is None:
-                try:
-                    with self._room:
-                        self._make(one, new)
-                except BaseException:
-                    with self._lock:
-                        self._kept.pop(key, None)
-                    raise
+                with self._room:
+                    before = _mappings()
+                    one.program = new()
+                    one.mappings = _mappings() - before
+                self._keep(key, one)
                 _release()
             return one.program
 
-    def _make(self, one: Made, new: Callable[[], Any]) -> None:
-        """Make a program, and drop the oldest ones for it."""
-        before = _mappings()
-        one.program = new()
+    def _keep(self, key: Hashable, one: Made) -> None:
+        """Keep a program that was made, and drop the oldest ones for it."""
         with self._lock:
-            one.mappings, self.made = _mappings() - before, self.made + 1
+            self._kept[key], self.made = one, self.made + 1  # it may have been dropped while it was made
             while len(self) > MOST or (len(self) > 1 and sum(o.mappings for o in self._kept.values()) > MAPPINGS):
                 del self._kept[next(iter(self))]
 

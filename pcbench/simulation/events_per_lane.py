@@ -13,12 +13,12 @@ from jax import Array, lax
 
 from pcbench.simulation import lanes, sample_noise
 from pcbench.simulation.lanes import packed
-from pcbench.simulation.problem import Layout, Notes, Packet, Problem, State
+from pcbench.simulation.problem import Layout, Notes, Packet, Problem, Row, State
 from pcbench.simulation.schedule.agenda import Agenda, agenda
 from pcbench.simulation.schedule.per_lane import Times
 from pcbench.simulation.schedule.shared import NEVER
 from pcbench.simulation.start import begin
-from pcbench.simulation.steps import Row, flow, jump, measure, note, tells, told
+from pcbench.simulation.steps import flow, jump, measure, note, tells, told
 
 CHUNK = 32  # lanes taken out together: with 128 jitter costs 1.2 and overtaking 1.6 times as much
 

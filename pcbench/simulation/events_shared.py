@@ -12,10 +12,10 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.simulation import lanes, sample_noise
-from pcbench.simulation.problem import Layout, Notes, Packet, PerLane, Problem, State
+from pcbench.simulation.problem import Layout, Notes, Packet, PerLane, Problem, Row, State
 from pcbench.simulation.sample_noise import Noise
 from pcbench.simulation.start import begin
-from pcbench.simulation.steps import Happen, Row, jump, measure, note, tells, told
+from pcbench.simulation.steps import Happen, jump, measure, note, tells, told
 
 
 def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Happen, State]:

@@ -77,6 +77,15 @@ class Packet(NamedTuple):
     notes: Notes
 
 
+class Row(NamedTuple):
+    """What an arrival has besides its values and notes; q outputs."""
+
+    fresh: PerLane  # [q]
+    age: PerLane  # [q] ticks, as assumed
+    number: PerLane  # [q]
+    since: PerLane
+
+
 class State(NamedTuple):
     """What a block of lanes carries from tick to tick."""
 

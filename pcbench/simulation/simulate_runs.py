@@ -301,18 +301,18 @@ def control(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
 
 def command(layout: Layout, p: Problem, k: Array, run: Run, drawn: Any) -> Run:
     """Return the run with the command of tick k, which its controller makes of the estimate of now."""
-    ((label, observer),), controller = layout.observers, layout.controller
+    controller: Any = layout.controller
+    ((label, observer),) = layout.observers
     now, xhat = present(p, k, False, run.commands), observer.estimate(p.gains[label], run.memories[label])
     sent = run.commands.sent if layout.pending else run.commands
 
     def coming(i: Array) -> Array:
         return actuator.read(p.line, sent, k + i, k - 1)
 
-    make: Any = controller.command if controller else None
-    if controller and controller.start:
-        c, law = make(p.control, now, xhat, coming, run.law)
+    if controller.start:
+        c, law = controller.command(p.control, now, xhat, coming, run.law)
     else:
-        c, law = make(p.control, now, xhat, coming), run.law
+        c, law = controller.command(p.control, now, xhat, coming), run.law
     commands: Any
     if layout.pending:
         commands = network.send(p.network, k, run.commands, c, drawn)

@@ -12,9 +12,8 @@ from pcbench.simulation import draws, lanes, metrics, network, steps
 from pcbench.simulation.closed_loop import before
 from pcbench.simulation.lanes import table
 from pcbench.simulation.lanes.entrywise import over
-from pcbench.simulation.problem import Layout, Packet, PerLane, Problem, State
+from pcbench.simulation.problem import Layout, Packet, PerLane, Problem, Row, State
 from pcbench.simulation.schedule.per_lane import Times
-from pcbench.simulation.steps import Row
 
 
 def drawing(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Callable[[Array], steps.Drawn]:

@@ -21,6 +21,7 @@ from pcbench.simulation.problem import (
     Packet,
     PerLane,
     Problem,
+    Row,
     State,
     params_of,
     present,
@@ -36,15 +37,6 @@ class Drawn(NamedTuple):
 
     process: PerLane  # [n] noise of the state before scaling; [0]: none
     command: Any = ()  # network.Drawn, of a loop with a network
-
-
-class Row(NamedTuple):
-    """What is known of an arrival besides what it brings; q outputs."""
-
-    fresh: PerLane  # [q]
-    age: PerLane  # [q] as the observers believe it
-    number: PerLane  # [q]
-    since: PerLane
 
 
 class Lane(NamedTuple):

@@ -225,7 +225,7 @@ def root_after(S: Matrix, c: Matrix, r: float) -> Matrix:
     """Return a root [n, n] of the posterior covariance after y = c x + v, v ~ N(0, r), of a root S [n, k] of the prior one.
 
     [sqrt(r), c S; 0, S] times an orthogonal matrix is [s, 0; K s, S+]: lower triangular, of a diagonal not below 0.
-    Source: Kailath, Sayed, Hassibi, Linear Estimation, 2000, section 12.3.
+    Source: Kailath, Sayed, Hassibi, Linear Estimation, 2000, chapter 12 (array algorithms).
     """
     n, k = S.shape
     before = np.zeros((n + 1, 1 + k))

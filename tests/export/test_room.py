@@ -75,7 +75,7 @@ def test_jump_refuses_measurement_older_than_room_and_changes_nothing(name, tmp_
     found = files.exported(plant, name)
     oldest = found.about.oldest
     assert re.search(rf"_OLDEST_AGE {oldest} /\* ticks \*/", found.files[f"{found.about.label}.h"])
-    assert f"_OVERTAKING {found.about.overtaking} /* newer measurements */" in found.files[f"{found.about.label}.h"]
+    assert f"_MAX_NEWER {found.about.newer} /* newer measurements */" in found.files[f"{found.about.label}.h"]
     assert 5 <= oldest < 100, "the ages that follow are about this room"
     run = {"every": 5, "late": 5, "at": 152, "ticks": 700}  # longer than the horizon
     usual = driven(found, tmp_path, **run, age=-1)
@@ -105,6 +105,16 @@ def test_jump_refuses_measurement_that_more_newer_ones_overtook(tmp_path):
     refused, code, same, xhat = driven(found, tmp_path, every=2, late=0, at=50, ticks=99, age=3)
     assert (refused, code, same) == (0, 1, 1)
     assert np.isfinite(xhat)
+
+
+def test_jump_uses_measurement_after_as_many_newer_ones_as_the_header_names(tmp_path):
+    """A measurement comes every 2 ticks, without delay; one of age 2 N - 1 arrives after N newer ones."""
+    found = files.exported(MOTOR | {"lti": MOTOR["lti"] | {"delay": 0.0, "delay_jitter": 0.2}}, "dkf")
+    newer = found.about.newer
+    assert newer > 1
+    for age, code in ((2 * newer - 1, 0), (2 * newer + 1, 1)):
+        assert age <= found.about.oldest
+        assert driven(found, tmp_path, every=2, late=0, at=50, ticks=99, age=age)[1] == code
 
 
 def _recording(folder):

@@ -114,10 +114,10 @@ def test_on_the_arm_with_drift_too(monkeypatch):
 
 @pytest.mark.nightly
 @pytest.mark.slow
-@pytest.mark.parametrize("observer", ["ukf", "iekf", "pco"])
-def test_a_study_has_the_same_bits_with_few_seeds_and_many_and_comes_out_again(observer, tmp_path):
-    """A factorisation that is made for many runs at once may depend on how many there are."""
-    scenario = {"base": "cart/white", "name": "short", "horizon": 2.0, "tail": 1.0}
+@pytest.mark.parametrize(("observer", "more"), [("ukf", {}), ("iekf", {}), ("pco", {}), ("kf-cloning", {"delay": 1.6})])
+def test_a_study_has_the_same_bits_with_few_seeds_and_many_and_comes_out_again(observer, more, tmp_path):
+    """A factorisation, or a product of large matrices, of many runs at once may depend on how many there are."""
+    scenario = {"base": "cart/white", "name": "short", "horizon": 2.0, "tail": 1.0, **more}
     study = {"name": "few", "scenario": scenario, "observers": [observer]}
     many, few = (pcbench.run(study, seeds=n, out=tmp_path / str(n)) for n in (130, 3))
     kept = many.runs[many.runs.seed < 3].sort_values(["signal", "seed"]).reset_index(drop=True)

@@ -20,5 +20,5 @@ def table(found: Any, double: dict[str, Any], single: dict[str, Any], of: str, c
         Column("rms error", [f"{single[name].error:.6g}" for name, _ in signals]),
     ]
     oldest = f"oldest admissible age: {about.oldest} ticks ({about.oldest * about.dt:g} s)"
-    oldest += f", if at most {about.overtaking} newer measurement{'s' * (about.overtaking != 1)} arrived before it"
+    oldest += f", if at most {about.newer} newer measurement{'s' * (about.newer != 1)} arrived before it"
     printed(f"{about.observer} of {about.scenario} in C, on {of}; {oldest}", columns, console)

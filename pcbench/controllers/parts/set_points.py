@@ -19,6 +19,7 @@ from pcbench.dynamics.linear import Matrix
 
 Number = Annotated[float, Strict()]
 Positive = Annotated[float, Strict(), Field(gt=0)]
+ROUNDING = 16 * float(np.finfo(np.float64).eps)  # of an entry of Phi, as a part of its norm
 
 
 class SetPoint(BaseModel):
@@ -63,9 +64,6 @@ def _step(given: Any) -> Any:
 
 
 SetPoints = dict[str, Annotated[SetPoint, BeforeValidator(_step)]]  # by state
-
-
-ROUNDING = 16 * float(np.finfo(np.float64).eps)
 
 
 class Reference(NamedTuple):

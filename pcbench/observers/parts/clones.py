@@ -27,7 +27,7 @@ from pcbench.protocols import Arrival, Now, Room, Surprise, together
 from pcbench.synthesis.certificate import Setting
 
 MOST = 16  # clones: a covariance of 17 states' worth squared is carried through every update
-LARGE = 256  # numbers of P
+LARGE = 256  # entries of P from which functions are vectorised in one piece
 Gain = Callable[
     [Array, Array, Array], Array
 ]  # (h [joint], s, which rows are of now or of the sample's time) -> K [joint]
@@ -76,7 +76,7 @@ def carried(gains: Any, memory: Memory, now: Now) -> Memory:
 
 def sampled(gains: Any, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> Memory:
     """Make a clone of the present, in place of the oldest."""
-    found: Memory = _whole(memory, lambda memory, fresh: _sampled(gains, memory, now, fresh))(memory, fresh)
+    found: Memory = _in_one_piece(memory, lambda memory, fresh: _sampled(gains, memory, now, fresh))(memory, fresh)
     return found
 
 
@@ -97,8 +97,8 @@ def _sampled(gains: Any, memory: Memory, now: Now, fresh: Bool[Array, " q"]) -> 
     )
 
 
-def _whole(memory: Memory, f: Any) -> Any:
-    """The function for one run as it is carried over many: in one piece, where entry by entry it would compile for minutes."""
+def _in_one_piece(memory: Memory, f: Any) -> Any:
+    """Vectorise f in one piece if P is large: entry by entry it would compile for minutes."""
     return together(f) if memory.P.size >= LARGE else f
 
 
@@ -106,7 +106,9 @@ def jumping(gain: Gain) -> Any:
     """Return the jump of an observer with this gain."""
 
     def jump(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
-        found: Memory = _whole(memory, lambda memory, arrival: jumped(gains, memory, now, arrival))(memory, arrival)
+        found: Memory = _in_one_piece(memory, lambda memory, arrival: jumped(gains, memory, now, arrival))(
+            memory, arrival
+        )
         return found
 
     def jumped(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Memory:
@@ -131,7 +133,9 @@ def jumping(gain: Gain) -> Any:
 
 def innovation(gains: Any, memory: Memory, now: Now, arrival: Arrival) -> Surprise:
     """Return how far what arrives is from what is expected of it, in whatever order: every sample corrects all copies."""
-    found: Surprise = _whole(memory, lambda memory, arrival: _innovation(gains, memory, now, arrival))(memory, arrival)
+    found: Surprise = _in_one_piece(memory, lambda memory, arrival: _innovation(gains, memory, now, arrival))(
+        memory, arrival
+    )
     return found
 
 
