@@ -20,5 +20,6 @@ def table(found: Any, double: dict[str, Any], single: dict[str, Any], of: str, c
         Column("rms error", [f"{single[name].error:.6g}" for name, _ in signals]),
     ]
     oldest = f"oldest admissible age: {about.oldest} ticks ({about.oldest * about.dt:g} s)"
-    oldest += f", if at most {about.newer} newer measurement{'s' * (about.newer != 1)} arrived before it"
+    newer = f"at most {about.newer}" if about.newer else "no"
+    oldest += f", if {newer} newer measurement{'s' * (about.newer > 1)} arrived before it"
     printed(f"{about.observer} of {about.scenario} in C, on {of}; {oldest}", columns, console)
