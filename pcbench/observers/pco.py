@@ -35,7 +35,7 @@ from pcbench.observers.parts.options import matrix, tunable
 from pcbench.observers.parts.prediction import Memory, Motion, Point
 from pcbench.observers.parts.reordering import Measurement
 from pcbench.protocols import Leaf, Observer, Room
-from pcbench.synthesis import ranges, reduced_order
+from pcbench.synthesis import ranges, reduced_order, units
 from pcbench.synthesis.certificate import Design, Setting, certified, one_clock
 from pcbench.synthesis.ranges import Range
 
@@ -111,7 +111,7 @@ def design(setting: Setting, options: Proportional) -> Design:
     where = f"{name} in {setting.scenario}"
     one_clock(setting, name)
     maps = ranges.maps(setting, options.period_range, options.parameter_range, 0.0, where)
-    plant = reduced_order.partition(setting.model, maps, where)
+    plant = reduced_order.partition(setting.model, units.prior_size(setting), maps, where)
     shape = (len(plant.T) - plant.outputs, plant.outputs)
     named = {"Kp": options.Kp} | ({"Ki": options.Ki} if isinstance(options, ProportionalIntegral) else {})
     asked = {name: given for name, given in named.items() if given is not None and given != "lmi"}

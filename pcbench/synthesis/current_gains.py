@@ -20,7 +20,16 @@ import numpy as np
 from pcbench.dynamics import linear
 from pcbench.dynamics.linear import Matrix
 from pcbench.errors import DesignError
-from pcbench.synthesis import common_lyapunov, current_estimator, error_bounds, remembered, riccati, robust, solvers
+from pcbench.synthesis import (
+    common_lyapunov,
+    current_estimator,
+    error_bounds,
+    remembered,
+    riccati,
+    robust,
+    solvers,
+    units,
+)
 from pcbench.synthesis.again import Again
 from pcbench.synthesis.certificate import Certificate, Setting, certified
 from pcbench.synthesis.common_lyapunov import CommonLyapunov, ErrorMaps
@@ -44,11 +53,12 @@ def find(
     ahead = linear.over(doubled, late)
     mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
     error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
-    S, s = units(setting)
+    S = units.near(units.prior_size(setting))
+    s = units.near(np.linalg.norm(C * S, axis=1))
     into, C1, R1 = np.outer(1 / S, S), C * S / s[:, None], R / np.outer(s, s)
     if given is None and method in ROBUST:
         size = _size(setting, Phi, Q, R)
-        task = robust.RobustTask(maps or mean, C, R, ahead / _prior(setting)[:, None], size)
+        task = robust.RobustTask(maps or mean, C, R, ahead / units.prior_size(setting)[:, None], size)
         found, certificate = robust.design(task, method, decay, where)  # type: ignore[arg-type]
         L = np.asarray(found.L, float)
     else:
@@ -115,7 +125,7 @@ def _over(L: Matrix, C: Matrix, maps: Maps, decay: float, where: str) -> Certifi
 
 def _size(setting: Setting, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """The errors' size [n], for a solver's sake: a Kalman filter's where there is one, or else that of x(0)."""
-    prior = _prior(setting)
+    prior = units.prior_size(setting)
     try:
         L = riccati.current_gain(Phi, setting.model.C, Q, R, setting.scenario)
     except DesignError:
@@ -124,16 +134,3 @@ def _size(setting: Setting, Phi: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     X = error_bounds.covariance(keep @ Phi, keep @ Q @ keep.T + L @ R @ L.T)
     size = np.sqrt(np.diag(X))
     return np.where(size > 1e-12 * prior, size, prior) if np.isfinite(size).all() else prior
-
-
-def units(setting: Setting) -> tuple[Matrix, Matrix]:
-    """Return units of 1000^k (k whole) for the states [n], near the size of x(0), and for the outputs [q] of such states."""
-    states = 1000.0 ** np.round(np.log10(_prior(setting)) / 3)
-    outputs = np.linalg.norm(setting.model.C * states, axis=1)
-    return states, 1000.0 ** np.round(np.log10(np.where(outputs > 0, outputs, 1.0)) / 3)
-
-
-def _prior(setting: Setting) -> Matrix:
-    """The size of x(0) [n], 1 where it is known."""
-    size = np.sqrt(np.diag(setting.P0))
-    return np.where(size > 0, size, 1.0)

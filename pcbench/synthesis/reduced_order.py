@@ -6,7 +6,9 @@ With z = T x = [y; w], C inv(T) = [I 0], and e^{A T} partitioned after y and w, 
 
 from sample to sample. With more unmeasured states than outputs (n > 2 l) J has the eigenvalue 1, whatever Kp and Ki are:
 Ki A12 [n-l, n-l] has a rank of at most l < n-l, so there is a v with Ki A12 v = 0, and J [v; (F - I) v] = [v; (F - I) v].
-So no PI-PCO is stable there. Source: Li, Wang, Tian, PI-PCO, (10) to (17) and (26); J is ours, the paper looks at F only.
+So no PI-PCO is stable there. Gains are sought and proven in units of 1000^k (k whole) near the size of x(0), as the solution of
+the LMI depends on the units; the margin is of those units.
+Source: Li, Wang, Tian, PI-PCO, (10) to (17) and (26); J is ours, the paper looks at F only.
 """
 
 from typing import Any, NamedTuple
@@ -17,7 +19,7 @@ from scipy.linalg import null_space
 from pcbench.dynamics.linear import Matrix, Model
 from pcbench.dynamics.observability import rank, require_observable
 from pcbench.errors import UserError
-from pcbench.synthesis import common_lyapunov, error_bounds
+from pcbench.synthesis import common_lyapunov, error_bounds, units
 from pcbench.synthesis.certificate import Certificate
 from pcbench.synthesis.common_lyapunov import ErrorMaps
 from pcbench.synthesis.ranges import Maps
@@ -31,6 +33,7 @@ class Partition(NamedTuple):
     A12: Matrix  # [maps, l, n-l]
     A22: Matrix  # [maps, n-l, n-l]
     seconds: Matrix  # [maps] interval of each
+    units: Matrix  # [n] in which the LMI is solved, of y and w
     corners: Any  # which of them a solver is to see
 
 
@@ -57,12 +60,16 @@ def coordinates(C: Matrix, where: str) -> Matrix:
     return np.vstack([C, unseen * np.sign(lead)])
 
 
-def partition(model: Model, maps: Maps, where: str) -> Partition:
-    """Return the partitions of T Phi inv(T) over a range of maps; raise UserError where w is unobservable."""
+def partition(model: Model, size: Matrix, maps: Maps, where: str) -> Partition:
+    """Return the partitions of T Phi inv(T) over a range of maps, of states of a `size` [n].
+
+    Raises UserError where w is unobservable.
+    """
     require_observable(model, where)
     T, l = coordinates(model.C, where), len(model.C)
     whole = T @ maps.Phi @ np.linalg.inv(T)
-    return Partition(T, l, whole[:, :l, l:], whole[:, l:, l:], maps.seconds, maps.corners)
+    of = units.near(np.linalg.norm(T * size, axis=1))
+    return Partition(T, l, whole[:, :l, l:], whole[:, l:, l:], maps.seconds, of, maps.corners)
 
 
 def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:
@@ -83,8 +90,11 @@ def design(plant: Partition, given: list[Matrix], integral: bool, rate: float, w
             f"{where}: got {k + l} states and {l} independent output{'s' * (l > 1)}, expected at most {2 * l} states: with "
             "more, the error's map has the eigenvalue 1 for all gains Kp and Ki. Use pco, or measure another output."
         )
-    zero, corners = np.zeros((k, l)), _corners(plant, rate)
-    A12, A22, seconds = corners
+    measured, unseen = plant.units[:l], plant.units[l:]
+    into_w, into_y = unseen / unseen[:, None], unseen / measured[:, None]
+    plant = plant._replace(A12=plant.A12 * into_y, A22=plant.A22 * into_w)
+    given = [gain / into_y.T for gain in given]
+    zero, (A12, A22, seconds) = np.zeros((k, l)), _corners(plant, rate)
 
     def gains(found: common_lyapunov.CommonLyapunov) -> tuple[Matrix, Matrix]:
         if given:
@@ -104,8 +114,9 @@ def design(plant: Partition, given: list[Matrix], integral: bool, rate: float, w
     what = "J(T)'P J(T) < P" if integral else "F(T)'P F(T) < P"
     what = what.replace("< P", f"< e^{{-2 {rate:g} T}} P") if rate else what
     found, certificate = common_lyapunov.design(shown, every, rate, f"{what} at every interval T", where)
-    Kp, Ki = gains(found)
-    numbers = dict(certificate.numbers) | {"Kp": Kp} | ({"Ki": Ki} if integral else {})
+    Kp, Ki = (gain * into_y.T for gain in gains(found))
+    of = np.tile(unseen, 2 if integral else 1)
+    numbers = dict(certificate.numbers) | {"P": found.P / np.outer(of, of), "Kp": Kp} | ({"Ki": Ki} if integral else {})
     return ReducedOrderGains(Kp, Ki, certificate._replace(numbers=numbers))
 
 

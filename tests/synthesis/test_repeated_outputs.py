@@ -61,6 +61,20 @@ def test_a_gain_exists_in_other_units_and_is_the_same(way, x):
     np.testing.assert_allclose(np.linalg.inv(T) @ pcbench.design(other, "pccebo").gains.L, plain, rtol=1e-3, atol=1e-4)
 
 
+@pytest.mark.parametrize("x", [(1e6, 1e6), (1e-6, 1e-6), (1e3, 1.0), (1e-6, 1e3)])
+@pytest.mark.parametrize("observer", ["pco", "pi-pco"])
+def test_gains_of_a_reduced_order_observer_are_the_same_in_other_units(observer, x):
+    T = np.diag(x)
+    plain = pcbench.design(study(observer, {}, A, B, [[1, 0]]), observer)
+    other = pcbench.design(study(observer, {}, T @ A @ np.linalg.inv(T), T @ B, [[1, 0]], x), observer)
+    unit = x[1] / x[0]  # of the unmeasured state by that of the output
+    np.testing.assert_allclose(other.gains.Kp / unit, plain.gains.Kp, rtol=1e-6)
+    np.testing.assert_allclose(other.gains.Ki / unit, plain.gains.Ki, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(
+        np.asarray(other.certificate.numbers["P"]) * x[1] ** 2, plain.certificate.numbers["P"], rtol=1e-5
+    )
+
+
 @pytest.mark.parametrize("way", ["pco", "dkf", "kfbo"])
 def test_a_position_in_another_unit_is_as_good(way):
     pcbench.design(study(way, {}, A, B, [[1e-7, 0]]), way)
