@@ -34,11 +34,11 @@ from numpy.typing import NDArray
 
 from pcbench import planning
 from pcbench.dataset import block_files, executors, fill, ownership, store
+from pcbench.engine import runner
 from pcbench.machine import process
 from pcbench.machine.progress import Progress
 from pcbench.observers import dkf
 from pcbench.planning import padding
-from pcbench.simulation import batch
 from pcbench.study import read
 from pcbench.study.cells import Grid
 
@@ -129,12 +129,12 @@ def here(both: Both, pairs: int, small: bool) -> None:
 def calling(grid: Grid) -> Way:
     """Return what simulates one call of a study's runs on one thread, its program compiled and warm."""
     (p,) = padding.fit(list(planning.drafts(grid.cells)))
-    job = batch.Job(p.problem, 0, np.arange(LANES))
-    made = batch.program(p.layout, job)
+    job = runner.Job(p.problem, 0, np.arange(LANES))
+    made = runner.program(p.layout, job)
 
     def way() -> Turn:
         wall, cpu = perf_counter(), process_time()
-        _, left = next(batch.serial(made, [job]))
+        _, left = next(runner.serial(made, [job]))
         return Turn(left, (perf_counter() - wall, process_time() - cpu))
 
     return way

@@ -22,9 +22,9 @@ from rich.table import Table
 from turns import Row, take
 
 from pcbench import planning
+from pcbench.engine import runner
 from pcbench.machine import process
 from pcbench.planning import padding
-from pcbench.simulation import batch
 from pcbench.study import cells, read
 
 JOBS = 3  # a device and turn
@@ -72,12 +72,12 @@ def rows_of(scenario: str, observers: list[str], small: bool) -> list[Made]:
 
 
 def _made(what: str, p: padding.Plan) -> Made:
-    devices, width = batch.cores(), p.layout.width
-    jobs = [batch.Job(p.problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
-    made = batch.program(p.layout, jobs[0])
+    devices, width = runner.cores(), p.layout.width
+    jobs = [runner.Job(p.problem, 0, np.arange(width) + i * width) for i in range(JOBS * devices)]
+    made = runner.program(p.layout, jobs[0])
 
     def work() -> list[Any]:
-        return list(batch.run(p.layout, jobs, devices))
+        return list(runner.run(p.layout, jobs, devices))
 
     errors = np.concatenate(list(work()[0][1].final.values()))
     return Made(Row(what, devices, width * devices, width * len(jobs), work, made.compile_seconds), errors)

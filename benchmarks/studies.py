@@ -36,10 +36,10 @@ from typing import Any
 
 from pcbench import api
 from pcbench.dataset import executors, fill, ownership, store, task
+from pcbench.engine import runner
 from pcbench.machine import process, provenance
 from pcbench.machine.progress import Progress
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import batch
 from pcbench.study import read
 
 STUDY = {"name": "cost", "scenarios": ["cart/white"], "observers": ["pccebo", "kfbo", "dkf"]}
@@ -134,7 +134,7 @@ def writing(turns: int, small: bool) -> None:
                 task.compute = whole
                 took, wrote = timed(study | {"seeds": seeds}, execute, block)
                 longer.append(took / base[-1] - 1)
-                share.append(wrote / (took * len(batch.devices())))
+                share.append(wrote / (took * len(runner.devices())))
         each = ", ".join(f"{100 * more:+.1f}" for more in longer)
         print(
             f"writing: {scenario}: {100 * statistics.median(share):.2f} % of {base[0]:.0f} s; longer by {each} %",

@@ -42,11 +42,12 @@ from turns import Row, Timed, take
 
 import pcbench
 from pcbench import planning
+from pcbench.engine import runner
+from pcbench.engine.products import map_cache
 from pcbench.machine import process, provenance
 from pcbench.planning import padding
 from pcbench.planning.padding import Plan
-from pcbench.simulation import batch, draws
-from pcbench.simulation.lifted import kept_maps
+from pcbench.simulation import draws
 from pcbench.simulation.problem import Layout, Outcome, Problem
 from pcbench.simulation.simulate_runs import simulate_runs
 from pcbench.study import read
@@ -116,20 +117,20 @@ def pcbench_rows(
     """Return pcbench's rows by kind, and its sums for seeds 0 .. L-1 by random start."""
     rows, sums, width = [], {}, layout.width
     for kind, (watch, random, lifted) in KINDS.items():
-        jobs = [batch.Job(problems[random], 0, np.arange(width) + i * width) for i in range(JOBS * cores)]
+        jobs = [runner.Job(problems[random], 0, np.arange(width) + i * width) for i in range(JOBS * cores)]
         mine = layout._replace(watch=watch, random_start=random, lifted=layout.lifted if lifted else 0)
-        made = batch.program(mine, jobs[0])
-        got = sums_of(next(batch.serial(made, jobs[:1]))[1])
+        made = runner.program(mine, jobs[0])
+        got = sums_of(next(runner.serial(made, jobs[:1]))[1])
         agree(kind, got, sums.setdefault(random, got), ticks)
         work = partial(turn, mine, jobs, cores)
         rows.append(Row(kind, cores, width * cores, width * len(jobs), work, made.compile_seconds))
     return rows, sums
 
 
-def turn(layout: Layout, jobs: list[batch.Job], cores: int) -> None:
+def turn(layout: Layout, jobs: list[runner.Job], cores: int) -> None:
     """Simulate a cell's jobs as if none of that kind had been simulated before."""
-    kept_maps.KEPT.clear()
-    for _ in batch.run(layout, jobs, cores):
+    map_cache.KEPT.clear()
+    for _ in runner.run(layout, jobs, cores):
         pass
 
 
@@ -178,12 +179,12 @@ def other_rows(cores: int, small: bool) -> list[tuple[Row, int]]:
         cut = {table: given[table] | {"horizon": SHORT[kind], "tail": SHORT[kind] / 2}} if small else {}
         (p,) = planning.plan(read.study_of({"name": "kind", "seeds": lanes} | given | cut, {}, []))
         layout, seeds, ticks = p.layout._replace(width=lanes), np.arange(lanes), p.cell.times.ticks
-        jobs = [batch.Job(p.problem, 0, seeds + i * lanes) for i in range(cores)]
-        made, start = batch.program(layout, jobs[0]), perf_counter()
+        jobs = [runner.Job(p.problem, 0, seeds + i * lanes) for i in range(cores)]
+        made, start = runner.program(layout, jobs[0]), perf_counter()
         defined = by_the_definition(p, lanes)
         expected = jax.tree.map(np.asarray, defined().streams)
         seconds = perf_counter() - start
-        (got,) = (out.streams for _, out in batch.serial(made, jobs[:1]))
+        (got,) = (out.streams for _, out in runner.serial(made, jobs[:1]))
         for label in expected:
             agree(
                 f"{kind}, {label}",
@@ -283,7 +284,7 @@ def measured(cores: int, small: bool) -> list[dict[str, Any]]:
         ticks = 500 if small else planned.cell.times.ticks
         windows = np.array([[0, ticks // 3], [ticks // 3, ticks - 1], [ticks - 1, ticks]])
         problems[random] = planned.problem._replace(windows=windows)
-        layout = planned.layout._replace(width=FEW if small else batch.WIDTH)
+        layout = planned.layout._replace(width=FEW if small else runner.WIDTH)
     case = prepare(problems[False], ticks)
     rows, sums = pcbench_rows(layout, problems, cores, ticks)
     others = baseline_rows(case, problems[False], layout.width, cores)
@@ -314,7 +315,7 @@ def main() -> None:
     if options.cores:
         found = measured(options.cores, options.small)
     else:
-        every = dict.fromkeys((1, batch.cores()))
+        every = dict.fromkeys((1, runner.cores()))
         found = [row for cores in every for row in in_its_own_process(cores, options.small)]
     if options.history:
         remember(found, options.history)

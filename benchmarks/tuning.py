@@ -46,9 +46,9 @@ def tuned(words: list[str]) -> dict[str, Any]:
 def tuned_here(words: list[str]) -> dict[str, Any]:
     """Return what the same command says in this process."""
     from pcbench.cli.commands import app
-    from pcbench.simulation import batch
+    from pcbench.engine import runner
 
-    batch.WIDTH = FEW_RUNS
+    runner.WIDTH = FEW_RUNS
     with contextlib.redirect_stdout(io.StringIO()) as said:
         app([*words, *(SMALL[:2] if "--exact" in words else SMALL)], standalone_mode=False)
     return dict(json.loads(said.getvalue()))

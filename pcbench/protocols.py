@@ -1,6 +1,6 @@
 """The protocols: a plant and an observer are NamedTuples of pure functions plus a pytree of numbers.
 
-Every function here is written for ONE run (a *lane*); `simulation/lanes/entrywise` carries it over thousands. Arrays have the
+Every function here is written for ONE run (a *lane*); `engine/interpreter` carries it over thousands. Arrays have the
 shapes named below; n states, m inputs, q outputs, s unknowns beside the state. Time is counted in ticks of `dt` seconds.
 
 Order of events at tick k: sense, deliver, estimate, control, flow. Values are right-continuous: the estimate of tick k is read

@@ -60,14 +60,15 @@ def _in_a_hurry(request):
     """
     import hurried
 
+    from pcbench.engine import runner
     from pcbench.replaying import stretch
-    from pcbench.simulation import batch, trace
+    from pcbench.simulation import trace
 
     with pytest.MonkeyPatch.context() as patch:
         if request.config.option.markexpr == "not slow":
             patch.setattr(trace, "compiled", hurried.recorder)
             patch.setattr(stretch, "compiled", hurried.stretches)
-            patch.setattr(batch, "OPTIONS", batch.OPTIONS | hurried.options())
+            patch.setattr(runner, "OPTIONS", runner.OPTIONS | hurried.options())
             patch.setenv("XLA_FLAGS", hurried.flags())
         yield
 

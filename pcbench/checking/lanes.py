@@ -9,9 +9,9 @@ import numpy as np
 
 from pcbench.checking.finding import require
 from pcbench.checking.tracing import Asked
+from pcbench.engine.interpreter import vmap_entrywise
+from pcbench.engine.lane_array import is_lanes, join, split
 from pcbench.errors import UserError, raised
-from pcbench.simulation.lanes import is_lanes, join, split
-from pcbench.simulation.lanes.entrywise import over
 
 WIDTH, CLOSE = 3, 1e-11  # sums over lanes may be in another order
 
@@ -27,9 +27,12 @@ def same_in_lanes(every: Sequence[Asked], rows: Sequence[Any], with_: Callable[[
         f = jax.jit(all_of(some))
         return jax.tree.map(lambda *a: jnp.stack(a, -1), *map(f, rows))
 
+    def entrywise(some: Any) -> Any:
+        return jax.jit(lambda s: _whole(vmap_entrywise(all_of(some))(jax.tree.map(_split, s))))(stacked)
+
     ways = {
         "vmap over the last axis": lambda some: jax.jit(jax.vmap(all_of(some), -1, -1))(stacked),
-        "pcbench's lanes": lambda some: jax.jit(lambda s: _whole(over(all_of(some))(jax.tree.map(_split, s))))(stacked),
+        "pcbench's lanes": entrywise,
     }
     expected = alone(every)
     for way, run in ways.items():

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from pcbench.simulation.lanes.primitives import ClosedJaxpr, Literal, inner
+from pcbench.engine.jaxpr_compat import ClosedJaxpr, Literal, inner
 
 
 class Asked(NamedTuple):

@@ -14,10 +14,10 @@ from queue import SimpleQueue
 from threading import Condition, Event, Lock, get_ident
 from typing import Any
 
+from pcbench.engine import runner
 from pcbench.errors import UserError, shown_address
 from pcbench.machine import ending, process
 from pcbench.machine.memory import allowed
-from pcbench.simulation import batch
 
 Executor = Callable[[Callable[..., Any], Iterable[Any]], Iterator[Any]]
 AHEAD = 3  # tasks a Dask worker has at hand: one computing, one writing, one waiting
@@ -36,7 +36,7 @@ def share(memory: str | int | None, address: str | None, workers: int | None, co
         raise UserError(f"--workers: got {workers} without --dask local, expected both; leave --workers out.")
     if address not in (None, "local"):
         return SHARE if memory is None else allowed(memory) / 2
-    at_once = (workers or batch.cores()) if address else len(batch.devices(count))
+    at_once = (workers or runner.cores()) if address else len(runner.devices(count))
     return allowed(memory) / (2 * max(at_once, 1))
 
 
@@ -49,7 +49,7 @@ def here(count: int | None = None) -> Iterator[Executor]:
     """
     free: SimpleQueue[Any] = SimpleQueue()
     busy, stopped, change = set[int](), Event(), Condition()  # threads that neither compute nor wait for a device
-    for device in batch.devices(count):
+    for device in runner.devices(count):
         free.put(device)
     many = 2 * free.qsize()
     pool = ThreadPoolExecutor(many, "pcbench")
@@ -192,12 +192,12 @@ def _distributed() -> Any:
 
 def _local(distributed: Any, workers: int | None) -> Any:
     """A cluster of spawned processes on this machine, each with one device; of two threads one computes at a time."""
-    if batch.devices()[0].platform != "cpu":
+    if runner.devices()[0].platform != "cpu":
         raise UserError(
             "--dask: got 'local' on a machine with accelerators, all of which this process uses by itself; expected a "
             "scheduler's address; leave --dask out."
         )
-    count = workers or batch.cores()
+    count = workers or runner.cores()
     import dask
 
     dask.config.set({"distributed.scheduler.no-workers-timeout": ALONE})

@@ -15,12 +15,12 @@ import pyarrow as pa
 from pcbench.dataset import block_files, cell_rows, columns, runs_table, store
 from pcbench.dataset.pickled import pack, unpack
 from pcbench.dataset.seeds import Seeds
+from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.machine import process, provenance
 from pcbench.planning import in_memory
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
-from pcbench.simulation import batch
 from pcbench.statistics import RUN_METRICS
 from pcbench.study.cells import Cell
 
@@ -122,25 +122,25 @@ def files(
         at += seeds.many
 
 
-def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memory.Results, batch.Program]:
+def simulated(work: Work, task: Task, device: Any = None) -> tuple[Plan, in_memory.Results, runner.Program]:
     """Return what the runs of a task leave; raise UserError where a call takes more memory than there is for it."""
     with process.float64():
         p, jobs, made = _prepared(work, task, device)
-        return p, in_memory.results(p, batch.serial(made, jobs)), made
+        return p, in_memory.results(p, runner.serial(made, jobs)), made
 
 
-def estimated(work: Work, task: Task, device: Any = None) -> tuple[Plan, float, batch.Program]:
+def estimated(work: Work, task: Task, device: Any = None) -> tuple[Plan, float, runner.Program]:
     """Return about how many seconds a call of a task takes, from calls that end early."""
     with process.float64():
         p, jobs, made = _prepared(work, task, device)
-        return p, batch.seconds(made, jobs[0]), made
+        return p, runner.seconds(made, jobs[0]), made
 
 
-def _prepared(work: Work, task: Task, device: Any) -> tuple[Plan, list[batch.Job], batch.Program]:
+def _prepared(work: Work, task: Task, device: Any) -> tuple[Plan, list[runner.Job], runner.Program]:
     p = unpack(task.parcel)
     seeds = np.concatenate([np.arange(*each) for each, _ in task.pieces])
     jobs = list(in_memory.jobs(p, work.root_seed, seeds))
-    made = batch.program(p.layout, jobs[0], device)
+    made = runner.program(p.layout, jobs[0], device)
     _fits(p, made.memory, work.memory)
     return p, jobs, made
 

@@ -11,9 +11,9 @@ import jax
 import numpy as np
 from jax.lax import RoundingMethod
 
+from pcbench.engine import jaxpr_compat
 from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, written
 from pcbench.planning.cost import ONCE
-from pcbench.simulation.lanes import primitives
 
 INFIX = {"add": "+", "add_any": "+", "sub": "-", "mul": "*", "and": "&", "or": "|", "xor": "^"}
 INFIX |= {"eq": "==", "ne": "!=", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "shift_left": "<<"}
@@ -24,7 +24,7 @@ CALLED = set(
 MACRO = {"max": "LARGER", "min": "SMALLER", "sign": "SIGN"}
 SAME = {"copy", "copy_p", "stop_gradient"}
 CONVERTS = {"convert_element_type"}
-FOLDS = dict(zip(primitives.FOLDS, ("+", "LARGER", "SMALLER", "*", "&", "|"), strict=True))
+FOLDS = dict(zip(jaxpr_compat.FOLDS, ("+", "LARGER", "SMALLER", "*", "&", "|"), strict=True))
 UNSIGNED = {"int32_t": "uint32_t", "int64_t": "uint64_t"}
 MANY = 16  # choices that are written as a loop: a compiler takes minutes for thousands of branches one by one
 MOST = 8  # a whole power up to here is written as a product
@@ -163,7 +163,7 @@ def _as_it_is(x: Any, v: Any) -> Any:
 
 def fold(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write the fold of some axes, from the first entry to the last."""
-    a, axes, kind = args[0], primitives.fold_axes(eqn.params), kind_of(eqn.outvars[0].aval.dtype)
+    a, axes, kind = args[0], jaxpr_compat.fold_axes(eqn.params), kind_of(eqn.outvars[0].aval.dtype)
     rest = [i for i in range(a.ndim) if i not in axes]
     flat = a.transpose(*rest, *axes).reshape(*(a.shape[i] for i in rest), -1)
     out = np.empty(flat.shape[:-1], object)
@@ -189,19 +189,19 @@ def _nothing(eqn: Any) -> Any:
 
 def running_sum(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write sums of the first entries along an axis."""
-    axis, kind = primitives.param(eqn, "axis"), kind_of(eqn.outvars[0].aval.dtype)
+    axis, kind = jaxpr_compat.param(eqn, "axis"), kind_of(eqn.outvars[0].aval.dtype)
     a = np.moveaxis(args[0], axis, 0)
-    a = a[::-1] if primitives.param(eqn, "reverse") else a
+    a = a[::-1] if jaxpr_compat.param(eqn, "reverse") else a
     out = a.copy()
     for k in range(1, len(a)):
         for i in np.ndindex(a.shape[1:]):
             out[k, *i] = w.let(kind, f"{written(out[k - 1, *i])} + {written(a[k, *i])}")
-    return np.moveaxis(out[::-1] if primitives.param(eqn, "reverse") else out, 0, axis)
+    return np.moveaxis(out[::-1] if jaxpr_compat.param(eqn, "reverse") else out, 0, axis)
 
 
 def extreme(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write the place of the largest (smallest) entry along an axis, the first of equals; of numbers, none of them NaN."""
-    (axis,), sign = primitives.param(eqn, "axes"), ">" if eqn.primitive.name == "argmax" else "<"
+    (axis,), sign = jaxpr_compat.param(eqn, "axes"), ">" if eqn.primitive.name == "argmax" else "<"
     kind, a = kind_of(eqn.outvars[0].aval.dtype), np.moveaxis(args[0], axis, -1)
     out = np.empty(a.shape[:-1], object)
     for i in np.ndindex(out.shape):
@@ -219,7 +219,7 @@ def extreme(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
 
 def product(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write a product of matrices as sums of products, from the first on."""
-    (ca, cb), (ba, bb) = primitives.products_of(eqn.params)
+    (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
     aval = eqn.outvars[0].aval
     a, b = _arranged(args[0], ba, ca), _arranged(args[1], bb, cb)
     kind, out = kind_of(aval.dtype), []

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from jax.lax import GatherScatterMode
 
+from pcbench.engine import jaxpr_compat
 from pcbench.export.terms import Entries, Term, Writer, kind_of, known, place_of, stored, written
-from pcbench.simulation.lanes import primitives
 
 FILL = (GatherScatterMode.FILL_OR_DROP,)
 
 
 def dynamic_slice(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write a slice that begins where some indices say."""
-    operand, sizes = args[0], tuple(primitives.param(eqn, "slice_sizes"))
+    operand, sizes = args[0], tuple(jaxpr_compat.param(eqn, "slice_sizes"))
     starts = [_inside(w, a[()], n - m) for a, n, m in zip(args[1:], operand.shape, sizes, strict=True)]
     window = np.stack(np.meshgrid(*map(np.arange, sizes), indexing="ij"), -1) if sizes else np.zeros((0,), int)
     return _read(w, eqn, operand, starts, window)
@@ -53,8 +53,8 @@ def _starts(
 def gather(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write slices of an array, each from where a row of indices says."""
     operand, indices = args
-    d, sizes = primitives.param(eqn, "dimension_numbers"), primitives.param(eqn, "slice_sizes")
-    aval, mode = eqn.outvars[0].aval, primitives.param(eqn, "mode")
+    d, sizes = jaxpr_compat.param(eqn, "dimension_numbers"), jaxpr_compat.param(eqn, "slice_sizes")
+    aval, mode = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "mode")
     out = np.empty(aval.shape, object)
     batch = [i for i in range(len(aval.shape)) if i not in d.offset_dims]
     windowed = [i for i in range(operand.ndim) if i not in (*d.collapsed_slice_dims, *d.operand_batching_dims)]
@@ -80,7 +80,7 @@ def gather(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
 def scatter(w: Writer, eqn: Any, args: list[Entries]) -> Entries:
     """Write an array anew, with slices replaced (or added to) from where rows of indices say; what falls outside is dropped."""
     operand, indices, updates = args
-    d, adds = primitives.param(eqn, "dimension_numbers"), eqn.primitive.name != "scatter"
+    d, adds = jaxpr_compat.param(eqn, "dimension_numbers"), eqn.primitive.name != "scatter"
     windowed = [i for i in range(operand.ndim) if i not in (*d.inserted_window_dims, *d.operand_batching_dims)]
     batch = [i for i in range(updates.ndim) if i not in d.update_window_dims]
     sizes = [1] * operand.ndim
@@ -151,7 +151,7 @@ def _is_inside(w: Writer, starts: list[Any], limits: list[int]) -> str:
 
 def _or_else(w: Writer, eqn: Any, found: Entries, there: str) -> Entries:
     """What was found, or what stands for nothing where the index was outside."""
-    aval, fill = eqn.outvars[0].aval, primitives.param(eqn, "fill_value")
+    aval, fill = eqn.outvars[0].aval, jaxpr_compat.param(eqn, "fill_value")
     kind = kind_of(aval.dtype)
     none = np.nan if kind == "real" else kind == "bool" if kind[0] in "ub" else np.iinfo(aval.dtype).min
     other, out = written(known(none if fill is None else fill)[()]), np.empty(found.shape, object)

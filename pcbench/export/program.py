@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from pcbench.dynamics.room import ROOM
+from pcbench.engine import batching_rules, jaxpr_compat
 from pcbench.errors import UserError
 from pcbench.export import arithmetic, places
 from pcbench.export.terms import Entries, Term, Writer, is_known, kind_of, known, scalar, stored, written
-from pcbench.simulation.lanes import primitives, rules
 
 Rule = Callable[[Writer, Any, list[Entries]], Entries]
-MOVES = primitives.STRUCTURAL | {"split", "stack", "tile"}
-RULES: dict[str, Rule] = dict.fromkeys(primitives.FOLDS, arithmetic.fold) | {
+MOVES = jaxpr_compat.STRUCTURAL | {"split", "stack", "tile"}
+RULES: dict[str, Rule] = dict.fromkeys(jaxpr_compat.FOLDS, arithmetic.fold) | {
     "dot_general": arithmetic.product,
     "cumsum": arithmetic.running_sum,
     "argmax": arithmetic.extreme,
@@ -58,7 +58,7 @@ def _walk(w: Writer, jaxpr: Any, consts: list[Entries], args: list[Entries]) -> 
     env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
 
     def read(v: Any) -> Entries:
-        return known(np.asarray(v.val)) if isinstance(v, primitives.Literal) else env[v]
+        return known(np.asarray(v.val)) if isinstance(v, jaxpr_compat.Literal) else env[v]
 
     for eqn in jaxpr.eqns:
         try:
@@ -73,18 +73,18 @@ def _step(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
     name = eqn.primitive.name
     if len(w.lines) > LONGEST:
         raise Hindered(f"{name}: got more than {LONGEST:,} lines of C in one function, expected fewer.")
-    if name in primitives.CALLS and primitives.named(eqn.params) == ROOM:
+    if name in jaxpr_compat.CALLS and jaxpr_compat.named(eqn.params) == ROOM:
         w.check(args[1])
         return [np.broadcast_to(args[0], eqn.outvars[0].aval.shape)]
-    if name in primitives.CALLS:
-        return write(w, primitives.called(eqn.params), args)
+    if name in jaxpr_compat.CALLS:
+        return write(w, jaxpr_compat.called(eqn.params), args)
     if name in ("scan", "while", "cond"):
         return {"scan": _scan, "while": _while, "cond": _cond}[name](w, eqn, args)
     if name == "iota":
         return [known(np.asarray(eqn.primitive.bind(**eqn.params)))]
     if name == "platform_index":
         return [
-            scalar(np.int32(next(i for i, p in enumerate(primitives.param(eqn, "platforms")) if not p or "cpu" in p)))
+            scalar(np.int32(next(i for i, p in enumerate(jaxpr_compat.param(eqn, "platforms")) if not p or "cpu" in p)))
         ]
     if name in MOVES:
         return _moved(eqn, args)
@@ -92,7 +92,7 @@ def _step(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
         return [arithmetic.elementwise(w, eqn, args)]
     if name in RULES:
         return [RULES[name](w, eqn, args)]
-    if (expansion := primitives.expansion(eqn)) is not None:
+    if (expansion := jaxpr_compat.expansion(eqn)) is not None:
         return write(w, expansion, args)
     raise Hindered(name)
 
@@ -100,7 +100,7 @@ def _step(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
 def _moved(eqn: Any, args: list[Entries]) -> list[Entries]:
     """Entries at the places to which the primitive moves their numbers."""
     flat = np.concatenate([a.ravel() for a in args])
-    each = rules.places(eqn.primitive, primitives.said(eqn), tuple(a.shape for a in args))
+    each = batching_rules.places(eqn.primitive, jaxpr_compat.said(eqn), tuple(a.shape for a in args))
     return [flat[where.ravel()].reshape(where.shape) if where.size else np.empty(where.shape, object) for where in each]
 
 
@@ -123,7 +123,7 @@ def _state(w: Writer, vs: Any, values: list[Entries], stays: list[bool]) -> list
 
 
 def _while(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
-    cond, body, first, second = primitives.while_(eqn.params)
+    cond, body, first, second = jaxpr_compat.while_(eqn.params)
     asked, fixed, values = args[:first], args[first : first + second], args[first + second :]
     inside = body.jaxpr.invars[second:]
     stays = [a is b for a, b in zip(inside, body.jaxpr.outvars, strict=True)]
@@ -140,7 +140,7 @@ def _while(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
 
 
 def _scan(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
-    body, consts, carry, length, how = primitives.scan(eqn.params)
+    body, consts, carry, length, how = jaxpr_compat.scan(eqn.params)
     inside, rows = body.jaxpr.invars[consts : consts + carry], args[consts + carry :]
     if length == 1:
         out = write(w, body, [*args[: consts + carry], *(r.reshape(r.shape[1:]) for r in rows)])
@@ -180,7 +180,7 @@ def _row(n: str, table: Term | None, rows: Entries) -> Entries:
 
 
 def _cond(w: Writer, eqn: Any, args: list[Entries]) -> list[Entries]:
-    programs, which = primitives.branches(eqn.params), args[0]
+    programs, which = jaxpr_compat.branches(eqn.params), args[0]
     if is_known(which):
         return write(w, programs[int(np.clip(int(which[()]), 0, len(programs) - 1))], args[1:])
     made = [w.room(kind_of(v.aval.dtype), v.aval.shape) for v in eqn.outvars]

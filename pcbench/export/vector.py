@@ -7,10 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.engine import initial_state, lane_array
+from pcbench.engine.common_schedule import prepare
+from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.planning.padding import Plan
-from pcbench.simulation import lanes, measured, start, trace
-from pcbench.simulation.events_shared import prepare
-from pcbench.simulation.lanes.entrywise import over
+from pcbench.simulation import measured, trace
 from pcbench.simulation.problem import Layout, Problem, present
 
 NOTE, SAMPLED, JUMP = 0, 1, 2
@@ -65,9 +66,9 @@ def beginning(layout: Layout, rows: int, p: Problem, root_seed: Any, seeds: Any)
     def one(commands: Any) -> Any:
         return jax.vmap(present(p, jnp.asarray(0), False, commands).past_u)(jnp.arange(1, rows + 1))
 
-    past = over(one)(state.commands)
-    first = start.first_estimate(layout, p, root_seed, seeds)
-    return lanes.whole(first, 1)[..., 0], lanes.whole(past, 1)[..., 0]
+    past = vmap_entrywise(one)(state.commands)
+    first = initial_state.first_estimate(layout, p, root_seed, seeds)
+    return lane_array.to_array(first, 1)[..., 0], lane_array.to_array(past, 1)[..., 0]
 
 
 def packets(schedule: Any, clean: Floats, noise: Floats) -> Floats:

@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from pcbench.engine import runner
 from pcbench.errors import DigitsError, UserError
 from pcbench.gains import gradient
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.planning import in_memory
 from pcbench.planning.padding import Plan
-from pcbench.simulation import batch
 from pcbench.simulation.schedule.shared import Schedule
 
 METHODS = ("descent", "search")
@@ -65,7 +65,7 @@ def evaluator(
 
     def alone(at: Vector) -> tuple[float, Vector]:
         here = p._replace(problem=p.problem._replace(gains={label: design(at)}))
-        (left,) = in_memory.results(here, batch.run(p.layout, list(in_memory.jobs(here, root_seed, seeds)))).values()
+        (left,) = in_memory.results(here, runner.run(p.layout, list(in_memory.jobs(here, root_seed, seeds)))).values()
         return aim.over(left[aim.base][aim.signal], left["diverged"]), np.zeros(0)
 
     def at(point: Vector) -> tuple[float, Vector]:

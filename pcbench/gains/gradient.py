@@ -14,12 +14,13 @@ from jax import Array
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
+from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.gains.objective import Objective
 from pcbench.gains.parameters import Vector
 from pcbench.machine import pools
 from pcbench.planning.padding import Plan
-from pcbench.simulation import batch, differentiable
+from pcbench.simulation import differentiable
 from pcbench.simulation.problem import Problem
 
 LANES = 128  # runs a call: two calls at a time on two cores; of no influence on which runs there are
@@ -54,7 +55,7 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
     which = [np.issubdtype(np.result_type(a), np.floating) for a in jax.tree.leaves(p.problem.gains[label])]
     bare = p.problem._replace(gains={})
     calls = [_padded(seeds[i : i + layout.width], layout.width, len(seeds)) for i in range(0, len(seeds), layout.width)]
-    options = batch.OPTIONS if jax.devices()[0].platform == "cpu" else None
+    options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
     compiled: list[Any] = []
 
     def at(gains: Any) -> Slope:
@@ -63,8 +64,8 @@ def backwards(p: Plan, goal: Objective, root_seed: int, seeds: NDArray[np.int64]
         if not compiled:
             lowered = jax.jit(jax.value_and_grad(mean, has_aux=True)).lower(reals, others, bare, *calls[0])
             compiled.append(lowered.compile(options))
-        with pools.pool(len(batch.devices())) as threads:
-            parts = list(threads.map(lambda c: batch.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
+        with pools.pool(len(runner.devices())) as threads:
+            parts = list(threads.map(lambda c: runner.in_float64(_read, compiled[0], reals, others, bare, *c), calls))
         slopes = [sum(g) for g in zip(*(slope for _, slope, _ in parts), strict=True)]
         return sum(value for value, _, _ in parts), slopes, any(lost for _, _, lost in parts)
 

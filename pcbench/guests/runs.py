@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench import planning
+from pcbench.engine import initial_state, lane_array
 from pcbench.errors import UserError
 from pcbench.planning import padding
 from pcbench.planning.padding import Plan
-from pcbench.simulation import lanes, measured, start, trace
+from pcbench.simulation import measured, trace
 from pcbench.simulation.schedule import per_lane, shared
 from pcbench.study.cells import Cell
 
@@ -69,8 +70,8 @@ def _some(p: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[Run]:
 
 def _starts(layout: Any, problem: Any, root: Any, seeds: Any) -> Floats:
     ready, width = jax.tree.map(jnp.asarray, problem), len(seeds)
-    found = start.first_estimate(layout._replace(width=width), ready, root, jnp.asarray(seeds))
-    return np.asarray(lanes.whole(found, width))
+    found = initial_state.first_estimate(layout._replace(width=width), ready, root, jnp.asarray(seeds))
+    return np.asarray(lane_array.to_array(found, width))
 
 
 def _samples(p: Plan, root_seed: int, seed: int) -> list[shared.Sample]:

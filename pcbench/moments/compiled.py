@@ -6,13 +6,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from pcbench.engine import runner
+from pcbench.machine import program_cache
 from pcbench.moments import program
 from pcbench.moments.carried import Found, Shape
 from pcbench.moments.given import Given, own_of, together
 from pcbench.moments.merging import mix_of
 from pcbench.moments.realised import Realised
 from pcbench.moments.vector import WRITTEN_OUT, form_of
-from pcbench.simulation import batch, compiling
 from pcbench.simulation.problem import Layout
 from pcbench.simulation.schedule import shared
 
@@ -69,7 +70,7 @@ def _program(one: Realised, own: tuple[bool, ...], width: int, recorded: str, ev
 def _compiled(layout: Layout, shape: Shape, given: Given) -> Any:
     """A program for arrays of the shapes of `given`."""
     device = jax.devices()[0]
-    options = batch.OPTIONS if device.platform == "cpu" else None
+    options = runner.OPTIONS if device.platform == "cpu" else None
     placed = jax.sharding.SingleDeviceSharding(device)
     shapes = jax.tree.map(lambda a: jax.ShapeDtypeStruct(np.shape(a), np.asarray(a).dtype, sharding=placed), given)
 
@@ -79,4 +80,4 @@ def _compiled(layout: Layout, shape: Shape, given: Given) -> Any:
     return jax.jit(moments).lower(shapes).compile(options)
 
 
-_MADE = compiling.Programs()
+_MADE = program_cache.Programs()

@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from pcbench.engine.products.jaxpr_dependence import reach
 from pcbench.moments.events import jump, sense
 from pcbench.moments.start import begin
 from pcbench.moments.ticks import flat, one_cell
 from pcbench.moments.vector import OneCell, form_of, slope, vector
-from pcbench.simulation.lifted.reach import reach
 from pcbench.simulation.problem import Layout, Problem, Row
 
 

@@ -1,6 +1,6 @@
 """A batch of cells from tick 0 to its end: the compiled program of exact moments.
 
-The loop is that of `simulation.loop`: at an event samples are taken and packets arrive, then plant and observers flow to the
+The loop is that of `engine.event_loop`: at an event samples are taken and packets arrive, then plant and observers flow to the
 next (`stretch`). What goes along is the run without noise, a run with noise (`affine`), the effect of each random number of the
 start, and the covariance of the effects of all other noise. The start may be much larger than the errors that it leaves, and
 goes by itself: a difference of effects on the state and on the estimate keeps its digits, one of their squares does not. A

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.simulation.lanes import entrywise, everywhere, is_lanes, join, lanes_of, split
+from pcbench.engine import interpreter
+from pcbench.engine.lane_array import everywhere, is_lanes, join, lanes_of, split
 
 
 def entries(a: Array) -> Any:
@@ -28,7 +29,7 @@ def over(f: Callable[..., Any], p: Any, width: int) -> Callable[..., Any]:
     """Return what carries a function of one cell, (problem, tick, state, entering, rest), over entries, and leaves such."""
 
     def mapped(k: Array, state: Any, entering: Any, rest: Any) -> Any:
-        return everywhere(entrywise.over(f)(p, k, state, entering, rest), width)
+        return everywhere(interpreter.vmap_entrywise(f)(p, k, state, entering, rest), width)
 
     return mapped
 

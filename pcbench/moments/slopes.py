@@ -14,6 +14,7 @@ import jax
 import numpy as np
 from jax import Array
 
+from pcbench.engine import runner
 from pcbench.moments import program
 from pcbench.moments.bending import ROUNDING, bent
 from pcbench.moments.carried import Shape
@@ -23,7 +24,6 @@ from pcbench.moments.solve import CellMoments, refused
 from pcbench.moments.sums import Sums
 from pcbench.moments.vector import form_of
 from pcbench.planning.padding import Plan
-from pcbench.simulation import batch
 
 OFF = 1e-3  # relative
 Direction = list[Any]  # of every array of real numbers among the gains
@@ -76,7 +76,7 @@ def sloped(p: Plan, one: Realised, directions: int) -> Callable[[Any, list[Direc
         tangents = [np.stack(each, -1) if each[0].size else each[0] for each in zip(*ways, empty, strict=True)]
         call = given, others, reals, tangents
         if not made:
-            options = batch.OPTIONS if jax.devices()[0].platform == "cpu" else None
+            options = runner.OPTIONS if jax.devices()[0].platform == "cpu" else None
             made.append(jax.jit(both).lower(*call).compile(options))
         value, slopes = jax.tree.map(np.asarray, made[0](*call))
         mine = jax.tree.map(lambda a: a[..., :1], value)

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from pcbench.engine import runner
 from pcbench.machine import pools
 from pcbench.moments import items as items_of
 from pcbench.moments.apart import ALONE, computed
@@ -26,7 +27,6 @@ from pcbench.moments.sums import Sums, nothing, strayed
 from pcbench.moments.vector import form_of
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
-from pcbench.simulation import batch
 from pcbench.simulation.schedule import per_lane
 from pcbench.study.cells import Cell
 
@@ -101,7 +101,7 @@ def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
     """Yield the moments of each planned cell, in their order."""
     parts: dict[int, list[Part]] = {}
     done, unlike = 0, set[Hashable]()
-    with pools.pool(batch.cores()) as threads:
+    with pools.pool(runner.cores()) as threads:
         for items, found in _computed(threads, _batches(plans, asked, unlike), asked):
             for at, item in enumerate(items):
                 parts.setdefault(item.cell, []).append(Part(item, jax.tree.map(lambda a, at=at: a[..., at], found)))
@@ -110,7 +110,7 @@ def solve(plans: Iterable[Plan], asked: Asked) -> Iterator[CellMoments]:
                 if (whole := mine[0].item.whole) and not _answered(mine):
                     if mine[0].item.one.mode:
                         unlike.add(items_of.kind(whole))
-                    mine = batch.in_float64(_averaged, mine[0].item, asked)
+                    mine = runner.in_float64(_averaged, mine[0].item, asked)
                 yield _gathered(mine)
                 done += 1
 
@@ -188,8 +188,8 @@ def _computed(
         if not items[0].bend:
             ones = [item.one for item in items]
             work = _kept, ones, asked, width_of(ones, wide)
-        waiting.append((items, threads.submit(batch.in_float64, *work)))
-        if len(waiting) > 2 * batch.cores():
+        waiting.append((items, threads.submit(runner.in_float64, *work)))
+        if len(waiting) > 2 * runner.cores():
             first, future = waiting.pop(0)
             yield first, future.result()
     for items, future in waiting:

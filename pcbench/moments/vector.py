@@ -1,7 +1,7 @@
 """What noise reaches of a state, as one vector, and slopes of the simulated functions along it.
 
-Which arrays those are is found as the simulation finds what differs between its runs (`simulation.start`). What is the same in
-all runs, a filter's covariance or a counter, stays out of the vector; a slope is taken where it stands.
+Which arrays those are is found as the simulation finds what differs between its runs (`engine.initial_state`). What is the
+same in all runs, a filter's covariance or a counter, stays out of the vector; a slope is taken where it stands.
 """
 
 import itertools
@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from pcbench.engine import initial_state, interpreter
+from pcbench.engine.lane_array import is_lanes, join, split
+from pcbench.engine.products.jaxpr_dependence import reach
 from pcbench.moments.given import SMALL
-from pcbench.simulation import start
-from pcbench.simulation.lanes import entrywise, is_lanes, join, split
-from pcbench.simulation.lifted.reach import reach
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.simulate_runs import Run
 
@@ -77,7 +77,7 @@ def _bare(begun: Any) -> list[Any]:
 @lru_cache(256)
 def _begun(layout: Layout, tree: Any, shapes: tuple[Any, ...]) -> Any:
     p = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(*each) for each in shapes])
-    return jax.eval_shape(partial(start.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
+    return jax.eval_shape(partial(initial_state.begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
 
 
 def vector(form: Form, state: Run) -> Array:
@@ -168,7 +168,7 @@ def over_cells(p: Any, own: tuple[bool, ...], cells: int, written: bool) -> Call
 
     def over(f: OneCell) -> Callable[..., Any]:
         def by_entries(k: Any, *each: Any) -> Any:
-            found = entrywise.over(f)(parted, k, *jax.tree.map(_entries, each))
+            found = interpreter.vmap_entrywise(f)(parted, k, *jax.tree.map(_entries, each))
             return jax.tree.map(partial(_joined, cells), found, is_leaf=is_lanes)
 
         def mapped(k: Any, *each: Any) -> Any:

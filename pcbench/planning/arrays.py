@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from pcbench import plants
+from pcbench.engine import runner
+from pcbench.engine.products import blocks
+from pcbench.engine.products.affine_detection import plant_goes
 from pcbench.errors import UserError
 from pcbench.observers import base_of
 from pcbench.planning import controller, once, padding
@@ -18,9 +21,6 @@ from pcbench.planning.padding import Plan
 from pcbench.plants import lti
 from pcbench.scenarios import Scenario
 from pcbench.scenarios.signals import SINGLE, inputs, jumps
-from pcbench.simulation import batch
-from pcbench.simulation.lifted import chunks
-from pcbench.simulation.lifted.form import plant_goes
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.sample_noise import Outliers, Rounding
 from pcbench.simulation.schedule import per_lane, regular, shared
@@ -80,10 +80,10 @@ def width(cell: Cell, runs: int | None = None) -> int:
     """
     if fixed := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
         return min(fixed)
-    most = batch.HEAVY if plants.entry_of(cell.scenario).heavy else batch.WIDTH
+    most = runner.HEAVY if plants.entry_of(cell.scenario).heavy else runner.WIDTH
     if runs is None or cell.scenario.loop.controller or cell.times.random:
         return most
-    return next((lanes for lanes in batch.NARROW if runs <= lanes < most), most)
+    return next((lanes for lanes in runner.NARROW if runs <= lanes < most), most)
 
 
 def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = None, ask: once.Once = once.anew) -> Plan:
@@ -162,7 +162,7 @@ def _late(cell: Cell) -> float:
 def _chunks(layout: Layout, problem: Problem, ask: once.Once) -> int:
     """Room for the chunks of a cell that goes by them; 0 of one that is stepped, whatever its observers."""
     schedule = problem.schedule
-    room = chunks.room(schedule.event, len(problem.windows)) if isinstance(schedule, shared.Schedule) else 0
+    room = blocks.room(schedule.event, len(problem.windows)) if isinstance(schedule, shared.Schedule) else 0
     if not room:
         return 0
     bare = layout._replace(observers=(), width=1, ring=1)

@@ -18,9 +18,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from pcbench.engine import batching_rules, jaxpr_compat
 from pcbench.planning.padding import Plan
 from pcbench.protocols import Arrival
-from pcbench.simulation.lanes import primitives, rules
 from pcbench.simulation.problem import present
 
 ONCE = {
@@ -123,7 +123,7 @@ def _walked(jaxpr: Any, consts: Sequence[Value], args: Sequence[Value]) -> tuple
     env = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *args], strict=True))
 
     def read(v: Any) -> Value:
-        return _known(v.val) if isinstance(v, primitives.Literal) else env[v]
+        return _known(v.val) if isinstance(v, jaxpr_compat.Literal) else env[v]
 
     total = 0
     for eqn in jaxpr.eqns:
@@ -135,17 +135,17 @@ def _walked(jaxpr: Any, consts: Sequence[Value], args: Sequence[Value]) -> tuple
 
 def _step(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
     name = eqn.primitive.name
-    if name in primitives.CALLS:
-        program = primitives.called(eqn.params)
+    if name in jaxpr_compat.CALLS:
+        program = jaxpr_compat.called(eqn.params)
         return _walked(program.jaxpr, [*map(_known, program.consts)], given)
     if name == "cond":
-        program = primitives.branches(eqn.params)[int(given[0]())]
+        program = jaxpr_compat.branches(eqn.params)[int(given[0]())]
         return _walked(program.jaxpr, [*map(_known, program.consts)], given[1:])
     if name == "while":
         return _while(eqn, given)
     out = _when_asked(eqn, given)
     if name == "scan":
-        body, consts, carry, length, _ = primitives.scan(eqn.params)
+        body, consts, carry, length, _ = jaxpr_compat.scan(eqn.params)
         rows = [partial(_first, row) for row in given[consts + carry :]]
         held = [*map(_known, body.consts)]
         return length * (_walked(body.jaxpr, held, [*given[: consts + carry], *rows])[0] if length else 0), out
@@ -168,7 +168,7 @@ def _first(rows: Value) -> Any:
 
 
 def _while(eqn: Any, given: list[Value]) -> tuple[int, list[Value]]:
-    cond, body, first, second = primitives.while_(eqn.params)
+    cond, body, first, second = jaxpr_compat.while_(eqn.params)
     asked, fixed, state = given[:first], given[first : first + second], given[first + second :]
     held, inside = [*map(_known, cond.consts)], [*map(_known, body.consts)]
     total, goes_on = _walked(cond.jaxpr, held, [*asked, *state])
@@ -185,7 +185,7 @@ def _products(eqn: Any) -> int:
     if not jnp.issubdtype(out.dtype, jnp.floating):
         return 0
     if name == "dot_general":
-        return rules.products(eqn)
+        return batching_rules.products(eqn)
     if name in CUBIC:
         n = eqn.invars[0].aval.shape[-1]
         return int(n * n * out.shape[-1]) if name == "triangular_solve" else n**3 // 3

@@ -6,9 +6,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.engine import runner
 from pcbench.planning import digits
 from pcbench.planning.padding import Plan, key_of
-from pcbench.simulation import batch, metrics
+from pcbench.simulation import metrics
 from pcbench.simulation.problem import Outcome
 from pcbench.study import Study
 
@@ -24,13 +25,13 @@ class CellResults(NamedTuple):
     results: Results
 
 
-def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[batch.Job]:
+def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[runner.Job]:
     """Cut a cell's seeds into jobs of one width."""
     for first in range(0, len(seeds), planned.layout.width):
-        yield batch.Job(planned.problem, root_seed, seeds[first : first + planned.layout.width])
+        yield runner.Job(planned.problem, root_seed, seeds[first : first + planned.layout.width])
 
 
-def results(planned: Plan, outcomes: Iterable[tuple[batch.Job, Outcome]]) -> Results:
+def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, Outcome]]) -> Results:
     """Return the metrics that the outcomes of one cell's jobs hold, joined; raise DigitsError where rounding decides them."""
     parts: dict[str, list[dict[str, NDArray[Any]]]] = {label: [] for label in planned.labels}
     n, tail, dt = planned.cell.times.ticks, planned.cell.times.tail, planned.cell.scenario.dt
@@ -64,6 +65,6 @@ def execute(
         groups.setdefault(key_of(p), []).append(p)
     for group in groups.values():
         each = [list(jobs(p, study.root_seed, chosen)) for p in group]
-        outcomes = batch.run(group[0].layout, [job for mine in each for job in mine], devices)
+        outcomes = runner.run(group[0].layout, [job for mine in each for job in mine], devices)
         for p, mine in zip(group, each, strict=True):
             yield CellResults(p, chosen, results(p, (next(outcomes) for _ in mine)))

@@ -9,13 +9,14 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from pcbench.engine import runner
 from pcbench.machine import pools, process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import alone, drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.plots import outputs
-from pcbench.simulation import batch, trace
+from pcbench.simulation import trace
 from pcbench.statistics import consistency
 from pcbench.study.cells import Cell
 
@@ -45,8 +46,8 @@ def several(at: dict[str, Cell], root_seed: int, seed: int, progress: Progress =
     for i, each in enumerate(asked):
         groups.setdefault(_shapes(each), []).append(i)
     made: dict[int, trace.Thinned] = {}
-    with pools.pool(batch.cores()) as threads:
-        work = [threads.submit(batch.in_float64, _recorded, [asked[i] for i in group]) for group in groups.values()]
+    with pools.pool(runner.cores()) as threads:
+        work = [threads.submit(runner.in_float64, _recorded, [asked[i] for i in group]) for group in groups.values()]
         for group, done in zip(groups.values(), work, strict=True):
             made |= zip(group, done.result(), strict=True)
             progress.step(len(group))

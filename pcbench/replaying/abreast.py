@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from pcbench.engine import runner
 from pcbench.logs.log import Ints
 from pcbench.machine import pools
 from pcbench.replaying import stretch
 from pcbench.replaying.feed import Part
-from pcbench.simulation import batch
 from pcbench.simulation.problem import Layout, Problem, Recent, State
 
 
@@ -47,11 +47,11 @@ def through(every: list[Alone], parts: Iterable[Part], back: int, ends: Ints) ->
     """
     before: Part | None = None
     work: list[Future[Done]] = []
-    with pools.pool(min(len(every), batch.cores())) as threads:
+    with pools.pool(min(len(every), runner.cores())) as threads:
         for part in chain(parts, [None]):
             done = [each.result() for each in work]
             every[:] = [o for o, _ in done] or every
-            work = [threads.submit(batch.in_float64, _part, o, part, back, ends) for o in every if part]
+            work = [threads.submit(runner.in_float64, _part, o, part, back, ends) for o in every if part]
             if before:
                 yield before, _together([read for _, read in done])
             before = part

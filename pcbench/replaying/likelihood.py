@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from pcbench.errors import UserError
 from pcbench.gains import gradient
 from pcbench.gains.parameters import Vector
+from pcbench.machine import program_cache
 from pcbench.planning.padding import rounded
 from pcbench.replaying import feed, stretch
 from pcbench.replaying.prepared import Prepared, prepared
 from pcbench.replaying.replay import Asked
-from pcbench.simulation import compiling
 
 MOST = 1 << 22  # ticks of a log that is held in memory
 
@@ -115,4 +115,4 @@ def _run(
 @cache
 def compiled() -> Any:
     """Return `_run` compiled, once for each shape in a process."""
-    return compiling.bounded(_run, (0, 1, 2, 3, 4))
+    return program_cache.bounded(_run, (0, 1, 2, 3, 4))

@@ -19,9 +19,8 @@ from jax import Array, lax
 from jaxtyping import Float
 
 from pcbench.dynamics import linear
-from pcbench.machine import memory
+from pcbench.machine import memory, program_cache
 from pcbench.protocols import Leaf
-from pcbench.simulation import compiling
 from pcbench.synthesis.certificate import Setting
 
 MOST = 1 << 26  # numbers that are kept of a whole log, at most
@@ -110,4 +109,4 @@ def smooth(model: Linear, u: Array, y: Array) -> Array:
 @cache
 def compiled() -> Any:
     """Return `smooth` compiled, once for each shape in a process."""
-    return compiling.bounded(smooth)
+    return program_cache.bounded(smooth)

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.logs.windows import Window
+from pcbench.machine import program_cache
 from pcbench.protocols import Arrival, Plant
-from pcbench.simulation import compiling, draws, metrics, simulate_runs
+from pcbench.simulation import draws, metrics, simulate_runs
 from pcbench.simulation.problem import Layout, Problem, present
 from pcbench.simulation.simulate_runs import Run, select
 
@@ -136,4 +137,4 @@ def _scored(p: Problem, score: Score, k: Array, known: Array, e: dict[str, Array
 @cache
 def compiled() -> tuple[Any, Any]:
     """Return `begun` and `run` compiled, once for each shape in a process."""
-    return compiling.bounded(begun, (0, 2, 3)), compiling.bounded(run, 0)
+    return program_cache.bounded(begun, (0, 2, 3)), program_cache.bounded(run, 0)

@@ -3,11 +3,11 @@
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, as_completed
 
+from pcbench.engine import runner
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.reproduce import PAPERS
 from pcbench.reproduce.claim import Claim
-from pcbench.simulation import batch
 
 LONGEST_FIRST = ("arm", "helicopter", "pi-pco", "chain", "cart")  # measured; only how long it takes depends on it
 
@@ -18,7 +18,7 @@ def claims(progress: Progress = SILENT) -> dict[str, list[Claim]]:
     progress.begin("papers", len(names))
     fresh = multiprocessing.get_context("spawn")  # a forked process has jax's threads in an unknown state
     found = {}
-    with ProcessPoolExecutor(min(len(names), batch.cores()), fresh) as pool:
+    with ProcessPoolExecutor(min(len(names), runner.cores()), fresh) as pool:
         waiting = {pool.submit(of, name): name for name in names}
         try:
             for done in as_completed(waiting):

@@ -1,1 +1,1 @@
-"""One run, tick by tick, for thousands of lanes at once. It takes plants, observers and controllers as arguments."""
+"""A run, defined tick by tick, with its schedule, draws and metrics. Plants, observers and controllers are arguments."""

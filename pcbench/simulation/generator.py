@@ -12,8 +12,7 @@ import math
 import jax
 import jax.numpy as jnp
 from jax import Array
-
-from pcbench.simulation.lanes.primitives import generators
+from jax.extend import random as generators
 
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 PARITY = 0x1BD11BDA

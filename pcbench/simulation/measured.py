@@ -14,8 +14,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import compiling, sample_noise, start
-from pcbench.simulation.lanes import whole
+from pcbench.machine import program_cache
+from pcbench.simulation import draws, sample_noise
 from pcbench.simulation.problem import Layout, Problem, params_of, present
 
 
@@ -29,8 +29,10 @@ class Measured(NamedTuple):
 def measured(layout: Layout, many: int, p: Problem, root_seed: Array, seeds: Array, x: Array) -> Measured:
     """Return what runs seeds[L] measure whose states are x[N+1, n, L], of `many` samples a channel."""
     q, lanes = p.noise_std.shape[0], seeds.shape[0]
-    own = start.drawn_numbers(layout._replace(width=lanes), root_seed, seeds)
-    drawn = whole(own, lanes) if layout.drifting else jnp.zeros((0, lanes))
+    numbers = layout.plant.drawn if layout.drifting else 0
+    drawn = (
+        draws.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, numbers)[0] if numbers else jnp.zeros((0, lanes))
+    )
     noise = sample_noise.drawing(p, root_seed, seeds)
 
     def one(k: Array, x: Array, drawn: Array) -> Array:
@@ -47,4 +49,4 @@ def measured(layout: Layout, many: int, p: Problem, root_seed: Array, seeds: Arr
 @cache
 def compiled() -> Any:
     """Return `measured` compiled, once for each shape in a process."""
-    return compiling.bounded(measured, (0, 1))
+    return program_cache.bounded(measured, (0, 1))

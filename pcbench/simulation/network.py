@@ -18,7 +18,6 @@ from jaxtyping import Float, Int
 
 from pcbench.protocols import Leaf
 from pcbench.simulation import draws
-from pcbench.simulation.lanes import table
 
 NEVER = float(2**30)  # the arrival of a lost command
 
@@ -61,11 +60,6 @@ def empty(rows: int, waiting: int, inputs: int) -> Commands:
     nothing = jnp.zeros((rows, inputs))
     on_the_way = jnp.zeros((waiting, 2 * inputs + 1)).at[:, -1].set(NEVER)
     return Commands(nothing, nothing, on_the_way, jnp.asarray(-1.0), jnp.zeros(inputs))
-
-
-def tabled(commands: Commands) -> Commands:
-    """Return the commands with their rings as tables."""
-    return commands._replace(sent=table(commands.sent), held=table(commands.held), waiting=table(commands.waiting))
 
 
 def drawing(p: Numbers, root_seed: Array, seeds: Array) -> Callable[[Array], Drawn]:

@@ -9,7 +9,9 @@ from jax import Array
 from pcbench.protocols import Controller, Gains, Leaf, Memory, Now, Observer, Plant
 from pcbench.simulation import actuator, metrics, network
 
-PerLane = Any  # Lanes where it differs between lanes, an Array where it does not; inside a one-lane function, an Array
+PerLane = (
+    Any  # a LaneArray where it differs between lanes, an Array where it does not; inside a one-lane function, an Array
+)
 Memories = dict[str, Memory]  # by observer label, a pytree of PerLane
 Notes = dict[str, PerLane]  # by observer label: [r]
 
@@ -92,7 +94,7 @@ class State(NamedTuple):
     x: PerLane  # [n]
     drawn: Any  # numbers the run has drawn for its plant, [plant.drawn]; (): none
     memories: Any  # Memories; between events on schedules of their own, packed
-    flight: Any  # packets on the network, in rings: `events_shared` and `events_per_lane` have their own
+    flight: Any  # packets on the network, in rings: `engine.common_schedule` and `random_schedules` have their own
     streams: dict[str, metrics.Stream]
     watches: dict[str, metrics.Watch]
     commands: Any = ()  # [R, m] of a closed loop; network.Commands where they are sent over a network

@@ -8,7 +8,7 @@ A tick k = 0 .. N-1 goes in this order (design of a sampled loop with delayed me
     4. control    in a closed loop the command of tick k is made of the estimate
     5. flow       plant and observers move to tick k + 1 under the same input
 
-At the last tick there is no flow. Whatever else simulates in pcbench (`loop`) is faster, and equal to this by test
+At the last tick there is no flow. Whatever else simulates in pcbench (`pcbench.engine`) is faster, and equal to this by test
 (`tests/simulation/test_definition.py`): to 1e-11 of the largest error.
 
 n states, q outputs, W windows, E packets that are on the network at a time (`layout.ring`).

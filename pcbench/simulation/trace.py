@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import closed_loop, compiling, consistency, simulate_runs
+from pcbench.machine import program_cache
+from pcbench.simulation import closed_loop, consistency, simulate_runs
 from pcbench.simulation.problem import Layout, Problem, params_of, present, truth
 from pcbench.simulation.simulate_runs import Run, Shift
 
@@ -123,10 +124,10 @@ def _newest(brought: Array) -> Array:
 @cache
 def compiled() -> Any:
     """Return `record` compiled, once for each shape in a process."""
-    return compiling.bounded(record, 0)
+    return program_cache.bounded(record, 0)
 
 
 @cache
 def compiled_some() -> Any:
     """Return `record_some` compiled, once for each shape in a process."""
-    return compiling.bounded(record_some, (0, 1, 2))
+    return program_cache.bounded(record_some, (0, 1, 2))

@@ -68,8 +68,15 @@ def partition(model: Model, size: Matrix, maps: Maps, where: str) -> Partition:
     require_observable(model, where)
     T, l = coordinates(model.C, where), len(model.C)
     whole = T @ maps.Phi @ np.linalg.inv(T)
-    of = units.near(np.linalg.norm(T * size, axis=1))
-    return Partition(T, l, whole[:, :l, l:], whole[:, l:, l:], maps.seconds, of, maps.corners)
+    return Partition(
+        T=T,
+        outputs=l,
+        A12=whole[:, :l, l:],
+        A22=whole[:, l:, l:],
+        seconds=maps.seconds,
+        units=units.near(np.linalg.norm(T * size, axis=1)),
+        corners=maps.corners,
+    )
 
 
 def jacobian(A12: Matrix, A22: Matrix, Kp: Matrix, Ki: Matrix | None) -> Matrix:

@@ -10,10 +10,11 @@ from rich.console import Console
 import pcbench
 from pcbench import planning
 from pcbench.cli.screen import results
+from pcbench.engine import runner
 from pcbench.planning import in_memory
 from pcbench.reproduce import arm, arm_table
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import batch, metrics
+from pcbench.simulation import metrics
 from pcbench.study import read
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -100,9 +101,9 @@ def test_one_compilation_for_every_period_delay_and_noise_and_one_more_for_drift
     chosen = read.parse({"name": "arm", "scenarios": ["arm/sampled"], "observers": ["smo"], "axes": axes}, "arm")
     short = [p._replace(problem=p.problem._replace(windows=np.array([[0, 600], [600, 900], [900, 901]])))
              for p in planning.plan(chosen)]  # fmt: skip
-    before = batch.compilations()
+    before = runner.compilations()
     results = [d.results["smo"]["tail_peak"] for d in in_memory.execute(chosen, short, seeds=np.arange(2))]
-    assert batch.compilations() - before == 2, "with drift every run draws its plant's numbers"
+    assert runner.compilations() - before == 2, "with drift every run draws its plant's numbers"
     assert len({r[0, 0].item() for r in results}) == 16, "every cell has its own numbers"
 
 

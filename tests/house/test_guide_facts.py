@@ -7,12 +7,12 @@ from documents import PAGES
 
 from pcbench import plots
 from pcbench.checking import observer
+from pcbench.engine import runner
 from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.planning import plan
 from pcbench.protocols import Observer
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import batch
 from pcbench.study import STUDIES, read
 from pcbench.synthesis.certificate import is_certified
 
@@ -76,7 +76,7 @@ def test_every_plot_is_named():
 
 
 def test_how_many_runs_a_call_has():
-    widths = sorted({*batch.NARROW, batch.WIDTH})
+    widths = sorted({*runner.NARROW, runner.WIDTH})
     assert "an array over {}, {} or {} runs".format(*widths) in PAGES["how_it_works.md"]
 
 

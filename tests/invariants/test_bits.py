@@ -8,9 +8,9 @@ import pytest
 import pcbench
 from pcbench import planning
 from pcbench.dataset import verify
+from pcbench.engine import runner
 from pcbench.planning import in_memory
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import batch
 from pcbench.simulation.draws import measurement_noise, normals, run_keys
 from pcbench.study import read
 
@@ -67,9 +67,9 @@ def test_alone_equals_in_a_block(some):
 @pytest.mark.nightly
 def test_alone_equals_in_a_full_block_and_in_the_next_one(alone):
     """Alone in a call of 64 lanes."""
-    block = results(np.concatenate([np.arange(100, 100 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"]
-    same(alone, block, batch.WIDTH)
-    same(alone, results(np.concatenate([np.arange(100, 99 + batch.WIDTH), SEVEN]))["cart/gaussian-fast0"], -1)
+    block = results(np.concatenate([np.arange(100, 100 + runner.WIDTH), SEVEN]))["cart/gaussian-fast0"]
+    same(alone, block, runner.WIDTH)
+    same(alone, results(np.concatenate([np.arange(100, 99 + runner.WIDTH), SEVEN]))["cart/gaussian-fast0"], -1)
 
 
 def test_one_device_equals_two(some):
@@ -106,7 +106,7 @@ def test_on_the_arm_with_drift_too(monkeypatch):
     def found(seeds, devices=2):
         return results(seeds, three, ("arm/sampled",), devices, False, {"drift": [0.05]})["arm/sampled0"]
 
-    alone, width = found(SEVEN), batch.HEAVY
+    alone, width = found(SEVEN), runner.HEAVY
     same(alone, found(np.arange(20)), 7, three)
     same(alone, found(np.concatenate([np.arange(100, 100 + width), SEVEN])), width, three)
     same(alone, found(SEVEN, devices=1), 0, three)

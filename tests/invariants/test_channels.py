@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from harness import LINEAR, ODD, Case, noise, problem
 
+from pcbench.engine import common_schedule, lane_array, steps
 from pcbench.protocols import Observer
-from pcbench.simulation import events_shared, lanes, steps
 from pcbench.simulation.problem import Layout
 from pcbench.simulation.schedule import shared
 
@@ -43,7 +43,7 @@ SPY = Observer(
 
 def whole(x):
     """A memory's leaf of the only lane."""
-    return np.asarray(lanes.join(x))[..., 0] if lanes.is_lanes(x) else np.asarray(x)
+    return np.asarray(lane_array.join(x))[..., 0] if lane_array.is_lanes(x) else np.asarray(x)
 
 
 REST = (((4, 4), (9, 2)), ((6, 9), (0, 0)), ((1, 3), (2, 50)))
@@ -60,7 +60,7 @@ def test_each_channel_gets_its_own_samples(period, delay):
     plan = shared.periodic(list(period), list(delay), ticks)
     p = jax.tree.map(jnp.asarray, p._replace(schedule=plan, gains={"spy": ()}))
     layout = Layout(LINEAR, (("spy", SPY),), 1, shared.in_flight(plan), False)
-    happen, state = events_shared.prepare(layout, p, jnp.asarray(0), jnp.asarray([0]))
+    happen, state = common_schedule.prepare(layout, p, jnp.asarray(0), jnp.asarray([0]))
     v = np.stack(noise(case), -1)
     step = jax.jit(lambda s, k: happen(k, s))
     flow = jax.jit(lambda s, k: steps.flow(layout, p, k, s, jnp.zeros(0)))

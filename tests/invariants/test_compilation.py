@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pcbench import planning
+from pcbench.engine import runner
 from pcbench.planning import in_memory
-from pcbench.simulation import batch
 from pcbench.study import read
 
 AXES = {"sampling_period": [0.1, 0.25], "delay": [0.0, 0.2, 0.7], "noise_std": [0.0, 0.5], "drift": [0.0, 1.0]}
@@ -25,7 +25,7 @@ def test_one_compilation_for_every_period_delay_noise_and_drift():
     with hurried.programs():
         chosen, cells = planned(["kfbo", "dkf"], **AXES)
         done = list(in_memory.execute(chosen, cells))
-        assert batch.compilations() == 1
+        assert runner.compilations() == 1
     assert len(done) == 24
     mae = [d.results["kfbo"]["mae"][0, 0] for d in done]
     assert len(set(mae)) == 24, "every cell has its own numbers"
@@ -39,7 +39,7 @@ def test_gains_are_traced():
         for R in (0.1, 3.0):
             chosen = read.parse(raw | {"options": {"kfbo": {"R": R}}}, "gains")
             list(in_memory.execute(chosen, planning.plan(chosen)))
-            counts.append(batch.compilations())
+            counts.append(runner.compilations())
     assert counts[0] == counts[1]
 
 
@@ -49,8 +49,8 @@ def test_gains_are_traced():
 def loops(request):
     """The text of every computation that the compiled loops run."""
     _, (cell,) = planned()
-    layout = cell.layout._replace(random_start=request.param, width=batch.WIDTH)
-    made = batch.program(layout, batch.Job(cell.problem, 0, np.arange(2)))
+    layout = cell.layout._replace(random_start=request.param, width=runner.WIDTH)
+    made = runner.program(layout, runner.Job(cell.problem, 0, np.arange(2)))
     text = made.compiled.as_text()
     bodies = set(re.findall(r"body=%?([\w.]+)", text))
     blocks = re.split(r"\n(?=%|ENTRY)", text)
@@ -60,20 +60,20 @@ def loops(request):
 def wide(body):
     """(dimensions, layout) of every array of floats that holds lanes."""
     shapes = re.findall(r"f64\[([\d,]+)\]\{([\d,]+)\}", body)
-    return [(d.split(","), order.split(",")) for d, order in shapes if str(batch.WIDTH) in d.split(",")]
+    return [(d.split(","), order.split(",")) for d, order in shapes if str(runner.WIDTH) in d.split(",")]
 
 
 def test_the_loop_carries_lanes_minor(loops):
     assert len(loops) >= 3, "windows, segments, ticks"
     for body in loops:
         for dims, order in wide(body):
-            assert dims[-1] == str(batch.WIDTH), f"lanes are not the last axis of {dims}"
+            assert dims[-1] == str(runner.WIDTH), f"lanes are not the last axis of {dims}"
             assert order[0] == str(len(dims) - 1), f"lanes are not minor in {dims} {order}"
 
 
 def test_the_loop_transposes_nothing(loops):
     for body in loops:
-        assert not re.search(rf"f64\[[\d,]*{batch.WIDTH}[\d,]*\]\S* transpose\(", body)
+        assert not re.search(rf"f64\[[\d,]*{runner.WIDTH}[\d,]*\]\S* transpose\(", body)
 
 
 def test_lanes_differ_only_where_they_must():
@@ -81,13 +81,13 @@ def test_lanes_differ_only_where_they_must():
     import jax
     import jax.numpy as jnp
 
-    from pcbench.simulation import lanes, start
+    from pcbench.engine import initial_state, lane_array
 
     _, (cell,) = planned()
     layout = cell.layout._replace(width=4)
-    state = jax.eval_shape(lambda p: start.begin(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem)
-    assert not lanes.is_lanes(state.x)
-    assert not lanes.is_lanes(state.memories["pccebo"].g)
-    assert not lanes.is_lanes(state.memories["open-loop"])
-    assert lanes.is_lanes(state.memories["pccebo"].xhat)
-    assert lanes.is_lanes(state.memories["kfbo"].z)
+    state = jax.eval_shape(lambda p: initial_state.begin(layout, p, jnp.asarray(0), jnp.arange(4)), cell.problem)
+    assert not lane_array.is_lanes(state.x)
+    assert not lane_array.is_lanes(state.memories["pccebo"].g)
+    assert not lane_array.is_lanes(state.memories["open-loop"])
+    assert lane_array.is_lanes(state.memories["pccebo"].xhat)
+    assert lane_array.is_lanes(state.memories["kfbo"].z)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import pcbench
+from pcbench.machine import program_cache
 from pcbench.moments import compiled, solve
-from pcbench.simulation import compiling
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -29,7 +29,7 @@ def test_apart_or_together_the_numbers_are_the_same_and_two_of_a_kind_share_a_pr
     together = stats()
     assert together["dkf", "a", "mse"] != together["dkf-wary", "a", "mse"]
     monkeypatch.setattr(solve, "LARGE", 0)
-    monkeypatch.setattr(compiled, "_MADE", compiling.Programs())
+    monkeypatch.setattr(compiled, "_MADE", program_cache.Programs())
     np.testing.assert_allclose(stats(), together, rtol=1e-12, atol=1e-15)
     assert len(compiled._MADE) == 2, "dkf and dkf-wary are one"
 

@@ -15,11 +15,11 @@ from reference import irregular as reference
 from reference import linear
 from scipy.linalg import solve_discrete_lyapunov
 
+from pcbench.engine import event_loop
 from pcbench.errors import DesignError
 from pcbench.observers import OBSERVERS, pco
 from pcbench.observers.parts.prediction import Motion, Point
 from pcbench.observers.parts.reordering import Measurement
-from pcbench.simulation import loop
 from pcbench.simulation.schedule import sampling, shared
 from pcbench.simulation.schedule.sampling import Clock
 from pcbench.simulation.schedule.shared import NEVER
@@ -228,7 +228,7 @@ def test_the_closed_form_is_what_many_runs_leave():
     """Position on the cart over intervals of 0.2 s, start known: within four standard errors of 1024 runs."""
     case = Case(CART, 20, 20, ticks=3000, h=0.01, noise_std=0.3, x0=[5.0, 10.0], xhat0=[5.0, 10.0])
     layout, p = problem(case, GIVEN["cart"])
-    run = jax.jit(loop.simulate, static_argnums=0)
+    run = jax.jit(event_loop.simulate, static_argnums=0)
     out = run(layout._replace(width=1024), p, jnp.asarray(0), jnp.arange(1024))
     for name, want in (("pco", 1 / 3), ("pi-pco", 14 / 31)):  # F = 0.5, k = 0.1
         square = np.asarray(out.streams[name].square)[1:, 0].sum(0) / (case.ticks - case.ticks // 2) / case.noise_std**2

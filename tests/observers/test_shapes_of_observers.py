@@ -6,9 +6,9 @@ import pytest
 from harness import Case, problem, suitable
 from jaxtyping import TypeCheckError
 
+from pcbench.engine import steps
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Arrival
-from pcbench.simulation import steps
 
 
 class Calls:

@@ -9,10 +9,10 @@ from commands import call
 from reference import chain as ref
 
 import pcbench
+from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.reproduce import chain, chain_design
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import batch
 from pcbench.study import cells, read
 
 MISPRINTS = {
@@ -152,9 +152,9 @@ def test_the_worked_stationary_errors_come_out_by_monte_carlo_and_in_the_worked_
 
 @pytest.mark.nightly
 def test_the_study_of_delay_vectors_takes_one_program():
-    before = batch.compilations()
+    before = runner.compilations()
     result = pcbench.run("unequal-delays", seeds=8)
-    assert batch.compilations() - before == 1
+    assert runner.compilations() - before == 1
     assert result.stats.cell.nunique() == 10
     assert result.stats.delay.map(len).eq(3).all()
 

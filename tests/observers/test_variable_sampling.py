@@ -132,7 +132,7 @@ def test_observers_equal_the_reference_with_jitter_loss_and_disorder(plant, obse
 )
 @pytest.mark.nightly
 def test_lanes_on_schedules_of_their_own_have_the_numbers_of_runs_alone(axes):
-    """`events_per_lane` against `events_shared` through the recorded run on that seed's schedule."""
+    """`random_schedules` against `common_schedule` through the recorded run on that seed's schedule."""
     names = ["pccebo", "pi-pco", "dkf", "dkf-bias"]
     with process.float64():
         chosen = read.parse({"name": "t", "scenarios": ["cart/variable"], "observers": names, "axes": axes,

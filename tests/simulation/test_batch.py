@@ -5,10 +5,11 @@ import pytest
 from harness import ODD, Case, problem
 
 from pcbench import planning
+from pcbench.engine import runner
 from pcbench.machine import process
 from pcbench.planning import in_memory
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import batch, metrics
+from pcbench.simulation import metrics
 from pcbench.simulation.problem import Outcome
 from pcbench.study.cells import cell_of
 
@@ -29,9 +30,9 @@ def test_jobs_come_back_in_order_with_what_is_theirs(count):
     layout, jobs = layout._replace(width=3), []
     for i in range(9):
         seeds = np.arange(i, i + 1 + i % 3)
-        jobs.append(batch.Job(p._replace(x0=p.xhat0 + np.array([i, 0.0, 0.0])), 0, seeds))
+        jobs.append(runner.Job(p._replace(x0=p.xhat0 + np.array([i, 0.0, 0.0])), 0, seeds))
     with process.float64():
-        done = list(batch.run(layout, jobs, count))
+        done = list(runner.run(layout, jobs, count))
     assert [job is given for (job, _), given in zip(done, jobs, strict=True)] == [True] * 9
     first = done[1][1].final["open-loop"][0, 0]
     for i, (job, out) in enumerate(done):

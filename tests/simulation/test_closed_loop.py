@@ -10,11 +10,12 @@ import pcbench
 from pcbench import statistics
 from pcbench.cli.screen import results
 from pcbench.cli.screen.tables import Screen
+from pcbench.engine import runner
 from pcbench.errors import UserError
 from pcbench.machine import process
 from pcbench.planning import controller, in_memory
 from pcbench.scenarios import SCENARIOS
-from pcbench.simulation import batch, draws
+from pcbench.simulation import draws
 from pcbench.study import Study
 
 SECOND = 1.0
@@ -102,7 +103,7 @@ def test_lanes_of_a_closed_loop_have_the_same_numbers_alone_and_in_a_block(obser
             (done,) = in_memory.execute(study, [p], np.asarray(seeds), devices)
         return done.results[observer]
 
-    alone, full = results([7], 1), batch.HEAVY
+    alone, full = results([7], 1), runner.HEAVY
     for seeds, place in ((range(20), 7), ([*range(100, 100 + full), 7], full), ([*range(100, 99 + full), 7], -1)):
         block = results(list(seeds), 1)
         for metric, values in alone.items():
@@ -134,9 +135,9 @@ def test_tables_of_a_study_hold_status_fractions_and_tracking(short, tmp_path):
         "name": "loops", "scenarios": ["helicopter/constant"], "observers": ["high-gain", "high-gain-robust"], "seeds": 6,
         "options": {"scenario": {"random_start": True, "path": "still"}},
     }  # fmt: skip
-    before = batch.compilations()
+    before = runner.compilations()
     done = pcbench.run(raw, out=tmp_path / "out")
-    assert batch.compilations() == before + 1, "labels of one observer share a program"
+    assert runner.compilations() == before + 1, "labels of one observer share a program"
     runs, stats = done.runs, done.stats
     assert len(runs) == 2 * 6 * 6
     assert set(runs.status) <= {"settled", "unsettled", "diverged"}

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from pcbench import planning
+from pcbench.engine import runner
 from pcbench.machine import process
 from pcbench.planning import padding
-from pcbench.simulation import batch, metrics
+from pcbench.simulation import metrics
 from pcbench.simulation.schedule import shared
 from pcbench.simulation.simulate_runs import simulate_runs
 from pcbench.study import read
@@ -121,8 +122,8 @@ def table(p, out, label):
 def test_the_engine_equals_the_definition(case):
     for p in plans(case):
         with process.float64():
-            job = batch.Job(p.problem, 0, SEEDS)
-            made = next(batch.serial(batch.program(p.layout, job), [job]))[1]
+            job = runner.Job(p.problem, 0, SEEDS)
+            made = next(runner.serial(runner.program(p.layout, job), [job]))[1]
             defined = by_the_definition(p)
         assert p.layout.observers
         for label, _ in p.layout.observers:

@@ -9,12 +9,13 @@ import pytest
 from harness import ODD, Case, problem, recorder
 
 from pcbench import planning
+from pcbench.engine import event_loop
 from pcbench.gains import gradient, parameters
 from pcbench.gains.objective import objective_of
 from pcbench.machine import process
 from pcbench.observers import OBSERVERS, entry_of
 from pcbench.planning import padding
-from pcbench.simulation import differentiable, loop, metrics
+from pcbench.simulation import differentiable, metrics
 from pcbench.study import cells, options_of, read
 
 SEEDS = np.arange(3, 7)
@@ -30,7 +31,7 @@ CASES = {
     "arm/sampled": ["smo"],
 }
 METRICS = jax.jit(differentiable.metrics, static_argnums=(0, 2, 3))
-SIMULATE = jax.jit(loop.simulate, static_argnums=0)
+SIMULATE = jax.jit(event_loop.simulate, static_argnums=0)
 
 
 @cache

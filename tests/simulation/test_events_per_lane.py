@@ -14,9 +14,10 @@ from harness import CART, LINEAR, Case, inputs, problem, setting, starts
 from reference import irregular as reference
 from reference import linear as by_hand
 
+from pcbench.engine import event_loop, random_schedules, runner
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer, Plant
-from pcbench.simulation import batch, draws, events_per_lane, loop
+from pcbench.simulation import draws
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import per_lane
 from pcbench.simulation.schedule.sampling import Clock
@@ -31,7 +32,7 @@ TIMES = per_lane.times
 @pytest.fixture(scope="module", autouse=True)
 def small_chunks():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(events_per_lane, "CHUNK", 16)
+        patch.setattr(random_schedules, "CHUNK", 16)
         yield
 
 
@@ -143,7 +144,7 @@ def expected(clocks, ticks, error, seed):
 @cache
 def spying(width):
     layout = Layout(CLOCKWORK, (("spy", SPY),), width, 128, False, False)
-    run = lambda p, seeds: loop.simulate(layout, p, jnp.asarray(0), seeds).final["spy"]  # noqa: E731
+    run = lambda p, seeds: event_loop.simulate(layout, p, jnp.asarray(0), seeds).final["spy"]  # noqa: E731
     return jax.jit(run, compiler_options=QUICK)
 
 
@@ -196,7 +197,7 @@ def job(clock, seeds, error=0, swap=False, **numbers):
     gains = {o: gains_of()["pco" if swap and o == "pi-pco" else o] for o in RUN}
     times = times_of([CLOCKS[clock]], CASE.ticks, 1, error)
     p = p._replace(gains=gains, schedule=times, **{k: np.asarray(v) for k, v in numbers.items()})
-    return batch.Job(jax.tree.map(np.asarray, p), 0, np.asarray(seeds))
+    return runner.Job(jax.tree.map(np.asarray, p), 0, np.asarray(seeds))
 
 
 def outcomes(jobs, devices, observers=None):
@@ -205,7 +206,7 @@ def outcomes(jobs, devices, observers=None):
     each = tuple((o, OBSERVERS[o].observer) for o in names)
     layout = Layout(LINEAR, each, WIDE, 32, False, False)
     jobs = [j._replace(problem=j.problem._replace(gains={o: j.problem.gains[o] for o in names})) for j in jobs]
-    done = batch.run(layout, jobs, devices)
+    done = runner.run(layout, jobs, devices)
     return [{o: (out.streams[o], out.final[o]) for o in names} for _, out in done]
 
 
@@ -287,7 +288,7 @@ def test_every_run_has_the_numbers_of_the_reference(block, clock):
 def streams_of():
     """The streams of all observers, compiled in a hurry."""
     layout = Layout(LINEAR, tuple((o, OBSERVERS[o].observer) for o in RUN), WIDE, 32, False, False)
-    run = lambda p, seeds: loop.simulate(layout, p, jnp.asarray(0), seeds).streams  # noqa: E731
+    run = lambda p, seeds: event_loop.simulate(layout, p, jnp.asarray(0), seeds).streams  # noqa: E731
     return jax.jit(run, compiler_options=QUICK)
 
 

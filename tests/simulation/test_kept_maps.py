@@ -10,9 +10,9 @@ import jax
 import numpy as np
 import pytest
 
+from pcbench.engine import event_loop, runner
+from pcbench.engine.products import map_cache
 from pcbench.machine import process
-from pcbench.simulation import batch, loop
-from pcbench.simulation.lifted import kept_maps
 from tests.support.harness import ODD, Case, problem
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -26,7 +26,7 @@ def one():
     with process.float64():
         layout, p = problem(CASE, {o: {} for o in OBSERVERS})
         layout, p = layout._replace(lifted=64, width=WIDTH, random_start=True), jax.tree.map(np.asarray, p)
-        return layout, p, jax.jit(partial(kept_maps.made, layout))
+        return layout, p, jax.jit(partial(map_cache.made, layout))
 
 
 def named(p):
@@ -46,7 +46,7 @@ def bits(maps):
 def test_maps_depend_on_what_is_read_and_on_nothing_else(one):
     layout, p, make = one
     with process.float64():
-        reads, before, rng = kept_maps.reads(kept_maps.traced(layout, p)), make(p), np.random.default_rng(0)
+        reads, before, rng = map_cache.reads(map_cache.traced(layout, p)), make(p), np.random.default_rng(0)
         assert set(reads) == {"", *OBSERVERS}
         changed = {label: set() for label in reads}
         for name, a in named(p).items():
@@ -65,10 +65,10 @@ def test_maps_depend_on_what_is_read_and_on_nothing_else(one):
 
 def test_problems_that_differ_in_noise_share_maps_and_those_of_another_plant_input_or_schedule_do_not(one):
     layout, p, _ = one
-    calls, kept = [], kept_maps.Kept(2**30)
+    calls, kept = [], map_cache.Kept(2**30)
     with process.float64():
-        reads = sorted(set().union(*kept_maps.reads(kept_maps.traced(layout, p)).values()))
-    maker = kept_maps.Maker(lambda p: calls.append(p) or {"made": np.asarray(len(calls))}, tuple(reads), 0)
+        reads = sorted(set().union(*map_cache.reads(map_cache.traced(layout, p)).values()))
+    maker = map_cache.Maker(lambda p: calls.append(p) or {"made": np.asarray(len(calls))}, tuple(reads), 0)
     other = p._replace(schedule=p.schedule._replace(event=~p.schedule.event))
     each = [
         p,
@@ -78,7 +78,7 @@ def test_problems_that_differ_in_noise_share_maps_and_those_of_another_plant_inp
         other,
         p,
     ]
-    assert [int(kept_maps.given(maker, q, kept)["made"]) for q in each] == [1, 1, 2, 3, 4, 1]
+    assert [int(map_cache.given(maker, q, kept)["made"]) for q in each] == [1, 1, 2, 3, 4, 1]
 
 
 def calls(one, observers):
@@ -86,9 +86,9 @@ def calls(one, observers):
     layout, p, _ = one
     layout = layout._replace(observers=tuple(o for o in layout.observers if o[0] in observers))
     p = p._replace(gains={o: p.gains[o] for o in observers})
-    job = batch.Job(p, 0, np.arange(WIDTH))
-    made = batch.program(layout, job)
-    return made, layout, p, [next(batch.serial(made, [job]))[1] for _ in range(2)]
+    job = runner.Job(p, 0, np.arange(WIDTH))
+    made = runner.program(layout, job)
+    return made, layout, p, [next(runner.serial(made, [job]))[1] for _ in range(2)]
 
 
 def test_a_call_leaves_the_same_with_maps_that_were_kept(one):
@@ -103,7 +103,7 @@ def test_a_call_leaves_the_same_with_maps_that_were_kept(one):
 def test_a_call_leaves_the_same_with_maps_that_it_makes_itself(one):
     with process.float64():
         _, layout, p, (first, _) = calls(one, OBSERVERS)
-        alone = jax.jit(partial(loop.simulate, layout))(p, np.asarray(0), np.arange(WIDTH))
+        alone = jax.jit(partial(event_loop.simulate, layout))(p, np.asarray(0), np.arange(WIDTH))
     for a, b in zip(jax.tree.leaves(first), jax.tree.leaves(alone), strict=True):
         np.testing.assert_allclose(a, b, 1e-11, 1e-13 * np.abs(b).max(initial=0.0))
 
@@ -111,12 +111,12 @@ def test_a_call_leaves_the_same_with_maps_that_it_makes_itself(one):
 def test_a_layout_that_is_stepped_has_no_maps(one):
     layout, p, _ = one
     with process.float64():
-        assert kept_maps.reads(kept_maps.traced(layout._replace(lifted=0), p)) == {}
-    assert kept_maps.given(None, p) == {}
+        assert map_cache.reads(map_cache.traced(layout._replace(lifted=0), p)) == {}
+    assert map_cache.given(None, p) == {}
 
 
 def test_of_several_that_ask_for_the_same_one_makes_it():
-    kept, begun, go, calls = kept_maps.Kept(2**20), threading.Event(), threading.Event(), []
+    kept, begun, go, calls = map_cache.Kept(2**20), threading.Event(), threading.Event(), []
 
     def make():
         calls.append(begun.set())
@@ -136,14 +136,14 @@ def test_of_several_that_ask_for_the_same_one_makes_it():
 
 
 def test_what_cannot_be_made_is_not_kept():
-    kept = kept_maps.Kept(2**20)
+    kept = map_cache.Kept(2**20)
     with pytest.raises(ZeroDivisionError):
         kept.ask("key", lambda: 1 / 0)
     assert kept.ask("key", lambda: np.ones(1)) == 1
 
 
 def test_those_that_were_asked_for_first_are_forgotten_where_room_is_short_but_never_the_last():
-    kept = kept_maps.Kept(100)
+    kept = map_cache.Kept(100)
     for key in "abc":
         kept.ask(key, lambda: np.zeros(5))  # 40 bytes
     assert list(kept.made) == ["b", "c"]

@@ -7,11 +7,10 @@ import pytest
 from jax import lax
 
 from pcbench import protocols
+from pcbench.engine import interpreter, jaxpr_compat, lane_array, packing
+from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.errors import UserError
 from pcbench.protocols import together
-from pcbench.simulation import lanes
-from pcbench.simulation.lanes import entrywise, packed, primitives
-from pcbench.simulation.lanes.entrywise import over
 
 L, RNG = 5, np.random.default_rng(0)
 M = RNG.normal(size=(3, 3))
@@ -79,7 +78,9 @@ FUNCTIONS = {
 def test_over_equals_vmap(name, shared):
     f, x = FUNCTIONS[name], jnp.asarray(RNG.normal(size=(3, L)))
     A = jnp.asarray(RNG.normal(size=(3, 3) if shared else (3, 3, L)))
-    got = jax.jit(lambda x, A: lanes.join(over(f)(lanes.split(x), A if shared else lanes.split(A))))(x, A)
+    got = jax.jit(
+        lambda x, A: lane_array.join(vmap_entrywise(f)(lane_array.split(x), A if shared else lane_array.split(A)))
+    )(x, A)
     want = jax.vmap(f, (-1, None if shared else -1), -1)(x, A)
     np.testing.assert_allclose(got, want, rtol=1e-13, atol=1e-13)
 
@@ -87,29 +88,29 @@ def test_over_equals_vmap(name, shared):
 @pytest.mark.parametrize("name", FUNCTIONS)
 @pytest.mark.parametrize("shared", [False, True], ids=["both differ", "matrix shared"])
 def test_forms_alone_are_those_of_the_numbers(name, shared):
-    """What `settle` asks for: what is a Lanes, its shape, rows and type."""
+    """What `settle` asks for: what is a LaneArray, its shape, rows and type."""
     f, x = FUNCTIONS[name], jnp.asarray(RNG.normal(size=(3, L)))
     A = jnp.asarray(RNG.normal(size=(3, 3) if shared else (3, 3, L)))
-    given = (lanes.split(x), A if shared else lanes.split(A))
-    want = jax.eval_shape(over(f), *given)
-    before = lanes.FORMS_ONLY.set(True)
+    given = (lane_array.split(x), A if shared else lane_array.split(A))
+    want = jax.eval_shape(vmap_entrywise(f), *given)
+    before = lane_array.FORMS_ONLY.set(True)
     try:
-        got = jax.eval_shape(over(f), *given)
+        got = jax.eval_shape(vmap_entrywise(f), *given)
     finally:
-        lanes.FORMS_ONLY.reset(before)
+        lane_array.FORMS_ONLY.reset(before)
     assert jax.tree.structure(got) == jax.tree.structure(want)
     assert [(a.shape, a.dtype) for a in jax.tree.leaves(got)] == [(a.shape, a.dtype) for a in jax.tree.leaves(want)]
 
 
 def test_lanes_without_numbers_have_none_in_their_forms_either():
-    empty = over(lambda x: (x[:0], jnp.sin(x[:0]), jnp.append(x[:0], 1.0)))
-    given = lanes.split(jnp.ones((2, L)))
+    empty = vmap_entrywise(lambda x: (x[:0], jnp.sin(x[:0]), jnp.append(x[:0], 1.0)))
+    given = lane_array.split(jnp.ones((2, L)))
     want = jax.eval_shape(empty, given)
-    before = lanes.FORMS_ONLY.set(True)
+    before = lane_array.FORMS_ONLY.set(True)
     try:
         got = jax.eval_shape(empty, given)
     finally:
-        lanes.FORMS_ONLY.reset(before)
+        lane_array.FORMS_ONLY.reset(before)
     assert jax.tree.structure(got) == jax.tree.structure(want)
 
 
@@ -119,9 +120,9 @@ def test_folds_go_over_the_axes_that_are_named(fold, axes):
     """No two axes of one length, so that a fold over others has another shape or other entries."""
     x = RNG.normal(size=(2, 3, 4, L))
     x = x > 0.3 if fold in (jnp.any, jnp.all) else x
-    got = over(lambda a: fold(a, axis=axes))(lanes.split(jnp.asarray(x)))
+    got = vmap_entrywise(lambda a: fold(a, axis=axes))(lane_array.split(jnp.asarray(x)))
     want = getattr(np, fold.__name__)(x, axis=axes)
-    np.testing.assert_allclose(np.asarray(lanes.join(got), float), want.astype(float), rtol=1e-13)
+    np.testing.assert_allclose(np.asarray(lane_array.join(got), float), want.astype(float), rtol=1e-13)
 
 
 class Tree:
@@ -136,7 +137,7 @@ class Tree:
 
 def in_form(form, params):
     """The parameters of a scan as another release of jax has them."""
-    consts, carry = primitives.scan(params)[1:3]
+    consts, carry = jaxpr_compat.scan(params)[1:3]
     rest = {k: v for k, v in params.items() if k not in ("num_consts", "num_carry", "ft_in", "ft_out")}
     rows = len(params["jaxpr"].in_avals) - consts - carry
     said = {"ft_in": Tree(*([None] * n for n in (consts, carry, rows))), "ft_out": Tree([None] * carry, ())}
@@ -151,90 +152,95 @@ def test_a_scan_is_read_in_the_form_of_any_release_of_jax(name, form):
     closed = jax.make_jaxpr(f)(x[..., 0], A[..., 0])
     eqns = [e.replace(params=in_form(form, e.params)) if e.primitive.name == "scan" else e for e in closed.jaxpr.eqns]
     assert any(e.primitive.name == "scan" for e in eqns)
-    (got,) = entrywise._evaluate(closed.jaxpr.replace(eqns=eqns), closed.consts, [lanes.split(x), lanes.split(A)])
-    np.testing.assert_allclose(lanes.join(got), jax.vmap(f, (-1, -1), -1)(x, A), rtol=1e-13, atol=1e-13)
+    (got,) = interpreter._evaluate(
+        closed.jaxpr.replace(eqns=eqns), closed.consts, [lane_array.split(x), lane_array.split(A)]
+    )
+    np.testing.assert_allclose(lane_array.join(got), jax.vmap(f, (-1, -1), -1)(x, A), rtol=1e-13, atol=1e-13)
 
 
 def test_a_scan_of_no_known_form_is_one_sentence():
     with pytest.raises(UserError, match=r"got a scan with the parameters jaxpr, length, .*install that"):
-        primitives.scan({"jaxpr": None, "length": 3})
+        jaxpr_compat.scan({"jaxpr": None, "length": 3})
 
 
 def test_what_does_not_depend_on_a_lane_is_computed_once():
-    out = over(lambda x, y: (x * 2, y + 1))(lanes.split(jnp.ones((2, L))), jnp.zeros(3))
-    assert lanes.is_lanes(out[0])
-    assert not lanes.is_lanes(out[1])
+    out = vmap_entrywise(lambda x, y: (x * 2, y + 1))(lane_array.split(jnp.ones((2, L))), jnp.zeros(3))
+    assert lane_array.is_lanes(out[0])
+    assert not lane_array.is_lanes(out[1])
     assert out[1].shape == (3,)
 
 
 def test_settle_spreads_exactly_what_becomes_different():
     def step(tree):
         a, b, c = tree
-        v = lanes.split(jnp.ones((2, L)))
-        return over(lambda a, b, c, v: (a + v, b + a.sum(), c * 2))(a, b, c, v)
+        v = lane_array.split(jnp.ones((2, L)))
+        return vmap_entrywise(lambda a, b, c, v: (a + v, b + a.sum(), c * 2))(a, b, c, v)
 
-    a, b, c = lanes.settle(step, (jnp.zeros(2), jnp.zeros(()), jnp.ones(4)), L)
-    assert lanes.is_lanes(a)
-    assert lanes.is_lanes(b), "it depends on a only from the second step on"
-    assert not lanes.is_lanes(c)
+    a, b, c = lane_array.infer_batched(step, (jnp.zeros(2), jnp.zeros(()), jnp.ones(4)), L)
+    assert lane_array.is_lanes(a)
+    assert lane_array.is_lanes(b), "it depends on a only from the second step on"
+    assert not lane_array.is_lanes(c)
 
 
 def test_split_and_join_are_inverse():
     x = jnp.arange(24.0).reshape(2, 3, 4)
-    np.testing.assert_array_equal(lanes.join(lanes.split(x)), x)
+    np.testing.assert_array_equal(lane_array.join(lane_array.split(x)), x)
 
 
 def test_a_table_keeps_its_rows_together_and_is_the_same_array():
     x = jnp.arange(24.0).reshape(3, 2, 4)
-    whole = lanes.table(lanes.split(x))
+    whole = lane_array.table(lane_array.split(x))
     assert (whole.rows, whole.parts.shape, whole.shape) == (3, (2,), (3, 2))
-    np.testing.assert_array_equal(lanes.join(whole), x)
-    np.testing.assert_array_equal(lanes.join(lanes.pick(whole, jnp.array([2, 0]))), x[..., jnp.array([2, 0])])
-    back = lanes.put_back(whole, lanes.pick(whole, jnp.array([1])), jnp.array([3]))
-    np.testing.assert_array_equal(lanes.join(back)[..., 3], x[..., 1])
+    np.testing.assert_array_equal(lane_array.join(whole), x)
+    np.testing.assert_array_equal(lane_array.join(lane_array.pick(whole, jnp.array([2, 0]))), x[..., jnp.array([2, 0])])
+    back = lane_array.put_back(whole, lane_array.pick(whole, jnp.array([1])), jnp.array([3]))
+    np.testing.assert_array_equal(lane_array.join(back)[..., 3], x[..., 1])
 
 
 def test_a_packed_memory_with_a_table_is_the_memory():
-    memory = {"ring": lanes.table(lanes.split(jnp.arange(24.0).reshape(3, 2, 4))), "flag": lanes.split(jnp.ones((2, 4), bool)),
-              "moved": lanes.split(jnp.zeros((1, 4)))}  # fmt: skip
-    form = packed.packing(lambda m: m | {"moved": over(lambda v: v + 1)(m["moved"])}, memory)
+    memory = {
+        "ring": lane_array.table(lane_array.split(jnp.arange(24.0).reshape(3, 2, 4))),
+        "flag": lane_array.split(jnp.ones((2, 4), bool)),
+        "moved": lane_array.split(jnp.zeros((1, 4))),
+    }
+    form = packing.packing(lambda m: m | {"moved": vmap_entrywise(lambda v: v + 1)(m["moved"])}, memory)
     back = form.whole(form.pack(memory))
     assert back["ring"].rows == 3
     for name in memory:
-        np.testing.assert_array_equal(lanes.join(back[name]), lanes.join(memory[name]))
+        np.testing.assert_array_equal(lane_array.join(back[name]), lane_array.join(memory[name]))
 
 
 def test_a_packed_memory_keeps_the_kind_and_the_place_of_every_entry():
     """A table with other entries before and behind it, whole numbers, truth values; what moves is kept as it is."""
     memory = {
-        "a": lanes.split(jnp.arange(8).reshape(2, 4)),
-        "b": lanes.table(lanes.split(jnp.arange(24.0).reshape(3, 2, 4) + 100)),
-        "c": lanes.split(jnp.array([[True, False, True, True], [False, True, False, False]])),
-        "d": lanes.split(jnp.arange(4.0).reshape(1, 4) - 50),
-        "moved": lanes.split(jnp.zeros((1, 4))),
+        "a": lane_array.split(jnp.arange(8).reshape(2, 4)),
+        "b": lane_array.table(lane_array.split(jnp.arange(24.0).reshape(3, 2, 4) + 100)),
+        "c": lane_array.split(jnp.array([[True, False, True, True], [False, True, False, False]])),
+        "d": lane_array.split(jnp.arange(4.0).reshape(1, 4) - 50),
+        "moved": lane_array.split(jnp.zeros((1, 4))),
     }
-    form = packed.packing(lambda m: m | {"moved": over(lambda v: v + 1)(m["moved"])}, memory)
+    form = packing.packing(lambda m: m | {"moved": vmap_entrywise(lambda v: v + 1)(m["moved"])}, memory)
     kept = form.pack(memory)
     assert kept.still.shape == (2 + 6 + 2 + 1, 4)
     assert len(kept.moving) == 1
     back = form.whole(kept)
     for name, entry in memory.items():
         assert (back[name].dtype, back[name].shape, back[name].rows) == (entry.dtype, entry.shape, entry.rows), name
-        np.testing.assert_array_equal(lanes.join(back[name]), lanes.join(entry))
+        np.testing.assert_array_equal(lane_array.join(back[name]), lane_array.join(entry))
 
 
 @pytest.mark.parametrize("mode", ["fill", "clip", "wrap"])
 def test_rows_from_beyond_a_table_are_what_their_gather_says(mode):
     index = jnp.array([[0, 5, 11, 12, 30], [-1, 3, 40, -20, 2]])
-    got = over(lambda i: jnp.take(jnp.asarray(BIG), i, 0, mode=mode))(lanes.split(index))
+    got = vmap_entrywise(lambda i: jnp.take(jnp.asarray(BIG), i, 0, mode=mode))(lane_array.split(index))
     want = jax.vmap(lambda i: jnp.take(jnp.asarray(BIG), i, 0, mode=mode), -1, -1)(index)
-    np.testing.assert_array_equal(lanes.join(got), want)
+    np.testing.assert_array_equal(lane_array.join(got), want)
 
 
 def test_in_one_piece_what_is_the_same_in_all_lanes_stays_so_and_many_rows_lie_together():
     f = together(lambda x, k: (jnp.outer(jnp.arange(50.0), x), k + 1, x + k))
-    found = over(f)(lanes.split(jnp.ones((3, L))), jnp.asarray(4))
-    assert [lanes.is_lanes(each) for each in found] == [True, False, True]
+    found = vmap_entrywise(f)(lane_array.split(jnp.ones((3, L))), jnp.asarray(4))
+    assert [lane_array.is_lanes(each) for each in found] == [True, False, True]
     assert (found[0].rows, found[0].parts.shape) == (50, (3,))
     assert (found[1], found[2].rows) == (5, None)
     assert found[0].parts[1].shape == (50, L)
@@ -248,8 +254,8 @@ def test_a_function_of_a_user_called_together_is_one_like_any_other(monkeypatch)
     def refused(*given):
         raise AssertionError
 
-    x = lanes.split(jnp.ones((3, L)))
-    monkeypatch.setattr(entrywise, "_together", refused)
-    np.testing.assert_array_equal(lanes.join(over(together)(x)), 2 * np.ones((3, L)))
+    x = lane_array.split(jnp.ones((3, L)))
+    monkeypatch.setattr(interpreter, "_together", refused)
+    np.testing.assert_array_equal(lane_array.join(vmap_entrywise(together)(x)), 2 * np.ones((3, L)))
     with pytest.raises(AssertionError):
-        over(protocols.together(lambda x: x * 2.0))(x)
+        vmap_entrywise(protocols.together(lambda x: x * 2.0))(x)

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from pcbench import planning
+from pcbench.engine import runner
+from pcbench.engine.initial_state import begin
+from pcbench.engine.products import affine_detection, blocks, jaxpr_dependence, map_cache, matmul, qr_sums
 from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer
-from pcbench.simulation import batch, metrics
-from pcbench.simulation.lifted import chunks, form, kept_maps, orthogonal, products, reach
-from pcbench.simulation.start import begin
+from pcbench.simulation import metrics
 from pcbench.study import read as read_study
 from tests.support.harness import LINEAR, ODD, Case, problem, recorder
 
@@ -34,10 +35,10 @@ def outcome(observers, lifted, bound=FAR, jumps=(), spread=1.0):
     layout, p = problem(CASE, {o: {} for o in observers})
     p = p._replace(band=BAND, bound=bound, jumps=np.array(jumps, int), spread0=np.eye(3) * spread)
     layout = layout._replace(lifted=lifted, width=WIDTH, random_start=spread > 0)
-    job = batch.Job(p, 0, np.arange(WIDTH) + CASE.seed)
+    job = runner.Job(p, 0, np.arange(WIDTH) + CASE.seed)
     with process.float64():
-        made = batch.program(layout, job)
-        return made.ways, next(batch.serial(made, [job]))[1]
+        made = runner.program(layout, job)
+        return made.ways, next(runner.serial(made, [job]))[1]
 
 
 def read(left, label):
@@ -103,7 +104,7 @@ def ways(observer=None, label="dkf", case=CASE):
     layout, p = problem(case, {label: {}})
     each = ((label, observer or OBSERVERS[label].observer),)
     with process.float64():
-        found = kept_maps.reads(kept_maps.traced(layout._replace(observers=each, lifted=ROOM, random_start=True), p))
+        found = map_cache.reads(map_cache.traced(layout._replace(observers=each, lifted=ROOM, random_start=True), p))
         return "lifted" if label in found else "stepped"
 
 
@@ -152,8 +153,8 @@ def test_what_is_the_same_at_every_tick_is_known(label, drift, expected):
     layout = planned.layout._replace(width=1)
     with process.float64():
         state = jax.eval_shape(partial(begin, layout), planned.problem, jnp.asarray(0), jnp.zeros(1, int))
-        (mine,) = (each for each in form.forms(layout, planned.problem, state) if each.label == label)
-        found = form.steady(layout, planned.problem, state, mine)
+        (mine,) = (each for each in affine_detection.forms(layout, planned.problem, state) if each.label == label)
+        found = affine_detection.steady(layout, planned.problem, state, mine)
     assert mine.shared
     assert found == (tuple(i for i in (*mine.own, *mine.shared) if i) if expected else ())
 
@@ -162,9 +163,9 @@ def test_a_plant_that_bends_lifts_nobody():
     layout, p = problem(CASE, {"dkf": {}})
     bent = LINEAR._replace(step=lambda params, now, x: jnp.sin(x))
     with process.float64():
-        assert kept_maps.reads(kept_maps.traced(layout._replace(plant=bent, lifted=ROOM), p)) == {}
-        assert not form.plant_goes(layout._replace(plant=bent), p)
-        assert not form.plant_goes(layout, p._replace(process_std=np.ones(3)))
+        assert map_cache.reads(map_cache.traced(layout._replace(plant=bent, lifted=ROOM), p)) == {}
+        assert not affine_detection.plant_goes(layout._replace(plant=bent), p)
+        assert not affine_detection.plant_goes(layout, p._replace(process_std=np.ones(3)))
 
 
 def test_reach_looks_into_loops_and_branches():
@@ -173,7 +174,7 @@ def test_reach_looks_into_loops_and_branches():
         chosen = jax.lax.cond(c > 0, lambda a, b: (a + 1, b), lambda a, b: (a, a * a), a, b)
         return looped[0][0], looped[1], chosen, c, jax.jit(lambda x, y: x)(a, b)
 
-    found, same = reach.reach(f, 1.0, 2.0, 3.0)
+    found, same = jaxpr_dependence.reach(f, 1.0, 2.0, 3.0)
     sets = [set(each) for each in jax.tree.leaves(found, is_leaf=lambda x: isinstance(x, frozenset))]
     assert sets == [{0, 1}, {0, 1}, {0, 2}, {0, 1, 2}, {2}, {0}]
     assert same[4]
@@ -181,29 +182,29 @@ def test_reach_looks_into_loops_and_branches():
 
 
 def test_chunks_are_of_every_tick_once_and_of_no_two_events(monkeypatch):
-    monkeypatch.setattr(chunks, "FEWEST", 0)
+    monkeypatch.setattr(blocks, "FEWEST", 0)
     _, p = problem(CASE, {"dkf": {}})
     event = np.asarray(p.schedule.event)
     with process.float64():
-        each = jax.tree.map(np.asarray, jax.jit(partial(chunks.chunks, room=ROOM))(p))
+        each = jax.tree.map(np.asarray, jax.jit(partial(blocks.chunks, room=ROOM))(p))
     ticks = [range(a, a + many) for a, many in zip(each.start, each.length, strict=True) if many]
     assert [k for some in ticks for k in some] == list(range(N - 1))
     edges = set(np.flatnonzero(event)) | set(p.windows[:, 0])
     assert not any(k in edges for some in ticks for k in some[1:])
-    assert max(map(len, ticks)) <= chunks.TICKS
+    assert max(map(len, ticks)) <= blocks.TICKS
     assert [each.before[some[0]] for some in ticks] == list(range(len(ticks)))
-    assert len(ticks) <= chunks.room(event, 3) % (ROOM + 1)
+    assert len(ticks) <= blocks.room(event, 3) % (ROOM + 1)
 
 
 def test_dense_events_and_long_and_short_horizons_are_stepped():
-    assert chunks.room(np.ones(10**4, bool), 3) == 0
-    assert chunks.room(np.arange(chunks.FEWEST - 1) % 200 == 0, 3) == 0
-    assert chunks.room(np.arange(chunks.FEWEST) % 200 == 0, 3) > 0
-    assert chunks.room(np.arange(10**6) % 200 == 0, 3) == 0
-    assert chunks.room(np.arange(10**4) % 200 == 0, 3) == 256
+    assert blocks.room(np.ones(10**4, bool), 3) == 0
+    assert blocks.room(np.arange(blocks.FEWEST - 1) % 200 == 0, 3) == 0
+    assert blocks.room(np.arange(blocks.FEWEST) % 200 == 0, 3) > 0
+    assert blocks.room(np.arange(10**6) % 200 == 0, 3) == 0
+    assert blocks.room(np.arange(10**4) % 200 == 0, 3) == 256
 
 
-@pytest.mark.parametrize("own", [0, 2, products.FEW, products.FEW + 3])
+@pytest.mark.parametrize("own", [0, 2, matmul.FEW, matmul.FEW + 3])
 def test_sums_of_squares_are_those_of_the_errors_whatever_part_of_them_lanes_share(own):
     """R of the QR of a chunk's map gives what the map gives, with few numbers of a lane's own or many."""
     rng, common, lanes = np.random.default_rng(own), 3, 5
@@ -213,10 +214,10 @@ def test_sums_of_squares_are_those_of_the_errors_whatever_part_of_them_lanes_sha
         rng.normal(size=common - 1),
     )
     with process.float64():
-        found = orthogonal.basis(jnp.asarray(E[..., :own]), 2)
+        found = qr_sums.basis(jnp.asarray(E[..., :own]), 2)
         a = (E[0, :, own:] @ np.append(1.0, shared)).reshape(64, 2).T
-        along, beside = orthogonal.parts(found.Q[0], jnp.asarray(a))
-        squares = orthogonal.square(found.R[0], along, beside, jnp.asarray(z) if own else jnp.zeros((0, 1)))
+        along, beside = qr_sums.parts(found.Q[0], jnp.asarray(a))
+        squares = qr_sums.square(found.R[0], along, beside, jnp.asarray(z) if own else jnp.zeros((0, 1)))
     e = E[0, :, :own] @ z + (E[0, :, own:] @ np.append(1.0, shared))[:, None]
     expected = (e**2).reshape(64, 2, lanes).sum(0)
     np.testing.assert_allclose(np.broadcast_to(squares, expected.shape), expected, rtol=1e-12)

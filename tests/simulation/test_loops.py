@@ -9,8 +9,8 @@ from loops import Q1, Q2, TICK, N, over, plant, resting, study
 from reference import loop
 
 import pcbench
-from pcbench.simulation import events_per_lane, lanes
-from pcbench.simulation.lanes.packed import Kept
+from pcbench.engine import lane_array, random_schedules
+from pcbench.engine.packing import Kept
 from pcbench.simulation.problem import State
 
 T = TICK * np.arange(2 * N)
@@ -138,11 +138,11 @@ def test_observers_each_have_a_plant_of_their_own_on_the_same_draws():
 
 def test_runs_that_are_taken_out_bring_their_own_commands():
     """Three runs, two rows of one command: the second and the first are taken out, in this order."""
-    commands = lanes.table(lanes.split(jnp.arange(6.0).reshape(2, 1, 3)))
+    commands = lane_array.table(lane_array.split(jnp.arange(6.0).reshape(2, 1, 3)))
     state = State(
         x=(), drawn=(), memories=Kept([], jnp.zeros((0, 3))), flight=(), streams={}, watches={}, commands=commands
     )
     events = SimpleNamespace(layout=SimpleNamespace(controller=True), form=SimpleNamespace(whole=lambda kept: kept))
-    chunk = events_per_lane.Chunk(jnp.array([1, 0]), jnp.zeros(2, int), jnp.asarray(2))
-    mine = events_per_lane._taken_out(events, state, chunk).commands
-    np.testing.assert_array_equal(lanes.join(mine), [[[1.0, 0.0]], [[4.0, 3.0]]])
+    chunk = random_schedules.Chunk(jnp.array([1, 0]), jnp.zeros(2, int), jnp.asarray(2))
+    mine = random_schedules._taken_out(events, state, chunk).commands
+    np.testing.assert_array_equal(lane_array.join(mine), [[[1.0, 0.0]], [[4.0, 3.0]]])

@@ -11,9 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pcbench.engine import event_loop
 from pcbench.machine import process
 from pcbench.protocols import Controller, Observer, Plant
-from pcbench.simulation import actuator, draws, loop, metrics
+from pcbench.simulation import actuator, draws, metrics
 from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.schedule import shared
 
@@ -72,7 +73,7 @@ def outcome():
     )  # fmt: skip
     layout = Layout(PLANT, (("o", OBSERVER),), 3, 4, True, controller=CONTROLLER, commands=BACK)
     with process.float64():
-        run = jax.jit(lambda p, seeds: loop.simulate(layout, p, jnp.asarray(0), seeds))
+        run = jax.jit(lambda p, seeds: event_loop.simulate(layout, p, jnp.asarray(0), seeds))
         return jax.tree.map(np.asarray, run(p, SEEDS))
 
 

@@ -12,10 +12,10 @@ import pcbench
 from pcbench import planning
 from pcbench.dataset import pickled
 from pcbench.dataset.task import Task
+from pcbench.engine import runner
 from pcbench.gains import parameters
 from pcbench.observers import OBSERVERS
 from pcbench.planning import plan
-from pcbench.simulation import batch
 from pcbench.study import own, read
 
 SOURCE = Path(__file__).parents[1] / "support" / "own_observer.py"
@@ -116,8 +116,8 @@ def test_it_is_the_program_of_the_same_observer_built_in(here):
     programs = []
     for name in ("open-loop", "copied.py:OBSERVER"):
         (p,) = plan(read.study_of(BASE | {"observers": [name]}, {}, []))
-        job = batch.Job(p.problem, 0, range(4))
-        programs.append(batch.program(p.layout._replace(width=4), job).compiled.as_text())
+        job = runner.Job(p.problem, 0, range(4))
+        programs.append(runner.program(p.layout._replace(width=4), job).compiled.as_text())
     plain = [strip_metadata(text).replace("OBSERVER", "open-loop") for text in programs]
     assert plain[0] == plain[1]
 

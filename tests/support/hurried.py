@@ -53,11 +53,12 @@ def stretches():
 @contextmanager
 def not_here():
     """Have the programs that a user has, until this is left."""
-    from pcbench.simulation import batch, compiling
+    from pcbench.engine import runner
+    from pcbench.machine import program_cache
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(batch, "OPTIONS", {name: said for name, said in batch.OPTIONS.items() if name not in OPTIONS})
-        patch.setattr(batch, "_PROGRAMS", compiling.Programs())
+        patch.setattr(runner, "OPTIONS", {name: said for name, said in runner.OPTIONS.items() if name not in OPTIONS})
+        patch.setattr(runner, "_PROGRAMS", program_cache.Programs())
         patch.delenv("XLA_FLAGS", raising=False)
         yield
 
@@ -65,13 +66,14 @@ def not_here():
 @contextmanager
 def programs():
     """Have calls of a few lanes, made in a hurry, until this is left; none of them is kept."""
+    from pcbench.engine import runner
+    from pcbench.machine import program_cache
     from pcbench.moments import compiled
-    from pcbench.simulation import batch, compiling
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiled, "_MADE", compiling.Programs())
-        patch.setattr(batch, "WIDTH", LANES)
-        patch.setattr(batch, "HEAVY", LANES)
-        patch.setattr(batch, "OPTIONS", batch.OPTIONS | options())
-        patch.setattr(batch, "_PROGRAMS", compiling.Programs())
+        patch.setattr(compiled, "_MADE", program_cache.Programs())
+        patch.setattr(runner, "WIDTH", LANES)
+        patch.setattr(runner, "HEAVY", LANES)
+        patch.setattr(runner, "OPTIONS", runner.OPTIONS | options())
+        patch.setattr(runner, "_PROGRAMS", program_cache.Programs())
         yield

@@ -13,12 +13,13 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import events_per_lane, events_shared, judging, lanes, steps
-from pcbench.simulation.lifted import flow as lifted
+from pcbench.engine import common_schedule, lane_array, random_schedules, steps
+from pcbench.engine.initial_state import drawing
+from pcbench.engine.products import flow as lifted
+from pcbench.simulation import judging
 from pcbench.simulation.metrics import Weights
 from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
 from pcbench.simulation.schedule.per_lane import Times
-from pcbench.simulation.start import drawing
 
 
 class Events(NamedTuple):
@@ -35,7 +36,7 @@ class Events(NamedTuple):
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: Any = None) -> Outcome:
     """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`.
 
-    `maps` are what `lifted.kept_maps` made of this layout and problem; None: they are made here.
+    `maps` are what `products.map_cache` made of this layout and problem; None: they are made here.
     """
     layout = judging.watched(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
@@ -44,7 +45,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
 
     def tick(layout: Layout, k: Array, state: State) -> State:
         full = state._replace(memories=events.whole(state.memories))
-        new = lanes.like(steps.tick(layout, p, k, full, drawn(k)), full, layout.width)
+        new = lane_array.match_form(steps.tick(layout, p, k, full, drawn(k)), full, layout.width)
         return new._replace(memories=events.moved(new.memories, state.memories))
 
     def stepped(layout: Layout, start: Array, stop: Array, state: State) -> State:
@@ -77,7 +78,7 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
         squares,
         steps.actual(layout, p, end, state),
     )
-    sums, left = jax.tree.map(lambda a: lanes.whole(a, layout.width), (sums, left), is_leaf=lanes.is_lanes)
+    sums, left = jax.tree.map(lambda a: lane_array.to_array(a, layout.width), (sums, left), is_leaf=lane_array.is_lanes)
     streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])
     return Outcome(
         streams=streams,
@@ -93,9 +94,9 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
 def _events(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Events, State]:
     """The events of a block of runs, on a schedule that all share or on schedules of their own; and the state before tick 0."""
     if isinstance(p.schedule, Times):
-        each, state = events_per_lane.prepare(layout, p, root_seed, seeds)
+        each, state = random_schedules.prepare(layout, p, root_seed, seeds)
         form = each.form
         return Events(each.happen, each.following, form.whole, form.moved), state
-    happen, state = events_shared.prepare(layout, p, root_seed, seeds)
+    happen, state = common_schedule.prepare(layout, p, root_seed, seeds)
     plan = p.schedule
     return Events(happen, lambda k, state: plan.next_event[k]), state

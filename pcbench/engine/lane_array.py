@@ -2,7 +2,7 @@
 
 Arrays [L] with lanes last are what a compiled loop works on best: nothing is transposed, nothing copied. What is the same in
 all lanes stays an ordinary array and is computed once. A long table that is read and written by row (a ring) keeps its rows
-together instead: one array [rows, L] for each entry of a row. `entrywise` evaluates one-lane functions on all of this.
+together instead: one array [rows, L] for each entry of a row. `interpreter` evaluates one-lane functions on all of this.
 """
 
 from contextvars import ContextVar
@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-FORMS_ONLY = ContextVar("FORMS_ONLY", default=False)  # whether it matters only what is a Lanes, and of which shape
+FORMS_ONLY = ContextVar("FORMS_ONLY", default=False)  # whether it matters only what is a LaneArray, and of which shape
 
 
 @jax.tree_util.register_pytree_node_class
-class Lanes:
+class LaneArray:
     """A one-lane array of any shape: `parts` is an object array of that shape, of entries [L].
 
     A *table*, [rows, *shape], has `rows` and parts of that shape, of entries [rows, L].
@@ -31,8 +31,8 @@ class Lanes:
         return tuple(self.parts.flat), (self.parts.shape, self.rows)
 
     @classmethod
-    def tree_unflatten(cls, form: tuple[tuple[int, ...], int | None], leaves: Any) -> "Lanes":
-        """Return Lanes of this shape from its entries in row-major order."""
+    def tree_unflatten(cls, form: tuple[tuple[int, ...], int | None], leaves: Any) -> "LaneArray":
+        """Return a LaneArray of this shape from its entries in row-major order."""
         return lanes_of(form[0], leaves, form[1])
 
     @property
@@ -46,32 +46,32 @@ class Lanes:
         return self.parts.flat[0].dtype
 
 
-def lanes_of(shape: tuple[int, ...], entries: Any, rows: int | None = None) -> Lanes:
-    """Lanes of a shape from its entries in row-major order."""
+def lanes_of(shape: tuple[int, ...], entries: Any, rows: int | None = None) -> LaneArray:
+    """A LaneArray of a shape from its entries in row-major order."""
     parts = np.empty(shape, object)
     for i, entry in zip(np.ndindex(shape), entries, strict=True):
         parts[i] = entry
-    return Lanes(parts, rows)
+    return LaneArray(parts, rows)
 
 
 def is_lanes(x: Any) -> bool:
     """Say whether x differs between lanes (a leaf test for tree functions)."""
-    return isinstance(x, Lanes)
+    return isinstance(x, LaneArray)
 
 
-def split(x: jax.Array) -> Lanes:
-    """Lanes from an array [*shape, L]."""
+def split(x: jax.Array) -> LaneArray:
+    """A LaneArray from an array [*shape, L]."""
     flat = x.reshape(-1, x.shape[-1])
     return lanes_of(x.shape[:-1], [lax.index_in_dim(flat, i, keepdims=False) for i in range(len(flat))])
 
 
-def join(x: Lanes) -> jax.Array:
-    """The array [*shape, L] of a Lanes."""
+def join(x: LaneArray) -> jax.Array:
+    """The array [*shape, L] of a LaneArray."""
     parts = list(entries(x).parts.flat)
     return jnp.stack(parts).reshape(*x.shape, *jnp.shape(parts[0]))
 
 
-def joined(x: Lanes) -> jax.Array:
+def joined(x: LaneArray) -> jax.Array:
     """The same, of a table without taking its rows apart."""
     if x.rows is None:
         return join(x)
@@ -79,7 +79,7 @@ def joined(x: Lanes) -> jax.Array:
 
 
 def table(x: Any) -> Any:
-    """A Lanes [rows, *shape] with its rows together; an ordinary array as it is."""
+    """A LaneArray [rows, *shape] with its rows together; an ordinary array as it is."""
     if not is_lanes(x) or x.rows is not None:
         return x
     shape = x.parts.shape[1:]
@@ -87,55 +87,55 @@ def table(x: Any) -> Any:
 
 
 def entries(x: Any) -> Any:
-    """A Lanes with every entry by itself; an ordinary array as it is."""
+    """A LaneArray with every entry by itself; an ordinary array as it is."""
     if not is_lanes(x) or x.rows is None:
         return x
     return lanes_of(x.shape, [part[k] for k in range(x.rows) for part in x.parts.flat])
 
 
-def whole(x: Any, width: int) -> jax.Array:
-    """One array with lanes last: an array is repeated for each lane; of Lanes that a scan left its axis is the first."""
+def to_array(x: Any, width: int) -> jax.Array:
+    """One array with lanes last: an array is repeated for each lane; of LaneArrays that a scan left its axis is the first."""
     if not is_lanes(x):
         return jnp.broadcast_to(x[..., None], (*x.shape, width))
     parts = list(x.parts.flat)
     return jnp.stack(parts, -2) if x.parts.ndim else parts[0]
 
 
-def spread(x: jax.Array, width: int) -> Lanes:
-    """Lanes that all hold the same array."""
+def broadcast(x: jax.Array, width: int) -> LaneArray:
+    """A LaneArray that holds the same array in all lanes."""
     x = jnp.asarray(x)
     return lanes_of(x.shape, [jnp.broadcast_to(x[i], (width,)) for i in np.ndindex(x.shape)])
 
 
-def spread_table(x: jax.Array, width: int) -> Lanes:
+def broadcast_table(x: jax.Array, width: int) -> LaneArray:
     """A table that holds the same array in all lanes."""
     shape, rows = x.shape[1:], x.shape[0]
     return lanes_of(shape, [jnp.broadcast_to(x[:, *i, None], (rows, width)) for i in np.ndindex(shape)], rows)
 
 
-def like(tree: Any, template: Any, width: int) -> Any:
-    """Spread what the template has as Lanes and the tree as an ordinary array; a table where the template has one."""
+def match_form(tree: Any, template: Any, width: int) -> Any:
+    """Spread what the template has as a LaneArray and the tree as an ordinary array; a table where the template has one."""
 
     def one(t: Any, x: Any) -> Any:
         if not is_lanes(t):
             return x
         if t.rows is not None:
-            return table(x) if is_lanes(x) else spread_table(x, width)
-        return entries(x) if is_lanes(x) else spread(x, width)
+            return table(x) if is_lanes(x) else broadcast_table(x, width)
+        return entries(x) if is_lanes(x) else broadcast(x, width)
 
     return jax.tree.map(one, template, tree, is_leaf=is_lanes)
 
 
 def everywhere(tree: Any, width: int) -> Any:
     """Spread every array that has a size."""
-    return jax.tree.map(lambda x: x if is_lanes(x) or not x.size else spread(x, width), tree, is_leaf=is_lanes)
+    return jax.tree.map(lambda x: x if is_lanes(x) or not x.size else broadcast(x, width), tree, is_leaf=is_lanes)
 
 
 def unless_same(new: Any, old: Any, width: int) -> Any:
     """Return `new` with every array spread that is not the very one in `old`."""
 
     def one(a: Any, b: Any) -> Any:
-        return a if a is b or is_lanes(a) or not jnp.size(a) else spread(a, width)
+        return a if a is b or is_lanes(a) or not jnp.size(a) else broadcast(a, width)
 
     return jax.tree.map(one, new, old, is_leaf=is_lanes)
 
@@ -158,10 +158,10 @@ def put_back(tree: Any, some: Any, lane: jax.Array) -> Any:
     return jax.tree.map(one, tree, some, is_leaf=is_lanes)
 
 
-def settle(step: Any, tree: Any, width: int) -> Any:
+def infer_batched(step: Any, tree: Any, width: int) -> Any:
     """Spread whatever `step` (tree -> tree of the same shape) makes different between lanes, until nothing changes.
 
-    Only the form of what it returns is asked for: meanwhile `entrywise` computes no numbers.
+    Only the form of what it returns is asked for: meanwhile `interpreter` computes no numbers.
     """
     while True:
         before = FORMS_ONLY.set(True)
@@ -169,7 +169,7 @@ def settle(step: Any, tree: Any, width: int) -> Any:
             out = jax.eval_shape(step, tree)
         finally:
             FORMS_ONLY.reset(before)
-        wider = like(tree, jax.tree.map(_the_wider, tree, out, is_leaf=is_lanes), width)
+        wider = match_form(tree, jax.tree.map(_the_wider, tree, out, is_leaf=is_lanes), width)
         if _forms(wider) == _forms(tree):
             return tree
         tree = wider

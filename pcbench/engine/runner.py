@@ -16,10 +16,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from pcbench.engine import event_loop
+from pcbench.engine.products import map_cache
 from pcbench.errors import UserError
-from pcbench.machine import pools, process
-from pcbench.simulation import compiling, judging, loop
-from pcbench.simulation.lifted import kept_maps
+from pcbench.machine import pools, process, program_cache
+from pcbench.simulation import judging
 from pcbench.simulation.problem import Layout, Outcome, Problem
 
 Reads = dict[str, list[int]]  # by form, which leaves of a problem its maps depend on
@@ -50,7 +51,7 @@ class Program(NamedTuple):
     compile_seconds: float
     compiled: Any  # the executable itself, for those who want to read it
     ways: dict[str, str]  # by observer: lifted or stepped
-    maps: Callable[[Problem], kept_maps.Every]  # of a lifted flow, made before a call, or kept from an earlier one
+    maps: Callable[[Problem], map_cache.Every]  # of a lifted flow, made before a call, or kept from an earlier one
     number: int = 0  # of this process: the first program, the second ...
     memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
 
@@ -84,7 +85,7 @@ def program(layout: Layout, job: Job, device: Any = None) -> Program:
     return found
 
 
-_PROGRAMS = compiling.Programs()
+_PROGRAMS = program_cache.Programs()
 _NUMBERS = itertools.count(1)
 
 
@@ -95,17 +96,17 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     lifted = judging.watched(layout) if layout.consistency else layout  # as a simulation has it
 
     def simulate(*a: Any) -> Outcome:
-        return loop.simulate(layout, *a)
+        return event_loop.simulate(layout, *a)
 
     @cache
-    def traced() -> kept_maps.Traced:
-        return kept_maps.traced(lifted, given[0])
+    def traced() -> map_cache.Traced:
+        return map_cache.traced(lifted, given[0])
 
     def with_maps() -> tuple[Any, ...]:
         found = traced().shape
         return *given, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), found)
 
-    reads = kept_maps.reads(traced()) if layout.lifted else {}
+    reads = map_cache.reads(traced()) if layout.lifted else {}
     with pools.pool(1) as beside:  # each takes seconds
         maker = beside.submit(in_float64, _maker, given[0], traced, reads, options)
         call = jax.jit(simulate).lower(*with_maps()).compile(options)
@@ -117,24 +118,24 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
         compile_seconds=perf_counter() - start,
         compiled=call,
         ways={label: "lifted" if label in reads else "stepped" for label, _ in layout.observers},
-        maps=partial(kept_maps.given, made),
+        maps=partial(map_cache.given, made),
         number=next(_NUMBERS),
         memory=max(_memory(call), _memory(made.call) if made else 0),
     )
 
 
 def _maker(
-    given: Problem, traced: Callable[[], kept_maps.Traced], reads: Reads, options: Any
-) -> kept_maps.Maker | None:
+    given: Problem, traced: Callable[[], map_cache.Traced], reads: Reads, options: Any
+) -> map_cache.Maker | None:
     """What makes the maps of a layout; None where there are none."""
     if not reads:
         return None
 
-    def maps(p: Problem) -> kept_maps.Every:
+    def maps(p: Problem) -> map_cache.Every:
         return traced()(p)
 
     call = jax.jit(maps).lower(given).compile(options)
-    return kept_maps.Maker(call, tuple(sorted(set().union(*reads.values()))), next(_NUMBERS))
+    return map_cache.Maker(call, tuple(sorted(set().union(*reads.values()))), next(_NUMBERS))
 
 
 def _memory(call: Any) -> int:

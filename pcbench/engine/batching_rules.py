@@ -8,15 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from pcbench.simulation.lanes import (
-    Lanes,
-    is_lanes,
-    lanes_of,
-    primitives,
-)
+from pcbench.engine import jaxpr_compat
+from pcbench.engine.lane_array import LaneArray, is_lanes, lanes_of
 
 WAYS = (lax.add, lax.max, lax.min, lax.mul, lax.bitwise_and, lax.bitwise_or)
-FOLDS = dict(zip(primitives.FOLDS, WAYS, strict=True))
+FOLDS = dict(zip(jaxpr_compat.FOLDS, WAYS, strict=True))
 WRITTEN_OUT = 128  # products in one dot_general; above, vmap of the dot compiles faster and runs no slower
 
 
@@ -28,7 +24,7 @@ def entries_of(x: Any, shape: tuple[int, ...]) -> np.ndarray:
     return np.broadcast_to(x.parts, shape)
 
 
-def elementwise(eqn: Any, args: list[Any]) -> Lanes:
+def elementwise(eqn: Any, args: list[Any]) -> LaneArray:
     """Apply a primitive to each number."""
     shape = eqn.outvars[0].aval.shape
     parts = [entries_of(a, shape) for a in args]
@@ -39,7 +35,7 @@ def elementwise(eqn: Any, args: list[Any]) -> Lanes:
         keep = eqn.primitive.name == "select_n" and not jnp.ndim(entries[0])  # a shared choice stays one scalar
         first = entries[:1] if keep else []
         out[i] = eqn.primitive.bind(*first, *(jnp.broadcast_to(e, width) for e in entries[len(first) :]), **eqn.params)
-    return Lanes(out)
+    return LaneArray(out)
 
 
 def structural(eqn: Any, args: list[Any]) -> list[Any]:
@@ -51,7 +47,7 @@ def structural(eqn: Any, args: list[Any]) -> list[Any]:
         lanes_of(moved.shape, [jnp.broadcast_to(entries[p], width) for p in moved.flat])
         if moved.size
         else jnp.zeros(moved.shape, v.aval.dtype)  # nothing is left that could differ
-        for moved, v in zip(places(eqn.primitive, primitives.said(eqn), tuple(shapes)), eqn.outvars, strict=True)
+        for moved, v in zip(places(eqn.primitive, jaxpr_compat.said(eqn), tuple(shapes)), eqn.outvars, strict=True)
     ]
 
 
@@ -69,9 +65,9 @@ def places(
     return [np.asarray(each) for each in (found if primitive.multiple_results else [found])]
 
 
-def fold(eqn: Any, args: list[Any]) -> Lanes:
+def fold(eqn: Any, args: list[Any]) -> LaneArray:
     """Fold numbers over axes."""
-    parts, axes = args[0].parts, primitives.fold_axes(eqn.params)
+    parts, axes = args[0].parts, jaxpr_compat.fold_axes(eqn.params)
     rest = tuple(i for i in range(parts.ndim) if i not in axes)
     flat = parts.transpose(*rest, *axes).reshape(*(parts.shape[i] for i in rest), -1)
     shape = flat.shape[:-1]
@@ -80,13 +76,13 @@ def fold(eqn: Any, args: list[Any]) -> Lanes:
 
 def products(eqn: Any) -> int:
     """Return how many products a dot_general takes."""
-    (contract, _), _ = primitives.products_of(eqn.params)
+    (contract, _), _ = jaxpr_compat.products_of(eqn.params)
     return int(np.prod(eqn.outvars[0].aval.shape) * np.prod([eqn.invars[0].aval.shape[i] for i in contract]))
 
 
-def dot(eqn: Any, args: list[Any]) -> Lanes:
+def dot(eqn: Any, args: list[Any]) -> LaneArray:
     """Write a product of matrices out."""
-    (ca, cb), (ba, bb) = primitives.products_of(eqn.params)
+    (ca, cb), (ba, bb) = jaxpr_compat.products_of(eqn.params)
     shapes = [a.parts.shape if is_lanes(a) else np.shape(a) for a in args]
     out = eqn.outvars[0].aval.shape
     inner = int(np.prod([shapes[0][i] for i in ca]))
@@ -121,7 +117,7 @@ def _mul(a: Any, b: Any) -> Any:
     return lax.mul(*_alike(a, b))
 
 
-def rows_of_table(eqn: Any, args: list[Any]) -> Lanes:
+def rows_of_table(eqn: Any, args: list[Any]) -> LaneArray:
     """A gather of whole rows from a table that all lanes share, each lane's own rows, in one gather."""
     table, own = jnp.asarray(args[0]), args[1].parts[..., 0]
     columns = table.reshape(table.shape[0], -1).T
@@ -135,4 +131,4 @@ def takes_rows(eqn: Any, args: list[Any]) -> bool:
     """Return whether a gather takes whole rows of one table."""
     if is_lanes(args[0]) or not is_lanes(args[1]):
         return False
-    return primitives.takes_rows(eqn.params, eqn.invars[0].aval.shape, len(args[1].shape))
+    return jaxpr_compat.takes_rows(eqn.params, eqn.invars[0].aval.shape, len(args[1].shape))

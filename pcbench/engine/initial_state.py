@@ -8,10 +8,11 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.simulation import draws, lanes, metrics, network, steps
+from pcbench.engine import lane_array, steps
+from pcbench.engine.interpreter import vmap_entrywise
+from pcbench.engine.lane_array import table
+from pcbench.simulation import draws, metrics, network
 from pcbench.simulation.closed_loop import before
-from pcbench.simulation.lanes import table
-from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.problem import Layout, Packet, PerLane, Problem, Row, State
 from pcbench.simulation.schedule.per_lane import Times
 
@@ -22,9 +23,9 @@ def drawing(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Calla
     sent = network.drawing(p.network, root_seed, seeds) if layout.pending else lambda k: ()
 
     def process(k: Array) -> PerLane:
-        return lanes.split(draws.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
+        return lane_array.split(draws.normals(keys, [k for _ in keys])) if keys else jnp.zeros(0)
 
-    return lambda k: steps.Drawn(process(k), jax.tree.map(lanes.split, sent(k)))
+    return lambda k: steps.Drawn(process(k), jax.tree.map(lane_array.split, sent(k)))
 
 
 def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
@@ -34,7 +35,7 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
     """
     k = jnp.asarray(0)
     memories = _memories(layout, p, root_seed, seeds)
-    loop = over(partial(before, layout, p))(memories)
+    loop = vmap_entrywise(partial(before, layout, p))(memories)
     state = State(
         x=_plant(layout, p, root_seed, seeds),
         drawn=drawn_numbers(layout, root_seed, seeds),
@@ -53,10 +54,17 @@ def begin(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> State:
         streams={label: metrics.start(many) for label, many in size.items()},
         watches={label: metrics.start_watch(many) for label, many in size.items()} if layout.watch else {},
     )
-    ready = jax.tree.map(lambda x: x if lanes.is_lanes(x) else jnp.asarray(x), state, is_leaf=lanes.is_lanes)
+    ready = jax.tree.map(lambda x: x if lane_array.is_lanes(x) else jnp.asarray(x), state, is_leaf=lane_array.is_lanes)
     drawn, happen = drawing(layout, p, root_seed, seeds)(k), _everything(layout, p)
-    ready = ready._replace(commands=network.tabled(ready.commands) if layout.pending else table(ready.commands))
-    return lanes.settle(lambda state: steps.tick(layout, p, k, happen(k, state), drawn), ready, layout.width)
+    ready = ready._replace(commands=_tables(ready.commands) if layout.pending else table(ready.commands))
+    return lane_array.infer_batched(
+        lambda state: steps.tick(layout, p, k, happen(k, state), drawn), ready, layout.width
+    )
+
+
+def _tables(commands: network.Commands) -> network.Commands:
+    """Commands with their rings as tables."""
+    return commands._replace(sent=table(commands.sent), held=table(commands.held), waiting=table(commands.waiting))
 
 
 def _plant(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:
@@ -65,46 +73,46 @@ def _plant(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLan
         return p.x0
     n = p.x0.shape[0]
     normal = draws.normals(draws.run_keys(root_seed, seeds, "initial", n), jnp.zeros(n, int))
-    return over(lambda v: p.x0 + p.spread0 @ v)(lanes.split(normal))
+    return vmap_entrywise(lambda v: p.x0 + p.spread0 @ v)(lane_array.split(normal))
 
 
 def drawn_numbers(layout: Layout, root_seed: Array, seeds: Array) -> Any:
     """Return the uniform numbers that each run draws for its plant; (): none."""
     if not layout.drifting:
         return ()
-    return lanes.split(draws.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, layout.plant.drawn)[0])
+    return lane_array.split(draws.uniforms(root_seed, seeds, "drift", jnp.asarray(0), 1, layout.plant.drawn)[0])
 
 
 def first_estimate(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> PerLane:
     """Return xhat(0) [n], random in a box where the layout says so."""
     if not layout.scattered:
         return p.xhat0
-    uniform = lanes.split(draws.uniforms(root_seed, seeds, "initial", jnp.asarray(0), 1, p.x0.shape[0])[0])
-    return over(lambda v: p.xhat0 + p.scatter * (2 * v - 1))(uniform)
+    uniform = lane_array.split(draws.uniforms(root_seed, seeds, "initial", jnp.asarray(0), 1, p.x0.shape[0])[0])
+    return vmap_entrywise(lambda v: p.xhat0 + p.scatter * (2 * v - 1))(uniform)
 
 
 def _memories(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> Any:
     """The observers' memories of xhat(0)."""
     xhat0 = first_estimate(layout, p, root_seed, seeds)
-    begun = over(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
+    begun = vmap_entrywise(lambda xhat0: {label: o.init(p.gains[label], xhat0) for label, o in layout.observers})(xhat0)
     drawing = [(label, o.seeded) for label, o in layout.observers if o.seeded]
     if not drawing:
         return begun
-    words = lanes.split(draws.words(root_seed, seeds))
+    words = lane_array.split(draws.words(root_seed, seeds))
 
     def own(memories: Any, words: Array, xhat0: Array) -> Any:
         return memories | {label: seeded(p.gains[label], memories[label], words, xhat0) for label, seeded in drawing}
 
-    return over(own)(begun, words, xhat0)
+    return vmap_entrywise(own)(begun, words, xhat0)
 
 
 def _everything(layout: Layout, p: Problem) -> steps.Happen:
     """An event that measures, notes and jumps: `settle` traces a tick with it to find what differs between lanes."""
     q = p.noise_std.shape[0]
-    noise = lanes.split(jnp.zeros((q, layout.width)))
+    noise = lane_array.split(jnp.zeros((q, layout.width)))
     random = isinstance(p.schedule, Times)
     row: Any = Row(jnp.ones(q, bool), jnp.zeros(q, int), jnp.zeros(q, int), jnp.asarray(0))
-    row = jax.tree.map(lambda a: lanes.spread(a, layout.width), row) if random else row
+    row = jax.tree.map(lambda a: lane_array.broadcast(a, layout.width), row) if random else row
 
     def happen(k: Array, state: State) -> State:
         packet = Packet(steps.measure(layout, p, k, state, noise), steps.note(layout, p, k, state))
@@ -113,7 +121,7 @@ def _everything(layout: Layout, p: Problem) -> steps.Happen:
             state = state._replace(memories=steps.told(layout, p, k, state, row.fresh))
         memories = steps.jump(layout, p, k, state, row, packet)
         if random:  # what a jump changes at all, it changes in some lanes only
-            memories = lanes.unless_same(memories, before, layout.width)
+            memories = lane_array.unless_same(memories, before, layout.width)
         return state._replace(memories=memories, flight=packet)
 
     return happen

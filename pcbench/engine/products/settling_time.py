@@ -7,10 +7,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation.lifted import products
-from pcbench.simulation.lifted.chunks import TICKS, Chunks
-from pcbench.simulation.lifted.maps import Maps, Moving
-from pcbench.simulation.lifted.sums import limits
+from pcbench.engine.products import matmul
+from pcbench.engine.products.block_maps import Maps, Moving
+from pcbench.engine.products.block_metrics import limits
+from pcbench.engine.products.blocks import TICKS, Chunks
 
 
 class Exits(NamedTuple):
@@ -40,7 +40,7 @@ def unsettled(band: Any, m: Maps, each: Chunks, exits: Exits) -> Array:
     Where rounding is all that took |e| out of the band, the tick is that of the chunk's largest |e|.
     """
     (C, _, r), n = m.own.shape, len(exits.chunk)
-    common = jnp.moveaxis(jax.vmap(products.same)(m.common, exits.shared).reshape(C, TICKS, n), 0, 2)
+    common = jnp.moveaxis(jax.vmap(matmul.same)(m.common, exits.shared).reshape(C, TICKS, n), 0, 2)
     own = jnp.moveaxis(m.own.reshape(C, TICKS, n, r), (2, 3, 1), (0, 1, 2))  # [n, r, TICKS, C]
     at = jnp.maximum(exits.chunk, 0)
 

@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import lanes, sample_noise
+from pcbench.engine import lane_array
+from pcbench.engine.initial_state import begin
+from pcbench.engine.steps import Happen, jump, measure, note, tells, told
+from pcbench.simulation import sample_noise
 from pcbench.simulation.problem import Layout, Notes, Packet, PerLane, Problem, Row, State
 from pcbench.simulation.sample_noise import Noise
-from pcbench.simulation.start import begin
-from pcbench.simulation.steps import Happen, jump, measure, note, tells, told
 
 
 def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
@@ -35,8 +36,8 @@ def rings(layout: Layout, p: Problem, noise: Noise, state: State) -> State:
 
     def put(rings: Any, packet: tuple[Array, Array]) -> tuple[Any, None]:
         place, numbers = packet
-        drawn = lanes.split(noise(channels, numbers))
-        y = lanes.like(measure(layout, p, jnp.asarray(0), state, drawn), one, layout.width)
+        drawn = lane_array.split(noise(channels, numbers))
+        y = lane_array.match_form(measure(layout, p, jnp.asarray(0), state, drawn), one, layout.width)
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, y), None
 
     if early := p.schedule.early.shape[0]:
@@ -54,12 +55,12 @@ def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> 
 
     def put(rings: Any, number: Array, make: Any) -> Any:
         last = jax.tree.map(lambda ring: ring[layout.ring], rings)
-        new = lax.cond(number >= 0, lambda: lanes.like(make(), last, layout.width), lambda: last)
+        new = lax.cond(number >= 0, lambda: lane_array.match_form(make(), last, layout.width), lambda: last)
         place = jnp.where(number >= 0, number % layout.ring, layout.ring)
         return jax.tree.map(lambda ring, v: lax.dynamic_update_index_in_dim(ring, v, place, 0), rings, new)
 
     def sense() -> PerLane:
-        return measure(layout, p, k, state, lanes.split(noise(channels, plan.sample[k])))
+        return measure(layout, p, k, state, lane_array.split(noise(channels, plan.sample[k])))
 
     def noted() -> Notes:
         return note(layout, p, k, state)
@@ -70,7 +71,7 @@ def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> 
         flight = flight._replace(notes=put(flight.notes, plan.also[k, more], noted))
 
     def tell() -> Any:
-        return lanes.like(told(layout, p, k, state, plan.sample[k] >= 0), state.memories, layout.width)
+        return lane_array.match_form(told(layout, p, k, state, plan.sample[k] >= 0), state.memories, layout.width)
 
     def deliver(slot: Array, memories: Any) -> Any:
         number = plan.arrive[k, slot]
@@ -80,7 +81,7 @@ def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> 
 
         def jumped(memories: Any) -> Any:
             after = jump(layout, p, k, state._replace(memories=memories), row, packet)
-            return lanes.like(after, memories, layout.width)
+            return lane_array.match_form(after, memories, layout.width)
 
         return lax.cond(number >= 0, jumped, lambda memories: memories, memories)
 

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import lanes, steps
-from pcbench.simulation.lifted import moving, products, settling, sums
-from pcbench.simulation.lifted.chunks import BLOCK, TICKS, WRITTEN, Chunks, chunks
-from pcbench.simulation.lifted.form import PLANT, Form, forms, leaves_of, with_leaves
-from pcbench.simulation.lifted.maps import Maps, Moving, maps
+from pcbench.engine import lane_array, steps
+from pcbench.engine.products import block_metrics, matmul, settling_time, state_rows
+from pcbench.engine.products.affine_detection import PLANT, Form, forms, leaves_of, with_leaves
+from pcbench.engine.products.block_maps import Maps, Moving, maps
+from pcbench.engine.products.blocks import BLOCK, TICKS, WRITTEN, Chunks, chunks
 from pcbench.simulation.problem import Layout, Problem, State
 
 Flow = Callable[[Array, Array, State], State]  # (first tick, tick after the last, state) -> state
@@ -54,29 +54,29 @@ def way(layout: Layout, p: Problem, state: State, stepped: Stepped, given: dict[
     at_the_end = layout.watch and not p.jumps.shape[0]  # an exit's tick is looked for
 
     def taken(state: State) -> All:
-        return {form.label: moving.taken(form, state) for form in found}
+        return {form.label: state_rows.taken(form, state) for form in found}
 
     def ready(state: State) -> State:
         z = _together(taken(state))
-        return state._replace(exits={o: settling.none(every[o], z[o]) for o in quick} if at_the_end else {})
+        return state._replace(exits={o: settling_time.none(every[o], z[o]) for o in quick} if at_the_end else {})
 
     def lifted(start: Array, stop: Array, state: State) -> State:
         over = partial(_over_chunks, every, (each.before[start], each.before[stop]))
-        z, kept = taken(state), {label: (*moving.sums_of(label, state), state.exits.get(label)) for label in quick}
+        z, kept = taken(state), {label: (*state_rows.sums_of(label, state), state.exits.get(label)) for label in quick}
         after, kept = over(partial(_scored, p, every, each), z, kept)
         kept = _bounded(p, over, partial(_blocks, every, each), z, kept) if layout.watch and quick else kept
         out = _beside(slow, stepped, start, stop, _counted(layout, p, found, start, stop, state))
         for form in found:
-            out = moving.put(form, out, after[form.label])
+            out = state_rows.put(form, out, after[form.label])
         for label in quick:
-            out = moving.keep(label, out, kept[label][:2])
+            out = state_rows.keep(label, out, kept[label][:2])
         return out._replace(exits={label: kept[label][2] for label in state.exits})
 
     def settled(state: State) -> State:
         for label, exits in state.exits.items():
-            stream, watch = moving.sums_of(label, state)
-            last = settling.unsettled(p.band, every[label], each, exits)
-            state = moving.keep(label, state, (stream, watch._replace(unsettled=last)))
+            stream, watch = state_rows.sums_of(label, state)
+            last = settling_time.unsettled(p.band, every[label], each, exits)
+            state = state_rows.keep(label, state, (stream, watch._replace(unsettled=last)))
         return state._replace(exits={})
 
     return Way(ready, lifted, settled)
@@ -84,7 +84,7 @@ def way(layout: Layout, p: Problem, state: State, stepped: Stepped, given: dict[
 
 def _together(z: All) -> All:
     """By label, what an observer's errors depend on: its own numbers and the plant's."""
-    return {label: moving.together(z[PLANT], mine) if label != PLANT else mine for label, mine in z.items()}
+    return {label: state_rows.together(z[PLANT], mine) if label != PLANT else mine for label, mine in z.items()}
 
 
 def _over_chunks(every: All, span: tuple[Array, Array], visit: Visit, z: All, kept: All) -> tuple[All, All]:
@@ -106,26 +106,26 @@ def _scored(p: Problem, every: All, each: Chunks, label: str, c: Array, z: Movin
     looks = bool(watch) and exits is None
 
     def take(k: Array, left: Array, e: list[Array], kept: Any) -> Any:
-        return sums.sized(e, kept[0]), sums.looked(p, k, e, kept[1]) if looks else kept[1]
+        return block_metrics.sized(e, kept[0]), block_metrics.looked(p, k, e, kept[1]) if looks else kept[1]
 
-    sizes, watch = _blocks(every, each, take, label, c, z, (sums.none(stream.peak), watch))
-    exits = exits and settling.noted(p.band, exits, c, sizes.imag, z)
-    return sums.scored(stream, sizes, sums.squares(m, c, z)), watch, exits
+    sizes, watch = _blocks(every, each, take, label, c, z, (block_metrics.none(stream.peak), watch))
+    exits = exits and settling_time.noted(p.band, exits, c, sizes.imag, z)
+    return block_metrics.scored(stream, sizes, block_metrics.squares(m, c, z)), watch, exits
 
 
 def _blocks(every: All, each: Chunks, take: Take, label: str, c: Array, z: Moving, kept: Any) -> Any:
     """Take the errors of a chunk, block by block."""
     m = every[label]
-    common = products.same(m.common[c], z.shared)
-    n, ticks = len(common) // TICKS, WRITTEN if products.few(len(z.own)) else BLOCK
+    common = matmul.same(m.common[c], z.shared)
+    n, ticks = len(common) // TICKS, WRITTEN if matmul.few(len(z.own)) else BLOCK
     E = jnp.concatenate([common[:, None], m.own[c]], 1)
 
     def block(i: Array, kept: Any) -> Any:
         rows = lax.dynamic_slice_in_dim(E, i * ticks * n, ticks * n)
-        if products.few(len(z.own)):  # tick by tick: what is cut out of a whole would be kept
-            e = [products.of_lanes(row[:, 1:], row[:, 0], z.own) for row in rows.reshape(ticks, n, -1)]
+        if matmul.few(len(z.own)):  # tick by tick: what is cut out of a whole would be kept
+            e = [matmul.of_lanes(row[:, 1:], row[:, 0], z.own) for row in rows.reshape(ticks, n, -1)]
         else:
-            e = list(products.of_lanes(rows[:, 1:], rows[:, 0], z.own).reshape(ticks, n, -1))
+            e = list(matmul.of_lanes(rows[:, 1:], rows[:, 0], z.own).reshape(ticks, n, -1))
         return take(each.start[c] + i * ticks, each.length[c] - i * ticks, e, kept)
 
     return lax.fori_loop(0, -(-each.length[c] // ticks), block, kept)
@@ -133,16 +133,16 @@ def _blocks(every: All, each: Chunks, take: Take, label: str, c: Array, z: Movin
 
 def _ahead(m: Maps, c: Array, z: Moving) -> Moving:
     """Return what is moved, behind a chunk."""
-    shared, fixed = products.same(m.shared_after[c], z.shared), products.same(m.common_after[c], z.shared)
-    own = products.of_lanes(m.own_after[c], fixed, z.own) if m.own_after.shape[1] else jnp.zeros((0, 1))
+    shared, fixed = matmul.same(m.shared_after[c], z.shared), matmul.same(m.common_after[c], z.shared)
+    own = matmul.of_lanes(m.own_after[c], fixed, z.own) if m.own_after.shape[1] else jnp.zeros((0, 1))
     return Moving(own, shared)
 
 
 def _bounded(p: Problem, over: Callable[..., tuple[All, All]], blocks: Callable[..., Any], z: All, kept: All) -> All:
     """Where a peak says that some lane has left its bound, go over the chunks again and note at which tick."""
     bad = {label: watch.first_bad for label, (_, watch, _) in kept.items()}
-    stays = jnp.all(jnp.stack([sums.stays(p, stream, watch) for stream, watch, _ in kept.values()]))
-    again = partial(over, partial(blocks, partial(sums.first_bad, p)), z)
+    stays = jnp.all(jnp.stack([block_metrics.stays(p, stream, watch) for stream, watch, _ in kept.values()]))
+    again = partial(over, partial(blocks, partial(block_metrics.first_bad, p)), z)
     found = lax.cond(stays, lambda bad: bad, lambda bad: again(bad)[1], bad)
     return {o: (stream, watch._replace(first_bad=found[o]), exits) for o, (stream, watch, exits) in kept.items()}
 
@@ -184,6 +184,6 @@ def _counted(layout: Layout, p: Problem, found: tuple[Form, ...], start: Array, 
 
     def tick(k: Array, numbers: list[list[Any]]) -> list[list[Any]]:
         after = counts(steps.flow(layout, p, k, with_counts(numbers), jnp.zeros(0)))
-        return lanes.like(after, numbers, layout.width)
+        return lane_array.match_form(after, numbers, layout.width)
 
     return with_counts(lax.fori_loop(start, stop, tick, counts(state)))

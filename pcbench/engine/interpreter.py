@@ -14,30 +14,29 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench.protocols import TOGETHER
-from pcbench.simulation.lanes import (
+from pcbench.engine import batching_rules, jaxpr_compat
+from pcbench.engine.jaxpr_compat import CALLS, ELEMENTWISE, STRUCTURAL, ClosedJaxpr, Literal, jaxpr_as_fun
+from pcbench.engine.lane_array import (
     FORMS_ONLY,
-    Lanes,
+    LaneArray,
+    broadcast_table,
     entries,
+    infer_batched,
     is_lanes,
     join,
     joined,
     lanes_of,
-    like,
-    primitives,
-    rules,
-    settle,
+    match_form,
     split,
-    spread_table,
     table,
 )
-from pcbench.simulation.lanes.primitives import CALLS, ELEMENTWISE, STRUCTURAL, ClosedJaxpr, Literal, jaxpr_as_fun
+from pcbench.protocols import TOGETHER
 
 MANY = 32  # rows, from which on they are kept together
 
 
-def over(f: Any) -> Any:
-    """Return `f` with any array in its arguments' pytrees allowed to be a Lanes; what depends on one comes out as one."""
+def vmap_entrywise(f: Any) -> Any:
+    """Return `f` with any array in its arguments' pytrees allowed to be a LaneArray; what depends on one comes out as one."""
 
     def mapped(*args: Any) -> Any:
         flat, tree = jax.tree.flatten(args, is_leaf=is_lanes)
@@ -62,32 +61,36 @@ def _evaluate(jaxpr: Any, consts: Any, args: Any) -> list[Any]:
 
 def _apply(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
     name, differs = eqn.primitive.name, any(map(is_lanes, args))
-    if differs and name in CALLS and primitives.named(eqn.params) == TOGETHER:
+    if differs and name in CALLS and jaxpr_compat.named(eqn.params) == TOGETHER:
         return _together(eqn, args)
     if differs and name in CALLS:
-        closed = primitives.called(eqn.params)
+        closed = jaxpr_compat.called(eqn.params)
         return _evaluate(closed.jaxpr, closed.consts, args)
     if name in ROWS and differs and _one_row(eqn, args):
         return [ROWS[name](eqn, args)]
-    if differs and name == "scan" and primitives.scan(eqn.params).length:
+    if differs and name == "scan" and jaxpr_compat.scan(eqn.params).length:
         return _scan(eqn, args)
     if differs and name == "while" and (found := _while(eqn, args)) is not None:
         return found
     if differs and FORMS_ONLY.get():
         return [_form(v.aval, args, name) for v in eqn.outvars]
     args = [entries(a) for a in args]
-    if differs and name == "gather" and rules.takes_rows(eqn, args):
-        return [rules.rows_of_table(eqn, args)]
+    if differs and name == "gather" and batching_rules.takes_rows(eqn, args):
+        return [batching_rules.rows_of_table(eqn, args)]
     if differs and name in STRUCTURAL:
-        return rules.structural(eqn, args)
-    if differs and name in _RULES and not (name == "dot_general" and rules.products(eqn) > rules.WRITTEN_OUT):
+        return batching_rules.structural(eqn, args)
+    if (
+        differs
+        and name in _RULES
+        and not (name == "dot_general" and batching_rules.products(eqn) > batching_rules.WRITTEN_OUT)
+    ):
         return [_RULES[name](eqn, args)]
     return _fallback(jaxpr, eqn, args)
 
 
 def _together(eqn: Any, args: list[Any]) -> list[Any]:
     """Apply a function in one piece, by vmap; what is the same in all lanes stays so, what is long becomes a table."""
-    closed = primitives.called(eqn.params)
+    closed = jaxpr_compat.called(eqn.params)
 
     def alone(*args: Any) -> list[Any]:
         return _evaluate(closed.jaxpr, closed.consts, list(args))
@@ -116,14 +119,14 @@ def _long(x: Any) -> Any:
 
 
 def _parted(x: jax.Array) -> Any:
-    """Lanes from an array [*shape, L], a table where it has many rows."""
+    """A LaneArray from an array [*shape, L], a table where it has many rows."""
     if x.ndim < 2 or x.shape[0] < MANY:
         return split(x) if x.size else jnp.zeros(x.shape[:-1], x.dtype)
     return lanes_of(x.shape[1:-1], [x[:, *i] for i in np.ndindex(x.shape[1:-1])], x.shape[0])
 
 
 def _form(aval: Any, args: list[Any], name: str) -> Any:
-    """What a primitive makes of Lanes, without its numbers."""
+    """What a primitive makes of LaneArrays, without its numbers."""
     size = int(np.prod(aval.shape))
     if not size and name in STRUCTURAL:
         return jnp.zeros(aval.shape, aval.dtype)
@@ -133,35 +136,35 @@ def _form(aval: Any, args: list[Any], name: str) -> Any:
 
 def _scan(eqn: Any, args: list[Any]) -> list[Any]:
     """Apply a scan by a scan over the same rows, its body evaluated entry by entry."""
-    body, consts, carry, length, how = primitives.scan(eqn.params)
+    body, consts, carry, length, how = jaxpr_compat.scan(eqn.params)
     width = next(jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a))
     rows = [_without_rows(table(a)) for a in args[consts + carry :]]
 
     def step(state: list[Any], row: list[Any]) -> tuple[list[Any], list[Any]]:
         out = _evaluate(body.jaxpr, body.consts, [*args[:consts], *state, *row])
-        return like(out[:carry], state, width), out[carry:]
+        return match_form(out[:carry], state, width), out[carry:]
 
     first = jax.tree.map(lambda a: a[0], rows)
     start = [entries(a) if is_lanes(a) else jnp.asarray(a) for a in args[consts : consts + carry]]
-    start = settle(lambda state: step(state, first)[0], start, width)
+    start = infer_batched(lambda state: step(state, first)[0], start, width)
     end, out = jax.lax.scan(step, start, rows, **how)
-    return [*end, *(Lanes(a.parts, length) if is_lanes(a) else a for a in out)]
+    return [*end, *(LaneArray(a.parts, length) if is_lanes(a) else a for a in out)]
 
 
 def _while(eqn: Any, args: list[Any]) -> list[Any] | None:
     """Apply a while loop that ends for all lanes at once by one loop, its body evaluated entry by entry; else None."""
-    cond, body, first, second = primitives.while_(eqn.params)
+    cond, body, first, second = jaxpr_compat.while_(eqn.params)
     asked, given, state = args[:first], args[first : first + second], args[first + second :]
     width = next(jnp.shape(leaf)[-1] for a in args if is_lanes(a) for leaf in jax.tree.leaves(a))
 
     def step(state: list[Any]) -> list[Any]:
-        return like(_evaluate(body.jaxpr, body.consts, [*given, *state]), state, width)
+        return match_form(_evaluate(body.jaxpr, body.consts, [*given, *state]), state, width)
 
     def goes_on(state: list[Any]) -> Any:
         return _evaluate(cond.jaxpr, cond.consts, [*asked, *state])[0]
 
     start = [entries(a) if is_lanes(a) else jnp.asarray(a) for a in state]
-    start = settle(lambda s: _evaluate(body.jaxpr, body.consts, [*given, *s]), start, width)
+    start = infer_batched(lambda s: _evaluate(body.jaxpr, body.consts, [*given, *s]), start, width)
     if is_lanes(jax.eval_shape(goes_on, start)):
         return None
     return jax.lax.while_loop(goes_on, step, start)
@@ -169,27 +172,27 @@ def _while(eqn: Any, args: list[Any]) -> list[Any] | None:
 
 def _without_rows(x: Any) -> Any:
     """A table as a scan goes over it: what it takes of it is one row, an array for each entry."""
-    return Lanes(x.parts) if is_lanes(x) else x
+    return LaneArray(x.parts) if is_lanes(x) else x
 
 
 def _one_row(eqn: Any, args: list[Any]) -> bool:
     """Whether a slice is one whole row at an index that all lanes share."""
     update = eqn.primitive.name == "dynamic_update_slice"
     shape = eqn.invars[0].aval.shape
-    size = eqn.invars[1].aval.shape if update else primitives.slice_sizes(eqn.params)
+    size = eqn.invars[1].aval.shape if update else jaxpr_compat.slice_sizes(eqn.params)
     return size == (1, *shape[1:]) and not any(map(is_lanes, args[1 + update :]))
 
 
-def _read_row(eqn: Any, args: list[Any]) -> Lanes:
+def _read_row(eqn: Any, args: list[Any]) -> LaneArray:
     x, row = table(args[0]), args[1]
     return lanes_of((1, *x.parts.shape), [jax.lax.dynamic_index_in_dim(a, row, 0, False) for a in x.parts.flat])
 
 
-def _write_row(eqn: Any, args: list[Any]) -> Lanes:
+def _write_row(eqn: Any, args: list[Any]) -> LaneArray:
     new, row = entries(args[1]), args[2]
     width = next(jnp.shape(a)[-1] for x in args[:2] if is_lanes(x) for a in x.parts.flat)
-    old = table(args[0]) if is_lanes(args[0]) else spread_table(jnp.asarray(args[0]), width)
-    each = rules.entries_of(new, np.shape(new) if not is_lanes(new) else new.shape).flat
+    old = table(args[0]) if is_lanes(args[0]) else broadcast_table(jnp.asarray(args[0]), width)
+    each = batching_rules.entries_of(new, np.shape(new) if not is_lanes(new) else new.shape).flat
     written = [
         jax.lax.dynamic_update_index_in_dim(a, jnp.broadcast_to(b, (width,)), row, 0)
         for a, b in zip(old.parts.flat, each, strict=True)
@@ -217,5 +220,7 @@ def _fallback(jaxpr: Any, eqn: Any, args: list[Any]) -> list[Any]:
 
 
 _RULES = (
-    dict.fromkeys(ELEMENTWISE, rules.elementwise) | dict.fromkeys(rules.FOLDS, rules.fold) | {"dot_general": rules.dot}
+    dict.fromkeys(ELEMENTWISE, batching_rules.elementwise)
+    | dict.fromkeys(batching_rules.FOLDS, batching_rules.fold)
+    | {"dot_general": batching_rules.dot}
 )

@@ -14,11 +14,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
-from pcbench.simulation import lanes
-from pcbench.simulation.lanes.entrywise import over
-from pcbench.simulation.lifted.chunks import TICKS, Chunks
-from pcbench.simulation.lifted.form import PLANT, Form, Z, one_lane, slopes, steady
-from pcbench.simulation.lifted.orthogonal import Basis, basis
+from pcbench.engine import lane_array
+from pcbench.engine.interpreter import vmap_entrywise
+from pcbench.engine.products.affine_detection import PLANT, Form, Z, one_lane, slopes, steady
+from pcbench.engine.products.blocks import TICKS, Chunks
+from pcbench.engine.products.qr_sums import Basis, basis
 from pcbench.simulation.problem import Layout, Problem, State
 
 
@@ -88,9 +88,9 @@ def _columns(layout: Layout, p: Problem, state: State, form: Form, which: np.nda
         return de + jnp.where(first, e, 0.0), {i: dz[i] + jnp.where(first, after[i], 0.0) for i in z}
 
     parts = jnp.split(jnp.tile(jnp.eye(F, 1 + F, 1)[:, which], C), np.cumsum(sizes)[:-1])
-    start = {i: lanes.split(a.reshape(*shapes[i].shape, a.shape[-1])) for i, a in zip(order, parts, strict=True)}
+    start = {i: lane_array.split(a.reshape(*shapes[i].shape, a.shape[-1])) for i, a in zip(order, parts, strict=True)}
     e, z = _carried(column, form.signals, start, each, jnp.asarray(which == 0))
-    after = jnp.concatenate([lanes.join(z[i]).reshape(-1, C, many) for i in order])
+    after = jnp.concatenate([lane_array.join(z[i]).reshape(-1, C, many) for i in order])
     return Columns(jnp.moveaxis(e.reshape(-1, C, many), 1, 0), jnp.moveaxis(after, 1, 0))
 
 
@@ -101,7 +101,7 @@ def _carried(column: Any, signals: int, z: Z, each: Chunks, first: Array) -> tup
     """
     start, length = jnp.repeat(each.start, len(first)), jnp.repeat(each.length, len(first))
     width = start.shape[0]
-    of_zero = lanes.split(jnp.tile(first, len(each.start)))
+    of_zero = lane_array.split(jnp.tile(first, len(each.start)))
 
     def one_tick(k: Array, goes_on: Array, first: Array, z: Z) -> tuple[Array, Z]:
         e, after = column(k, first, z)
@@ -109,10 +109,10 @@ def _carried(column: Any, signals: int, z: Z, each: Chunks, first: Array) -> tup
 
     def tick(t: Array, carried: tuple[Z, Array]) -> tuple[Z, Array]:
         z, table = carried
-        e, after = over(one_tick)(lanes.split(start + t), lanes.split(t < length), of_zero, z)
+        e, after = vmap_entrywise(one_tick)(lane_array.split(start + t), lane_array.split(t < length), of_zero, z)
         if signals:
-            table = lax.dynamic_update_index_in_dim(table, lanes.join(e), t, 0)
-        return lanes.like(after, z, width), table
+            table = lax.dynamic_update_index_in_dim(table, lane_array.join(e), t, 0)
+        return lane_array.match_form(after, z, width), table
 
     z, e = lax.fori_loop(0, jnp.max(each.length), tick, (z, jnp.zeros((TICKS, signals, width))))
     return e, z

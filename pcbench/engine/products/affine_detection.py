@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.simulation import lanes
-from pcbench.simulation.lifted.reach import reach
+from pcbench.engine import lane_array
+from pcbench.engine.products.jaxpr_dependence import reach
 from pcbench.simulation.problem import Layout, Problem, State, present, truth
 from pcbench.simulation.schedule.shared import Schedule
 
@@ -52,22 +52,22 @@ def forms(layout: Layout, p: Problem, state: State) -> tuple[Form, ...]:
 
 
 def leaves_of(state: State, label: str) -> Leaves:
-    """Return the leaves of (x, memory), or of x: arrays and Lanes."""
-    return jax.tree.leaves((state.x, () if label == PLANT else state.memories[label]), is_leaf=lanes.is_lanes)
+    """Return the leaves of (x, memory), or of x: arrays and LaneArrays."""
+    return jax.tree.leaves((state.x, () if label == PLANT else state.memories[label]), is_leaf=lane_array.is_lanes)
 
 
 def with_leaves(state: State, label: str, leaves: Leaves) -> State:
     """Return the state with other leaves; of an observer with another memory, and x as it was."""
     if label == PLANT:
         return state._replace(x=leaves[0])
-    tree = jax.tree.structure(state.memories[label], is_leaf=lanes.is_lanes)
+    tree = jax.tree.structure(state.memories[label], is_leaf=lane_array.is_lanes)
     return state._replace(memories=state.memories | {label: jax.tree.unflatten(tree, leaves[1:])})
 
 
 def one_lane(state: State, label: str) -> tuple[Any, Leaves]:
     """Return the structure of one lane's (x, memory), and the shapes of its leaves."""
     each = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in leaves_of(state, label)]
-    return jax.tree.structure((0, () if label == PLANT else state.memories[label]), is_leaf=lanes.is_lanes), each
+    return jax.tree.structure((0, () if label == PLANT else state.memories[label]), is_leaf=lane_array.is_lanes), each
 
 
 def motion(layout: Layout, p: Problem, label: str, tree: Any, k: Array, leaves: Leaves) -> tuple[Array, Leaves]:
@@ -117,12 +117,12 @@ def _form(layout: Layout, p: Problem, state: State, label: str) -> Form | None:
     if found is None:
         return None
     z, counted = found
-    differs = [lanes.is_lanes(a) for a in leaves_of(state, label)]
+    differs = [lane_array.is_lanes(a) for a in leaves_of(state, label)]
     own, common = (tuple(i for i in z if differs[i] == which) for which in (True, False))
     if label == PLANT:
         return Form(label, 0, own, common, ())
     stream = state.streams[label].absolute
-    return Form(label, stream.shape[0], own, common, counted) if bool(own) == lanes.is_lanes(stream) else None
+    return Form(label, stream.shape[0], own, common, counted) if bool(own) == lane_array.is_lanes(stream) else None
 
 
 def _classes(

@@ -16,13 +16,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pcbench.simulation.lanes import primitives
-from pcbench.simulation.lifted.chunks import chunks
-from pcbench.simulation.lifted.form import forms
-from pcbench.simulation.lifted.maps import Maps, maps
-from pcbench.simulation.lifted.reach import read
+from pcbench.engine import jaxpr_compat
+from pcbench.engine.initial_state import begin
+from pcbench.engine.products.affine_detection import forms
+from pcbench.engine.products.block_maps import Maps, maps
+from pcbench.engine.products.blocks import chunks
+from pcbench.engine.products.jaxpr_dependence import read
 from pcbench.simulation.problem import Layout, Problem
-from pcbench.simulation.start import begin
 
 Every = dict[str, Maps]  # by the label of a form
 
@@ -105,7 +105,7 @@ class Traced(NamedTuple):
     def __call__(self, p: Problem) -> Every:
         """Return the maps."""
         every: Every = jax.tree.unflatten(
-            jax.tree.structure(self.shape), primitives.jaxpr_as_fun(self.closed)(*jax.tree.leaves(p))
+            jax.tree.structure(self.shape), jaxpr_compat.jaxpr_as_fun(self.closed)(*jax.tree.leaves(p))
         )
         return every
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation.lifted import products
-from pcbench.simulation.lifted.chunks import TICKS
+from pcbench.engine.products import matmul
+from pcbench.engine.products.blocks import TICKS
 
 
 class Basis(NamedTuple):
@@ -49,15 +49,15 @@ def parts(Q: Array, a: Array) -> tuple[Array, Array]:
         c = jnp.sum(q * a, 1)
         return a - q * c[:, None], c
 
-    rest, c = lax.scan(less, a, jnp.moveaxis(Q, 1, 0), unroll=products.few(Q.shape[1]))
+    rest, c = lax.scan(less, a, jnp.moveaxis(Q, 1, 0), unroll=matmul.few(Q.shape[1]))
     return c.T, jnp.sum(rest * rest, 1)
 
 
 def square(R: Array, along: Array, beside: Array, own: Array) -> Array:
     """Return |R z + along|^2 + beside for the own numbers z [r, L] of every lane, [n, L]; of one chunk."""
     n, r = along.shape
-    if not products.few(r):
-        mixed = products.of_lanes(R.reshape(n * r, r), along.ravel(), own).reshape(n, r, -1)
+    if not matmul.few(r):
+        mixed = matmul.of_lanes(R.reshape(n * r, r), along.ravel(), own).reshape(n, r, -1)
         return beside[:, None] + jnp.sum(mixed * mixed, 1)
-    each = (products.of_lanes(R[:, k, k:], along[:, k], own[k:]) for k in range(r))
+    each = (matmul.of_lanes(R[:, k, k:], along[:, k], own[k:]) for k in range(r))
     return reduce(jnp.add, (row * row for row in each), beside[:, None])

@@ -13,8 +13,8 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.simulation import lanes
-from pcbench.simulation.lanes import Lanes
+from pcbench.engine import lane_array
+from pcbench.engine.lane_array import LaneArray
 
 
 class Kept(NamedTuple):
@@ -57,7 +57,7 @@ class Packing(NamedTuple):
         return Kept(self._moving(leaves), jnp.concatenate(rows) if rows else jnp.zeros((0, 1)))
 
     def _leaves(self, memories: Any) -> list[Any]:
-        return jax.tree.leaves(memories, is_leaf=lanes.is_lanes)
+        return jax.tree.leaves(memories, is_leaf=lane_array.is_lanes)
 
     def _moving(self, leaves: list[Any]) -> list[Any]:
         return [leaf for leaf, place in zip(leaves, self.places, strict=True) if place is None]
@@ -68,16 +68,18 @@ def packing(flow: Callable[[Any], Any], memories: Any) -> Packing:
     alone: list[bool] = []
 
     def probe(before: Any) -> int:
-        pairs = zip(*(jax.tree.leaves(tree, is_leaf=lanes.is_lanes) for tree in (flow(before), before)), strict=True)
+        pairs = zip(
+            *(jax.tree.leaves(tree, is_leaf=lane_array.is_lanes) for tree in (flow(before), before)), strict=True
+        )
         alone.extend(new is old for new, old in pairs)
         return 0
 
     jax.eval_shape(probe, memories)
-    leaves, tree = jax.tree.flatten(memories, is_leaf=lanes.is_lanes)
+    leaves, tree = jax.tree.flatten(memories, is_leaf=lane_array.is_lanes)
     places: list[Place | None] = []
     rows = 0
     for leaf, left in zip(leaves, alone, strict=True):
-        if left and lanes.is_lanes(leaf) and leaf.parts.size:
+        if left and lane_array.is_lanes(leaf) and leaf.parts.size:
             places.append(Place(rows, leaf.parts.shape, leaf.rows, leaf.dtype))
             rows += leaf.parts.size * (leaf.rows or 1)
         else:
@@ -87,16 +89,16 @@ def packing(flow: Callable[[Any], Any], memories: Any) -> Packing:
 
 def pick(kept: Kept, lane: Array) -> Kept:
     """Take some lanes out; `lane` [K] holds their numbers."""
-    return Kept(lanes.pick(kept.moving, lane), kept.still.at[:, lane].get(mode="clip"))
+    return Kept(lane_array.pick(kept.moving, lane), kept.still.at[:, lane].get(mode="clip"))
 
 
 def put_back(kept: Kept, some: Kept, lane: Array) -> Kept:
     """Put lanes taken out back in their places; a number beyond the last lane is of none."""
     still = kept.still.at[:, lane].set(some.still, mode="drop")
-    return Kept(lanes.put_back(kept.moving, some.moving, lane), still)
+    return Kept(lane_array.put_back(kept.moving, some.moving, lane), still)
 
 
-def _taken(still: Array, p: Place) -> Lanes:
+def _taken(still: Array, p: Place) -> LaneArray:
     each, size = math.prod(p.shape), p.rows or 1
     blocks = [still[p.first + i * size : p.first + (i + 1) * size].astype(p.kind) for i in range(each)]
-    return lanes.lanes_of(p.shape, blocks if p.rows else [block[0] for block in blocks], p.rows)
+    return lane_array.lanes_of(p.shape, blocks if p.rows else [block[0] for block in blocks], p.rows)

@@ -11,14 +11,14 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation import lanes, sample_noise
-from pcbench.simulation.lanes import packed
+from pcbench.engine import lane_array, packing
+from pcbench.engine.initial_state import begin
+from pcbench.engine.steps import flow, jump, measure, note, tells, told
+from pcbench.simulation import sample_noise
 from pcbench.simulation.problem import Layout, Notes, Packet, Problem, Row, State
 from pcbench.simulation.schedule.agenda import Agenda, agenda
 from pcbench.simulation.schedule.per_lane import Times
 from pcbench.simulation.schedule.shared import NEVER
-from pcbench.simulation.start import begin
-from pcbench.simulation.steps import flow, jump, measure, note, tells, told
 
 CHUNK = 32  # lanes taken out together: with 128 jitter costs 1.2 and overtaking 1.6 times as much
 
@@ -65,7 +65,7 @@ class Events(NamedTuple):
     noting: Queue
     arrivals: Queue
     noise: list[Array]  # by channel [M, L], standard normal; then what else a sample draws, by channel
-    form: packed.Packing
+    form: packing.Packing
     first_notes: Notes  # of the start: the shape of all others
 
     @property
@@ -100,7 +100,9 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
         noting=stamped,
         arrivals=_queue(plan.arrives * rows + plan.slot),
         noise=_noise(p, times, root_seed, seeds),
-        form=packed.packing(lambda m: flow(layout, p, zero, state._replace(memories=m), none).memories, state.memories),
+        form=packing.packing(
+            lambda m: flow(layout, p, zero, state._replace(memories=m), none).memories, state.memories
+        ),
         first_notes=note(layout, p, zero, state),
     )
     early = (stamped.when < 0).sum()  # believed to be from before tick 0: the start is noted
@@ -133,22 +135,24 @@ def _take(events: Events, k: Array, state: State) -> State:
 def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
     number = _of_channels(events, events.agenda.number, c.row, c.lane)
     noise = jnp.stack([_at(each, number[i % len(number)], c.lane) for i, each in enumerate(events.noise)])
-    x, drawn = lanes.pick((state.x, state.drawn), c.lane)
-    return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lanes.split(noise))
+    x, drawn = lane_array.pick((state.x, state.drawn), c.lane)
+    return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lane_array.split(noise))
 
 
-def _told(events: Events, k: Array, state: State, c: Chunk) -> packed.Kept:
+def _told(events: Events, k: Array, state: State, c: Chunk) -> packing.Kept:
     """The memories after the observers of some runs were told of their samples."""
     mine, number = _taken_out(events, state, c), _of_channels(events, events.agenda.number, c.row, c.lane)
-    after = told(events.layout, events.p, k, mine, lanes.split(number >= 0))
-    return packed.put_back(state.memories, events.form.pack(lanes.like(after, mine.memories, CHUNK)), c.lane)
+    after = told(events.layout, events.p, k, mine, lane_array.split(number >= 0))
+    return packing.put_back(
+        state.memories, events.form.pack(lane_array.match_form(after, mine.memories, CHUNK)), c.lane
+    )
 
 
 def _deliver(events: Events, k: Array, state: State) -> State:
     """Let every packet that arrives at tick k be used by its run's observers: CHUNK runs at a time, in order."""
     arrivals, last, flight = events.arrivals, (k + 1) * events.rows, state.flight
 
-    def some(c: tuple[Array, packed.Kept]) -> tuple[Array, packed.Kept]:
+    def some(c: tuple[Array, packing.Kept]) -> tuple[Array, packing.Kept]:
         coming = _chunk(arrivals, c[0], arrivals.when[c[0]], events.layout)
         return c[0] + coming.size, _jumped(events, k, state._replace(memories=c[1]), coming)
 
@@ -158,23 +162,25 @@ def _deliver(events: Events, k: Array, state: State) -> State:
     return state._replace(memories=memories, flight=flight._replace(done=flight.done._replace(arrived=arrived)))
 
 
-def _jumped(events: Events, k: Array, state: State, c: Chunk) -> packed.Kept:
+def _jumped(events: Events, k: Array, state: State, c: Chunk) -> packing.Kept:
     """The memories after the arrivals of some runs."""
     layout, flight = events.layout, state.flight
     which = _at(events.agenda.which, c.row, c.lane)
     values, notes = (ring.at[:, which % layout.ring, c.lane].get(mode="clip") for ring in flight[:2])
-    packet = Packet(lanes.split(values), _unflat(notes, events.first_notes))
+    packet = Packet(lane_array.split(values), _unflat(notes, events.first_notes))
     mine = _taken_out(events, state, c)
     after = jump(layout, events.p, k, mine, _row(events, k, c, which), packet)
-    return packed.put_back(state.memories, events.form.pack(lanes.like(after, mine.memories, CHUNK)), c.lane)
+    return packing.put_back(
+        state.memories, events.form.pack(lane_array.match_form(after, mine.memories, CHUNK)), c.lane
+    )
 
 
 def _taken_out(events: Events, state: State, c: Chunk) -> State:
     """What observers see of some runs: their memories, and in a closed loop their commands."""
-    mine = state._replace(memories=events.form.whole(packed.pick(state.memories, c.lane)))
+    mine = state._replace(memories=events.form.whole(packing.pick(state.memories, c.lane)))
     if not events.layout.controller:
         return mine
-    commands, watches = lanes.pick((state.commands, state.watches), c.lane)
+    commands, watches = lane_array.pick((state.commands, state.watches), c.lane)
     return mine._replace(commands=commands, watches=watches)
 
 
@@ -205,10 +211,10 @@ def _row(events: Events, k: Array, c: Chunk, which: Array) -> Row:
     """What is known of the packets that arrive."""
     plan, number = events.agenda, _of_channels(events, events.agenda.number, which, c.lane)
     return Row(
-        fresh=lanes.split(_of_channels(events, plan.brings, c.row, c.lane)),
-        age=lanes.split(jnp.broadcast_to(k - jnp.maximum(_at(plan.believed, which, c.lane), 0), number.shape)),
-        number=lanes.split(number),
-        since=lanes.split(_at(plan.since, c.row, c.lane)),
+        fresh=lane_array.split(_of_channels(events, plan.brings, c.row, c.lane)),
+        age=lane_array.split(jnp.broadcast_to(k - jnp.maximum(_at(plan.believed, which, c.lane), 0), number.shape)),
+        number=lane_array.split(number),
+        since=lane_array.split(_at(plan.since, c.row, c.lane)),
     )
 
 
@@ -224,8 +230,8 @@ def _at(table: Array, row: Array, lane: Array) -> Array:
 
 def _flat(packet: Any, width: int) -> Array:
     """Every number of a packet, [numbers, L]."""
-    parts = map(lanes.entries, jax.tree.leaves(lanes.everywhere(packet, width), is_leaf=lanes.is_lanes))
-    entries = [entry for part in parts if lanes.is_lanes(part) for entry in part.parts.flat]
+    parts = map(lane_array.entries, jax.tree.leaves(lane_array.everywhere(packet, width), is_leaf=lane_array.is_lanes))
+    entries = [entry for part in parts if lane_array.is_lanes(part) for entry in part.parts.flat]
     return jnp.stack(entries) if entries else jnp.zeros((0, width))
 
 
@@ -235,9 +241,9 @@ def _unflat(numbers: Array, like: Any) -> Any:
 
     def one(leaf: Any) -> Any:
         size = math.prod(leaf.shape)
-        return lanes.lanes_of(leaf.shape, [next(rest) for _ in range(size)]) if size else leaf
+        return lane_array.lanes_of(leaf.shape, [next(rest) for _ in range(size)]) if size else leaf
 
-    return jax.tree.map(one, like, is_leaf=lanes.is_lanes)
+    return jax.tree.map(one, like, is_leaf=lane_array.is_lanes)
 
 
 def _rings(layout: Layout, packet: Any) -> Array:

@@ -9,9 +9,9 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.simulation.lifted import orthogonal, products
-from pcbench.simulation.lifted.chunks import TICKS
-from pcbench.simulation.lifted.maps import Maps, Moving
+from pcbench.engine.products import matmul, qr_sums
+from pcbench.engine.products.block_maps import Maps, Moving
+from pcbench.engine.products.blocks import TICKS
 from pcbench.simulation.metrics import Stream, Watch
 from pcbench.simulation.problem import Problem
 
@@ -32,9 +32,9 @@ def sized(e: list[Array], sizes: Array) -> Array:
 
 def squares(m: Maps, c: Array, z: Moving) -> Array:
     """Return the sum of e^2 over chunk c, [n, L]."""
-    shared, Q = products.same(m.common[c], z.shared), m.basis.Q[c]
-    along, beside = orthogonal.parts(Q, shared.reshape(TICKS, len(Q)).T)
-    return orthogonal.square(m.basis.R[c], along, beside, z.own)
+    shared, Q = matmul.same(m.common[c], z.shared), m.basis.Q[c]
+    along, beside = qr_sums.parts(Q, shared.reshape(TICKS, len(Q)).T)
+    return qr_sums.square(m.basis.R[c], along, beside, z.own)
 
 
 def scored(stream: Stream, sizes: Array, square: Array) -> Stream:

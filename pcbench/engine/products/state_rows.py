@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from pcbench.simulation import lanes
-from pcbench.simulation.lifted.form import PLANT, Form, leaves_of, with_leaves
-from pcbench.simulation.lifted.maps import Moving
+from pcbench.engine import lane_array
+from pcbench.engine.products.affine_detection import PLANT, Form, leaves_of, with_leaves
+from pcbench.engine.products.block_maps import Moving
 from pcbench.simulation.problem import State
 
 Sums = tuple[Any, Any]  # (Stream, Watch), arrays [n, L]; where all lanes have them in common, L = 1
@@ -18,7 +18,7 @@ Sums = tuple[Any, Any]  # (Stream, Watch), arrays [n, L]; where all lanes have t
 def taken(form: Form, state: State) -> Moving:
     """Return what a form moves of a state."""
     each = leaves_of(state, form.label)
-    own = [lanes.join(each[i]) for i in _mine(form, form.own)]
+    own = [lane_array.join(each[i]) for i in _mine(form, form.own)]
     shared = [jnp.ravel(each[i]) for i in _mine(form, form.shared)]
     rows = [a.reshape(-1, a.shape[-1]) for a in own]
     return Moving(jnp.concatenate(rows) if rows else jnp.zeros((0, 1)), jnp.concatenate([jnp.zeros(0), *shared]))
@@ -47,7 +47,7 @@ def sums_of(label: str, state: State) -> Sums:
     """Return streams and watch of one observer, as arrays with lanes."""
     kept = state.streams[label], state.watches.get(label, ())
     arrays: Sums = jax.tree.map(
-        lambda a: lanes.join(a) if lanes.is_lanes(a) else a[..., None], kept, is_leaf=lanes.is_lanes
+        lambda a: lane_array.join(a) if lane_array.is_lanes(a) else a[..., None], kept, is_leaf=lane_array.is_lanes
     )
     return arrays
 
@@ -55,7 +55,7 @@ def sums_of(label: str, state: State) -> Sums:
 def keep(label: str, state: State, sums: Sums) -> State:
     """Return the state with other streams and another watch of one observer."""
     before = state.streams[label], state.watches.get(label, ())
-    stream, watch = jax.tree.map(lambda old, new: _like(new, old), before, sums, is_leaf=lanes.is_lanes)
+    stream, watch = jax.tree.map(lambda old, new: _like(new, old), before, sums, is_leaf=lane_array.is_lanes)
     watches = state.watches | {label: watch} if watch else state.watches
     return state._replace(streams=state.streams | {label: stream}, watches=watches)
 
@@ -67,6 +67,6 @@ def _mine(form: Form, which: tuple[int, ...]) -> list[int]:
 
 def _like(new: Array, old: Any) -> Any:
     """An array with lanes last in the form of what it replaces."""
-    if not lanes.is_lanes(old):
+    if not lane_array.is_lanes(old):
         return new.reshape(jnp.shape(old))
-    return lanes.table(lanes.split(new)) if old.rows is not None else lanes.split(new)
+    return lane_array.table(lane_array.split(new)) if old.rows is not None else lane_array.split(new)

@@ -1,7 +1,7 @@
 """The steps of a tick on many lanes: the functions of one run in `simulate_runs`, each carried over the lanes.
 
-At which ticks something is sensed or delivered say `events_shared` and `events_per_lane`. In an open loop all observers watch
-one plant. A closed loop simulates a single observer, which drives a plant of its own.
+`common_schedule` and `random_schedules` say at which ticks something is sensed or delivered. In an open loop all observers
+watch one plant. A closed loop simulates a single observer, which drives a plant of its own.
 """
 
 from collections.abc import Callable
@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 
 from jax import Array
 
+from pcbench.engine.interpreter import vmap_entrywise
 from pcbench.protocols import Arrival
 from pcbench.simulation import metrics, simulate_runs
 from pcbench.simulation.closed_loop import off_target
-from pcbench.simulation.lanes.entrywise import over
 from pcbench.simulation.problem import (
     Layout,
     Memories,
@@ -74,12 +74,12 @@ def measure(layout: Layout, p: Problem, k: Array, state: State, noise: PerLane) 
     def one_lane(k: Array, x: Array, drawn: Any, v: Array) -> Array:
         return simulate_runs.measure(layout, p, params_of(layout, p, drawn), k, x, v)
 
-    return over(one_lane)(k, state.x, state.drawn, noise)
+    return vmap_entrywise(one_lane)(k, state.x, state.drawn, noise)
 
 
 def note(layout: Layout, p: Problem, k: Array, state: State) -> Notes:
     """Return what every observer notes at tick k."""
-    return over(partial(simulate_runs.take_notes, layout, p))(k, state.memories, state.commands)
+    return vmap_entrywise(partial(simulate_runs.take_notes, layout, p))(k, state.memories, state.commands)
 
 
 def told(layout: Layout, p: Problem, k: Array, state: State, fresh: PerLane) -> Memories:
@@ -89,7 +89,7 @@ def told(layout: Layout, p: Problem, k: Array, state: State, fresh: PerLane) -> 
         after = simulate_runs.notify(layout, p, k, lane.run, fresh)
         return freeze_diverged(layout, lane.run, after, lane.memories)
 
-    return over(one_lane)(k, seen(layout, state), fresh)
+    return vmap_entrywise(one_lane)(k, seen(layout, state), fresh)
 
 
 def tells(layout: Layout) -> bool:
@@ -108,7 +108,7 @@ def jump(layout: Layout, p: Problem, k: Array, state: State, row: Row, packet: P
         after = simulate_runs.jump(layout, p, k, lane.run, packet.notes, arrival)
         return freeze_diverged(layout, lane.run, after, lane.memories)
 
-    return over(one_lane)(k, seen(layout, state), row, packet)
+    return vmap_entrywise(one_lane)(k, seen(layout, state), row, packet)
 
 
 # 3. estimate
@@ -120,7 +120,7 @@ def estimates(layout: Layout, p: Problem, state: State) -> dict[str, PerLane]:
     def one_lane(memories: Memories) -> dict[str, Array]:
         return {label: o.estimate(p.gains[label], memories[label]) for label, o in layout.observers}
 
-    return over(one_lane)(state.memories)
+    return vmap_entrywise(one_lane)(state.memories)
 
 
 def actual(layout: Layout, p: Problem, k: Array, state: State) -> PerLane:
@@ -129,7 +129,7 @@ def actual(layout: Layout, p: Problem, k: Array, state: State) -> PerLane:
     def one_lane(k: Array, x: Array, drawn: Any) -> Array:
         return truth(layout, params_of(layout, p, drawn), present(p, k, True), x)
 
-    return over(one_lane)(k, state.x, state.drawn)
+    return vmap_entrywise(one_lane)(k, state.x, state.drawn)
 
 
 def errors(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, PerLane]:
@@ -138,7 +138,7 @@ def errors(layout: Layout, p: Problem, k: Array, state: State) -> dict[str, PerL
     def one_lane(k: Array, lane: Lane, drawn: Any) -> dict[str, Array]:
         return simulate_runs.errors(layout, p, params_of(layout, p, drawn), k, lane.run)
 
-    return over(one_lane)(k, Lane(state.x, state.memories), state.drawn)
+    return vmap_entrywise(one_lane)(k, Lane(state.x, state.memories), state.drawn)
 
 
 def score(layout: Layout, p: Problem, k: Array, state: State) -> State:
@@ -152,7 +152,7 @@ def score(layout: Layout, p: Problem, k: Array, state: State) -> State:
         return updated, looked, tracking
 
     e = errors(layout, p, k, state)
-    streams, watches, tracking = over(one_lane)(k, e, state.streams, state.watches, state.tracking, state.x)
+    streams, watches, tracking = vmap_entrywise(one_lane)(k, e, state.streams, state.watches, state.tracking, state.x)
     return state._replace(streams=streams, watches=watches, tracking=tracking)
 
 
@@ -162,7 +162,7 @@ def squares(layout: Layout, p: Problem, k: Array, state: State, e: dict[str, Per
     def one_lane(k: Array, lane: Lane, e: dict[str, Array]) -> dict[str, Any]:
         return simulate_runs.normalized_errors(layout, p, k, lane.run, e)
 
-    return over(one_lane)(k, seen(layout, state), e)
+    return vmap_entrywise(one_lane)(k, seen(layout, state), e)
 
 
 # 4. control, 5. flow
@@ -180,7 +180,7 @@ def control(layout: Layout, p: Problem, k: Array, state: State, drawn: Any = ())
         return run.commands, run.law, effort
 
     lane = Lane(state.x, state.memories, state.commands)
-    commands, law, effort = over(one_lane)(k, lane, state.law, state.effort, drawn)
+    commands, law, effort = vmap_entrywise(one_lane)(k, lane, state.law, state.effort, drawn)
     return state._replace(commands=commands, law=law, effort=effort)
 
 
@@ -191,5 +191,5 @@ def flow(layout: Layout, p: Problem, k: Array, state: State, w: PerLane) -> Stat
         run = simulate_runs.flow(layout, p, params_of(layout, p, drawn), k, lane.run, w)
         return run.x, run.memories
 
-    x, memories = over(one_lane)(k, seen(layout, state)._replace(x=state.x), state.drawn, w)
+    x, memories = vmap_entrywise(one_lane)(k, seen(layout, state)._replace(x=state.x), state.drawn, w)
     return state._replace(x=x, memories=memories)

@@ -9,8 +9,8 @@ from typing import Any
 
 import jax
 
-from pcbench.simulation.lanes import primitives
-from pcbench.simulation.lanes.primitives import CALLS, Jaxpr, Literal
+from pcbench.engine import jaxpr_compat
+from pcbench.engine.jaxpr_compat import CALLS, Jaxpr, Literal
 
 Found = frozenset[int]  # numbers of arguments, as flattened
 NONE: Found = frozenset()
@@ -45,12 +45,12 @@ def _through(jaxpr: Jaxpr, args: list[Found]) -> list[Found]:
 def _applied(eqn: Any, args: list[Found]) -> list[Found]:
     name = eqn.primitive.name
     if name in CALLS:
-        return _through(primitives.called(eqn.params).jaxpr, args)
+        return _through(jaxpr_compat.called(eqn.params).jaxpr, args)
     if name == "cond":
-        each = [_through(branch.jaxpr, args[1:]) for branch in primitives.branches(eqn.params)]
+        each = [_through(branch.jaxpr, args[1:]) for branch in jaxpr_compat.branches(eqn.params)]
         return [args[0].union(*found) for found in zip(*each, strict=True)]
     if name == "scan":
-        s = primitives.scan(eqn.params)
+        s = jaxpr_compat.scan(eqn.params)
         fixed, carried, rows = args[: s.consts], args[s.consts : s.consts + s.carry], args[s.consts + s.carry :]
         return _again(lambda c: _through(s.body.jaxpr, [*fixed, *c, *rows]), carried)
     return [NONE.union(*args)] * len(eqn.outvars)
