@@ -240,6 +240,26 @@ def test_a_particle_that_overflows_gets_weight_zero():
     assert np.isfinite(particle.mean(gains, particle.update(gains, now, after, arrival))).all()
 
 
+def test_a_particle_whose_sensor_has_no_value_does_not_take_part_in_the_nis():
+    """As of a level below zero whose root is measured: what is expected of a sample is the other particles'."""
+    entry = OBSERVERS["particle"]
+    gains = entry.design(swinging.told(), entry.options(particles=8, resample=0.0)).gains
+    zero, u = jnp.asarray(0), jnp.zeros(1)
+    now = Now(jnp.asarray(0.0), zero, jnp.asarray(swinging.H), u, lambda age: u)
+    state = particle.first(gains, jnp.asarray(swinging.START))
+    sensor, gains = gains.sensor, gains._replace(R=jnp.asarray(gains.R))
+
+    def partial(now, x, p):
+        return jnp.where(x[0] == state.x[3, 0], jnp.nan, sensor(now, x, p))
+
+    sample = Measurement(taken=zero, fresh=jnp.array([True, True]), value=jnp.array([0.4, 0.1]), note=jnp.zeros(0))
+    found = particle.expected(gains._replace(sensor=partial), now, state, sample)
+    off = jnp.where(jnp.arange(8) == 3, -jnp.inf, -jnp.log(7.0))
+    want = particle.expected(gains, now, state._replace(weight=off), sample)
+    np.testing.assert_allclose(found.square, want.square, rtol=1e-12)
+    assert np.isfinite(found.square)
+
+
 def test_of_one_particle_too_many_it_says_how_many_fit():
     with pytest.raises(UserError, match=r"got 10000000000 particles, which take .* expected at most"):
         OBSERVERS["particle"].design(swinging.told(), OBSERVERS["particle"].options(particles=10**10))
