@@ -23,6 +23,7 @@ def bound(cell: Cell, known: Setting, ask: once.Once = once.anew) -> NDArray[np.
     normal = all(s.sampling.noise_std) and not s.sampling.outlier_probability and not s.sampling.noise_tail
     normal = normal and not any(s.sampling.resolution)
     normal = normal and not (cell.choices.random_start and s.belief.start_box)  # runs draw a uniform start
+    normal = normal and not cell.choices.start_spread  # or one that is not of the prior
     exact = not wrong and normal
     clocks = cell.times.clocks
     if not exact or cell.times.random:

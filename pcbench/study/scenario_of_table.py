@@ -130,9 +130,12 @@ def _filled(s: Scenario, given: dict[str, Any], many: dict[str, int]) -> Scenari
     """The scenario with a value for everything that neither a base nor the table says."""
     x0 = s.truth.x0
     xhat0 = s.belief.xhat0 or (0.0,) * many["n"]
-    prior = s.belief.prior_std or tuple(abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=False))
+    apart = tuple(abs(a - b) or 1.0 for a, b in zip(x0, xhat0, strict=False))
+    prior = s.belief.prior_std or apart
     size = s.belief.unknown_std or (1.0,) * many["s"]
-    band = s.scoring.settle_band or tuple(0.05 * p for p in (*prior, *size))
+    band = s.scoring.settle_band or tuple(
+        0.05 * (p or default) for p, default in zip((*prior, *size), (*apart, *size), strict=False)
+    )
     tail = round(0.3 * s.horizon / s.dt) * s.dt
     s = s.having(xhat0=xhat0, prior_std=prior, unknown_std=size, settle_band=band, tail=tail)
     if "controller" not in given and "input" not in given:

@@ -107,6 +107,14 @@ def test_in_memory_equals_on_disk(done):
     pd.testing.assert_frame_equal(again.stats, pd.read_parquet(done.out / "stats.parquet"))
 
 
+def test_a_start_that_is_not_of_the_prior_has_no_efficiency():
+    study = {"name": "s", "scenarios": ["cart/white"], "observers": ["open-loop"], "seeds": 4}
+    found = [
+        pcbench.run(study | {"options": {"scenario": o}}).stats for o in ({"start_spread": 0.5}, {"random_start": True})
+    ]
+    assert [(stats.metric == "efficiency").any() for stats in found] == [False, True]
+
+
 def test_efficiency_stands_only_where_there_is_a_bound(done):
     rows = done.stats[done.stats.metric == "efficiency"]
     assert set(rows.noise_std) == {0.5}

@@ -207,3 +207,31 @@ def test_exact_moments_say_where_they_have_too_few_digits():
     reasons = stats[stats.metric == "mse"].reason
     assert reasons.str.contains("has too few digits for an exact answer: x1 reaches").all()
     assert value(stats, "tail_pooled_rmse").isna().all()
+
+
+TABLE = """
+name = "known"
+observers = ["dkf"]
+seeds = 4
+[scenario]
+plant = "cart"
+x0 = [0.0, 0.0]
+prior_std = [0.0, 1.0]
+sampling_period = 0.2
+delay = 0.2
+noise_std = 0.1
+horizon = 2.0
+"""
+
+
+def test_a_state_that_is_known_at_the_start_has_a_settling_band_of_its_size(tmp_path):
+    (tmp_path / "known.toml").write_text(TABLE)
+    (cell,) = read.grid_of(str(tmp_path / "known.toml"), {}, []).cells
+    assert min(cell.scenario.scoring.settle_band) > 0
+    assert np.isfinite(pcbench.run(str(tmp_path / "known.toml")).stats["mean"].iloc[0])
+
+
+def test_a_band_of_zero_has_no_part_in_whether_digits_are_left():
+    """As a measured state without noise it says nothing of what rounding is small."""
+    stats = pcbench.run(study(seeds=4, horizon=2.0, settle_band=0.0, A=[[0.5]])).stats
+    assert np.isfinite(value(stats, "rmse")["dkf"])
