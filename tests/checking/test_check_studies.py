@@ -9,7 +9,7 @@ from loops import Q1, Q2, study
 from pcbench import checking
 from pcbench.checking import in_loop, kinds
 from pcbench.checking import study as of_studies
-from pcbench.checking.finding import Noted
+from pcbench.checking.finding import Noted, Skipped
 from pcbench.checking.loading import Candidate
 from pcbench.errors import UserError
 from pcbench.observers import Entry
@@ -180,3 +180,31 @@ def test_an_inexact_observer_of_pcbench_is_said_and_is_no_mistake_of_the_study(m
     monkeypatch.setattr(of_studies, "ROUNDING", -1.0)  # of which every observer has more
     with pytest.raises(Noted, match=r"an error remains of dkf in lti \(.* of the largest state\).*take a shorter tick"):
         asked("perfect start", free(["dkf"]))
+
+
+STIFF = """
+from typing import NamedTuple
+import jax.numpy as jnp
+import pcbench
+class Numbers(NamedTuple):
+    k: float = 2000.0
+def field(n, now, x):
+    return jnp.stack([x[1], n.k * (1 - x[0] ** 2) * x[1] - x[0] + now.u[0]])
+stiff = pcbench.plant(
+    field=field,
+    output=lambda n, now, x: x[:1],
+    states=["a [m]", "b [m/s]"],
+    numbers=Numbers(),
+    operating_point=([0.0, 0.0], [0.0]),
+    summary="stiff",
+)
+"""
+
+
+def test_a_plant_that_is_not_finite_is_not_blamed_on_observers(tmp_path, monkeypatch):
+    (tmp_path / "stiff.py").write_text(STIFF)
+    monkeypatch.chdir(tmp_path)
+    scenario = {"plant": "stiff.py:stiff", "x0": [2.0, 3.0], "dt": 1e-3, "sampling_period": 0.1, "delay": 0.1}
+    scenario |= {"noise_std": 0.1, "horizon": 2.0}
+    with pytest.raises(Skipped, match="the state of st is not finite without noise"):
+        asked("perfect start", {"name": "st", "observers": ["ekf", "ukf"], "scenario": scenario})
