@@ -26,6 +26,7 @@ from pcbench.study import Study, given, read
 from pcbench.study.as_toml import digest
 from pcbench.study.cells import Cell
 from pcbench.study.labels import label_of
+from pcbench.study.options import own_options
 from pcbench.study.references import absolute
 from pcbench.synthesis.certificate import Design, Setting, is_certified
 
@@ -91,10 +92,11 @@ def tune(
         draws = "exact" if exact else f"seeds {training}"
         how_far = f"{method or 'the method that fits'}, {draws}, {', '.join(only or ['all'])} free"
         mine = given(study, cell.scenario, observer)
-        about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(study, [cell])[:12]}"
+        asked = own_options(study, observer)
+        about = f"{where}: {aim.metric} of {aim.name} by {how_far}, from {mine or 'its defaults'}, {digest(asked, [cell])[:12]}"
         whole = f"{about}, {budget} points" + ("" if exact else f", judged on {judges}")
         target = store.target(str(out) if out is not None else spare)
-        basis = history.basis_of(study, cell)
+        basis = history.basis_of(asked, cell)
         if done := history.finished(target, whole, about, basis):
             return Tuning(objective=aim, **done)
         known = planning.setting(cell)

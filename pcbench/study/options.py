@@ -34,6 +34,12 @@ def given(study: Study, scenario: Scenario, observer: str) -> dict[str, Any]:
     return out
 
 
+def own_options(study: Study, observer: str) -> Study:
+    """Return a study with the options of its scenario and of one observer alone."""
+    mine = ("scenario", observer, base_in(study, observer) or observer)
+    return study.model_copy(update={"options": {name: of for name, of in study.options.items() if name in mine}})
+
+
 def choices_of(study: Study) -> Choices:
     """Return the study's `[options.scenario]`."""
     return Choices.model_validate(dashes(study.options.get("scenario", {})))

@@ -219,3 +219,12 @@ def test_the_command_says_what_it_found(tmp_path):
     again = json.loads(call("tune", *words, "--json").stdout)
     assert again["points"] == 2
     assert again["goal"] == {"metric": "rmse", "signal": "position", "unit": "m"}
+
+
+def test_options_of_another_observer_have_no_part_in_a_tuning(tmp_path):
+    scenario = {"name": "two", "scenarios": ["cart/white"], "observers": ["dkf", "pccebo"]}
+    studies = [scenario | {"options": {"kfbo": {"R": R}}} for R in (0.02, 0.03)]
+    one, two = (
+        tune.tune(each, "dkf", budget=2, training=(0, 4), judges=(4, 8), out=tmp_path / "t") for each in studies
+    )
+    assert (one.found, one.judged) == (two.found, two.judged)
