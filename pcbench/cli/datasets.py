@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Folder, Quiet, console, out, require_effect, setup
+from pcbench.cli.shared import AsJson, Folder, Quiet, console, out, setup
+from pcbench.errors import require_effect
 
 SAMPLE = 4  # blocks that are computed again
 

@@ -5,7 +5,8 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Set, console, require_effect, say, write
+from pcbench.cli.shared import AsJson, Set, console, say, write
+from pcbench.errors import require_effect
 
 
 def list_(

@@ -28,7 +28,6 @@ from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
 from pcbench.statistics.moments import Values
 from pcbench.study import Study
-from pcbench.study.as_toml import to_toml
 from pcbench.study.cells import identity, rooted
 
 LEVEL = 0.05
@@ -74,7 +73,7 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
     """
     targets = store.target(a), store.target(b)
     holdings = ownership.opened(targets[0]), ownership.opened(targets[1])
-    if found := ownership.differences(holdings[0], _alike(holdings[1], holdings[0].study)):
+    if found := ownership.differences(holdings[0], _rooted(holdings[1], holdings[0].study)):
         raise UserError(
             f"{targets[1].name}: is of another study than {targets[0].name} ({'; '.join(found[:3])}), expected the same study; "
             "compare results of one study."
@@ -88,11 +87,10 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
     return Comparison(rows, only, made_by(*targets))
 
 
-def _alike(owned: Owned, other: Study) -> Owned:
-    """A claim as it would be with the root seed and the engine of another study: they make no other study here."""
-    study = owned.study.model_copy(update={"root_seed": other.root_seed, "engine": other.engine})
-    every = rooted(owned.cells, other.root_seed)
-    return Owned(study, every, to_toml(study, every))
+def _rooted(owned: Owned, other: Study) -> Owned:
+    """A claim as it would be with the root seed of another study: that makes no other study here."""
+    study = owned.study.model_copy(update={"root_seed": other.root_seed})
+    return owned._replace(study=study, cells=rooted(owned.cells, other.root_seed))
 
 
 class Side(NamedTuple):

@@ -1,13 +1,15 @@
 """What pcbench takes from jax's insides: names of primitives, and where their equations keep what the interpreter needs.
 
 jax promises none of this to last; nothing else in pcbench looks at an equation's parameters. Read against jax 0.10.0 to
-0.12.0: up to 0.10 a scan counts its constants and carries (`num_consts`, `num_carry`), from 0.11 on it has one tree of its
-operands in three parts (`ft_in`: constants, carries, rows). A release in which the tests of this file pass is fine; one that
-moves things fails here, in one sentence, and not with other numbers.
+0.12.0 (`NEWEST`); with a newer one a study is computed by the definition, which needs nothing of this. Up to 0.10 a scan counts
+its constants and carries (`num_consts`, `num_carry`), from 0.11 on it has one tree of its operands in three parts (`ft_in`:
+constants, carries, rows). A release in which the tests of this file pass is fine; one that moves things fails here, in one
+sentence, and not with other numbers.
 """
 
 from typing import Any, NamedTuple
 
+import jax
 from jax.extend import random as generators
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 from jax.lax import GatherScatterMode
@@ -28,6 +30,7 @@ __all__ = [
     "fold_axes",
     "generators",
     "inner",
+    "is_known",
     "jaxpr_as_fun",
     "named",
     "param",
@@ -38,6 +41,14 @@ __all__ = [
     "takes_rows",
     "while_",
 ]
+
+NEWEST = (0, 12)  # release of jax that this file was read against
+
+
+def is_known() -> bool:
+    """Return whether this file was read against the jax that is installed, or a later one."""
+    return tuple(jax.__version_info__[:2]) <= NEWEST
+
 
 ELEMENTWISE = frozenset(
     """abs acos acosh add add_any and asin asinh atan atan2 atanh cbrt ceil clamp convert_element_type copy cos cosh div

@@ -22,9 +22,11 @@ from pcbench.errors import UserError
 from pcbench.machine import pools, process, program_cache
 from pcbench.simulation import judging
 from pcbench.simulation.problem import Layout, Outcome, Problem
+from pcbench.simulation.simulate_runs import simulate_runs
 
 Reads = dict[str, list[int]]  # by form, which leaves of a problem its maps depend on
 WIDTH = 1024  # lanes a call
+FEW, SOME = 8, 64  # of the definition: of runs that are expensive, and of all others
 NARROW = (64, 256)  # of cells with few runs: 64 lanes take a quarter of the time of 1024
 HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
 FIRST, ENOUGH, SHORT = 4, 2.0, 1.0  # ticks, [s], [s]: of calls by which it is estimated how long one takes
@@ -40,17 +42,18 @@ class Job(NamedTuple):
     problem: Problem
     root_seed: int
     seeds: np.ndarray  # at most `width`
+    schedules: Any = None  # of each seed, [seeds] first, where the definition computes runs whose sampling is random
 
 
 class Program(NamedTuple):
     """A compiled call and what it took to make."""
 
-    call: Any  # (problem, root seed, seeds [L], maps) -> Outcome with arrays [..., L]
+    call: Any  # (problem, root seed, seeds [L], schedules, maps) -> Outcome with arrays [..., L]
     device: Any
     width: int
     compile_seconds: float
     compiled: Any  # the executable itself, for those who want to read it
-    ways: dict[str, str]  # by observer: lifted or stepped
+    ways: dict[str, str]  # by observer: lifted, stepped or defined
     maps: Callable[[Problem], map_cache.Every]  # of a lifted flow, made before a call, or kept from an earlier one
     number: int = 0  # of this process: the first program, the second ...
     memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
@@ -95,8 +98,10 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()
     lifted = judging.watched(layout) if layout.consistency else layout  # as a simulation has it
 
-    def simulate(*a: Any) -> Outcome:
-        return event_loop.simulate(layout, *a)
+    def simulate(p: Problem, root_seed: Any, seeds: Any, schedules: Any, maps: Any) -> Outcome:
+        if layout.defined:
+            return simulate_runs(layout, p, root_seed, seeds, schedules)
+        return event_loop.simulate(layout, p, root_seed, seeds, maps)
 
     @cache
     def traced() -> map_cache.Traced:
@@ -106,6 +111,7 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
         found = traced().shape
         return *given, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), found)
 
+    stepped = "defined" if layout.defined else "stepped"
     reads = map_cache.reads(traced()) if layout.lifted else {}
     with pools.pool(1) as beside:  # each takes seconds
         maker = beside.submit(in_float64, _maker, given[0], traced, reads, options)
@@ -117,7 +123,7 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
         width=layout.width,
         compile_seconds=perf_counter() - start,
         compiled=call,
-        ways={label: "lifted" if label in reads else "stepped" for label, _ in layout.observers},
+        ways={label: "lifted" if label in reads else stepped for label, _ in layout.observers},
         maps=partial(map_cache.given, made),
         number=next(_NUMBERS),
         memory=max(_memory(call), _memory(made.call) if made else 0),
@@ -152,9 +158,11 @@ def compilations() -> int:
     return _PROGRAMS.made
 
 
-def arguments(job: Job, width: int) -> tuple[Problem, Any, Any]:
+def arguments(job: Job, width: int) -> tuple[Problem, Any, Any, Any]:
     """Return what a call takes: arrays, with a short list of seeds padded by repeating it."""
-    return jax.tree.map(np.asarray, job.problem), np.asarray(job.root_seed), np.resize(job.seeds, width)
+    which = np.resize(np.arange(len(job.seeds)), width)
+    schedules = jax.tree.map(lambda a: a[which], job.schedules)
+    return jax.tree.map(np.asarray, job.problem), np.asarray(job.root_seed), job.seeds[which], schedules
 
 
 def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
@@ -176,9 +184,10 @@ def seconds(made: Program, job: Job) -> float:
     """Return about how many seconds a call takes, from calls that end early, each after twice as many ticks.
 
     They stop once the last took `ENOUGH` seconds, or a sixteenth of the ticks are done, or a call is clearly `SHORT`. The first
-    ticks cost less than others, as nothing has arrived yet: it is a lower estimate. 0 if all observers are lifted.
+    ticks cost less than others, as nothing has arrived yet: it is a lower estimate. 0 if all observers are lifted, or the
+    program is the definition, whose calls do not end early.
     """
-    if all(way == "lifted" for way in made.ways.values()):
+    if all(way in ("lifted", "defined") for way in made.ways.values()):
         return 0.0
     many, before = int(job.problem.windows[-1, 1]), (0, 0.0)
     end, rest = FIRST, 0.0

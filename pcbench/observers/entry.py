@@ -25,7 +25,6 @@ class Entry(NamedTuple):
     summary: str
     takes: Takes = "one constant delay"
     lanes: int | None = None  # runs a call, if the last bits depend on how many run together; None: they do not
-    heavy: bool = False  # a tick costs so much that one of them in a loop's body is as fast as two, and compiles faster
     expensive: bool = (
         False  # its runs may take much longer than others': it has a program of its own, and its turn comes last
     )

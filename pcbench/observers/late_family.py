@@ -41,7 +41,6 @@ LATE = {
         knows_schedule=True,
         summary="keeps past samples, goes back and filters again",
         takes="any schedule",
-        heavy=True,
         smooth=False,
     ),
     "kf-cloning": Entry(
@@ -51,7 +50,6 @@ LATE = {
         knows_schedule=True,
         summary="a copy of the state for each sample on its way",
         takes="any schedule",
-        heavy=True,
         smooth=False,
     ),
     "kf-larsen": Entry(
@@ -61,7 +59,6 @@ LATE = {
         knows_schedule=True,
         summary="extrapolates the late measurement to now; a gain for that",
         takes="any schedule",
-        heavy=True,
         smooth=False,
     ),
     "kf-alexander": Entry(
@@ -71,7 +68,6 @@ LATE = {
         knows_schedule=True,
         summary="covariance when a sample is taken, correction when it arrives",
         takes="any schedule",
-        heavy=True,
         smooth=False,
     ),
     "kf-horizon": Entry(
@@ -81,7 +77,6 @@ LATE = {
         knows_schedule=True,
         summary="runs a fixed time behind, and predicts to now",
         takes="any schedule",
-        heavy=True,
         smooth=False,
     ),
     "kf-shift": Entry(
@@ -100,7 +95,6 @@ LATE = {
         knows_schedule=True,
         summary="retrodicts one step, exactly",
         takes="any schedule",
-        heavy=True,
         smooth=False,
     ),
     "oosm-b1": Entry(
@@ -110,7 +104,6 @@ LATE = {
         knows_schedule=True,
         summary="retrodicts one step, the noise between taken for 0",
         takes="any schedule",
-        heavy=True,
         smooth=False,
     ),
     "oosm-lag": Entry(
@@ -120,7 +113,6 @@ LATE = {
         knows_schedule=True,
         summary="retrodicts several steps as one",
         takes="any schedule",
-        heavy=True,
         smooth=False,
     ),
 }

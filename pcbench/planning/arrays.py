@@ -78,6 +78,8 @@ def width(cell: Cell, runs: int | None = None) -> int:
 
     Of observers whose bits depend on it, as many in every call (`Entry.lanes`).
     """
+    if cell.engine == "definition":
+        return runner.FEW if any(cell.entry(label).expensive for label in cell.options) else runner.SOME
     if fixed := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
         return min(fixed)
     most = runner.HEAVY if plants.entry_of(cell.scenario).heavy else runner.WIDTH
@@ -134,6 +136,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
         scattered=bool(belief.start_box),
         pending=controller.pending(cell),
         consistency=choices.consistency,
+        defined=cell.engine == "definition",
     )
     return Plan(
         cell=cell,

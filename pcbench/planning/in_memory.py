@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.engine import runner
-from pcbench.planning import digits
+from pcbench.planning import digits, padding
+from pcbench.planning.arrays import alone
 from pcbench.planning.padding import Plan, key_of
 from pcbench.simulation import metrics
 from pcbench.simulation.problem import Outcome
@@ -27,8 +28,11 @@ class CellResults(NamedTuple):
 
 def jobs(planned: Plan, root_seed: int, seeds: NDArray[np.int64]) -> Iterator[runner.Job]:
     """Cut a cell's seeds into jobs of one width."""
+    each = planned.layout.defined and planned.cell.times.random
     for first in range(0, len(seeds), planned.layout.width):
-        yield runner.Job(planned.problem, root_seed, seeds[first : first + planned.layout.width])
+        mine = seeds[first : first + planned.layout.width]
+        schedules = [alone(planned, root_seed, int(seed)).problem.schedule for seed in mine] if each else None
+        yield runner.Job(planned.problem, root_seed, mine, schedules and padding.stacked(schedules))
 
 
 def results(planned: Plan, outcomes: Iterable[tuple[runner.Job, Outcome]]) -> Results:

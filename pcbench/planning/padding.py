@@ -100,6 +100,17 @@ def fitted(p: Plan, room: Capacity, ask: once.Once = once.anew) -> Plan:
     return p._replace(problem=problem, layout=layout)
 
 
+def stacked(each: list[shared.Schedule]) -> shared.Schedule:
+    """Return schedules of runs in one, every array with the runs first."""
+    room = Capacity(
+        slots=rounded(max(s.arrive.shape[1] for s in each)),
+        early=rounded(max(len(s.early) for s in each)),
+        notes=rounded(max(s.also.shape[1] for s in each)),
+    )
+    stacked: shared.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_padded(s, room) for s in each))
+    return stacked
+
+
 def _padded(schedule: shared.Schedule | per_lane.Times, room: Capacity) -> shared.Schedule | per_lane.Times:
     if isinstance(schedule, shared.Schedule):
         return shared.pad_notes(shared.pad_early(shared.pad_slots(schedule, room.slots), room.early), room.notes)

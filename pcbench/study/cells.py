@@ -5,6 +5,7 @@ import itertools
 import json
 import math
 from collections.abc import Iterator
+from importlib.metadata import version
 from typing import Any, NamedTuple
 
 from pydantic import BaseModel
@@ -37,7 +38,7 @@ class Cell(NamedTuple):
     own: dict[str, Own]  # by label, of those that are the user's own
     told: dict[str, str]  # by label, the digest of those
     digest: str  # of all that decides its numbers except its observers; empty: it belongs to no study
-    engine: str = "steps"  # or products, see `Study`
+    engine: str = "steps"  # or definition, or products, see `Study`
 
     @property
     def key(self) -> tuple[str, int]:
@@ -124,7 +125,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         cell = cell_of(changed, index, values, parameters, choices)
         here = tuned.options(cell, list(options))
         by_label = digests | {o: told(each, mine.get(o)) for o, each in here.items()}
-        identified = cell._replace(digest=identity(cell, study.root_seed), engine=study.engine or "steps")
+        identified = cell._replace(digest=identity(cell, study.root_seed), engine=_usable(study.engine or "steps"))
         out.append(identified._replace(options=options | here, own=mine, told=by_label))
     return out
 
@@ -252,8 +253,25 @@ def with_engine(grid: Grid, engine: str | None) -> Grid:
     """Return the study with the engine that it names; if it names none, with `engine`, or with the one that suits its size."""
     study, every = grid
     runs = max((sum(c.scenario.name == s for c in every) * study.seeds for s in study.scenarios), default=0)
-    name = study.engine or engine or ("products" if runs >= MANY else "steps")
-    return Grid(study.model_copy(update={"engine": name}), [c._replace(engine=name) for c in every])
+    name = study.engine or engine or _usable("products" if runs >= MANY else "steps")
+    return Grid(study.model_copy(update={"engine": name}), [c._replace(engine=_usable(name)) for c in every])
+
+
+def _usable(engine: str) -> str:
+    """Return an engine, or the definition where that engine does not know the jax that is installed."""
+    from pcbench.engine import jaxpr_compat  # with jax
+
+    return engine if engine == "definition" or jaxpr_compat.is_known() else "definition"
+
+
+def engine_warnings(grid: Grid) -> list[str]:
+    """Return a sentence if runs are computed by the definition because the engines do not know this jax."""
+    if grid.study.engine == "definition" or all(c.engine != "definition" for c in grid.cells):
+        return []
+    return [
+        f"jax {version('jax')} is newer than what pcbench's engines were read against: runs are computed by their definition, "
+        "with the same numbers to 1e-11 and more slowly; install an earlier jax for speed."
+    ]
 
 
 def cells_of(study: Study) -> list[Cell]:

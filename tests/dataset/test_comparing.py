@@ -1,6 +1,8 @@
 """Two results of one study: equal where they must be, changed where they are, other studies refused."""
 
 import json
+import shutil
+from pathlib import Path
 
 import hurried
 import numpy as np
@@ -214,3 +216,21 @@ def test_an_exact_number_is_compared_with_runs_by_their_error_alone():
     ).set_index("signal")
     assert rows.p_value["far"] == pytest.approx(0.01707168, rel=1e-5)
     assert dict(rows.changed) == {"far": True, "runs only": False}
+
+
+def test_a_copy_of_a_tuned_study_with_an_observer_of_ones_own_is_the_same_study(tmp_path, monkeypatch):
+    shutil.copy(Path(__file__).parents[1] / "support" / "own_observer.py", tmp_path / "mine.py")
+    monkeypatch.chdir(tmp_path)
+    study = {
+        "name": "mine",
+        "scenarios": ["cart/slow"],
+        "observers": ["nudge"],
+        "seeds": 4,
+        "use": {"nudge": "mine.py:nudge"},
+    }
+    study |= {"tuning": ["paper", "tuned"], "tune": {"budget": 2, "training": 4}}
+    pcbench.run(study, out="o")
+    shutil.copytree("o", "copy")
+    assert compare.compare("o", "copy").identical
+    pcbench.run(study, out="other", root_seed=7)
+    assert not compare.compare("o", "other").rows.same_draws.any()

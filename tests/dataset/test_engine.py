@@ -5,10 +5,29 @@ import pandas as pd
 import pytest
 
 import pcbench
-from pcbench.dataset import compare, ownership, store
+from pcbench.dataset import compare, merge, ownership, store
+from pcbench.engine import jaxpr_compat
 from pcbench.errors import UserError
 from pcbench.study import cells, read
 
+KEYS = ["cell", "observer", "seed", "signal"]
+RANDOM = {
+    "name": "engines",
+    "observers": ["dkf", "kf-now", "ukf"],
+    "axes": {"loss": [0.2], "delay_jitter": [0.05]},
+    "options": {"scenario": {"random_start": True}},
+    "lti": {
+        "A": [[0.0, 1.0], [-2.0, -0.6]],
+        "B": [[0.0], [1.5]],
+        "C": [[1.0, 0.0]],
+        "sampling_period": 0.1,
+        "delay": 0.05,
+        "noise_std": 0.3,
+        "process_std": [0.02, 0.05],
+        "tick": 0.01,
+        "horizon": 2.0,
+    },
+}
 STUDY = {"name": "engines", "scenarios": ["cart/white"], "observers": ["dkf"], "seeds": 4}
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 
@@ -48,7 +67,7 @@ def test_a_dataset_keeps_its_engine_and_rows_differ_by_rounding(tmp_path, monkey
 
 
 def test_an_engine_that_is_none_is_refused():
-    with pytest.raises(UserError, match="engine: got 'plain', expected 'steps' or 'products'"):
+    with pytest.raises(UserError, match="engine: got 'plain', expected 'definition', 'steps' or 'products'"):
         read.grid_of(STUDY | {"engine": "plain"}, {}, [])
 
 
@@ -57,5 +76,51 @@ def test_an_engine_that_is_none_in_a_dataset_is_refused(tmp_path):
     path = tmp_path / "out" / "study.toml"
     path.write_text(path.read_text().replace('engine = "steps"', "engine = 5"))
     for read_again in (lambda: pcbench.run(STUDY, out=tmp_path / "out"), lambda: pcbench.opened(tmp_path / "out")):
-        with pytest.raises(UserError, match="engine: got 5, expected 'steps' or 'products'"):
+        with pytest.raises(UserError, match="engine: got 5, expected 'definition', 'steps' or 'products'"):
             read_again()
+
+
+def rows(study, **changes):
+    runs = pcbench.run(study | {"engine": "definition"} | changes).runs
+    return runs.set_index(KEYS).sort_index()
+
+
+@pytest.mark.parametrize("study", [STUDY | {"observers": ["dkf", "ukf"]}, RANDOM], ids=["shared", "random"])
+def test_by_the_definition_a_run_has_its_bits_whatever_the_number_of_seeds_and_other_observers(study):
+    many = rows(study, seeds=70)
+    for changes in ({"seeds": 1}, {"seeds": 3}, {"seeds": 3, "observers": ["ukf"]}):
+        some = rows(study, **changes)
+        pd.testing.assert_frame_equal(some, many.loc[some.index], check_exact=True)
+
+
+def test_of_two_engines_a_merge_keeps_the_rows_of_the_first_and_says_both(tmp_path):
+    for engine, seeds in (("definition", 3), ("steps", 5)):
+        pcbench.run(STUDY | {"engine": engine, "seeds": seeds}, out=tmp_path / engine)
+    report = merge.merge([tmp_path / "definition", tmp_path / "steps"], tmp_path / "both")
+    assert (report.doubled, report.missing) == (3, 0)
+    both = pcbench.opened(tmp_path / "both")
+    assert both.provenance["engines"] == ["definition", "steps"]
+    assert both.study.engine == "definition"
+    mine, first = (pcbench.opened(tmp_path / d).runs.set_index(KEYS).sort_index() for d in ("both", "definition"))
+    pd.testing.assert_frame_equal(mine.loc[first.index], first, check_exact=True)
+
+
+def test_rows_of_two_engines_that_differ_by_more_are_not_merged(tmp_path, monkeypatch):
+    for engine in ("definition", "steps"):
+        pcbench.run(STUDY | {"engine": engine}, out=tmp_path / engine)
+    monkeypatch.setattr(merge, "BETWEEN_ENGINES", 0.0)
+    with pytest.raises(UserError, match=r"seeds 0 \.\. 3 differ by"):
+        merge.merge([tmp_path / "definition", tmp_path / "steps"], tmp_path / "both")
+
+
+def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_says_so_once(tmp_path, monkeypatch):
+    pcbench.run(STUDY, out=tmp_path / "begun")
+    monkeypatch.setattr(jaxpr_compat, "NEWEST", (0, 1))
+    said = []
+    fresh = pcbench.run(STUDY, out=tmp_path / "fresh", say=said.append)
+    assert fresh.study.engine == "definition"
+    assert [s for s in said if "computed by their definition" in s] == said
+    assert len(said) == 1
+    grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "begun", say=said.append)
+    assert (grown.study.engine, len(said)) == ("steps", 2)
+    assert grown.provenance["engines"] == ["definition", "steps"]

@@ -1,16 +1,11 @@
 """The engine computes what the definition says: vmap of lax.scan over runs, for each kind of plant, schedule and loop."""
 
-import jax
 import numpy as np
 import pytest
 
 from pcbench import planning
-from pcbench.engine import runner
 from pcbench.machine import process
-from pcbench.planning import padding
-from pcbench.simulation import metrics
-from pcbench.simulation.schedule import shared
-from pcbench.simulation.simulate_runs import simulate_runs
+from pcbench.planning import in_memory
 from pcbench.study import read
 
 SEEDS = np.arange(3)
@@ -79,55 +74,26 @@ CASES = {
 }
 
 
-def plans(case):
-    study = read.study_of({"name": "definition", "seeds": len(SEEDS)} | CASES[case], {}, [])
-    return planning.plan(study)
+PRODUCTS = ("shared",)  # what the flow by matrix products is for
 
 
-def by_the_definition(p):
-    """What the runs of a plan leave, each on a schedule of its own where sampling is random."""
-    schedules = None
-    if p.cell.times.random:
-        each = padding.fit([planning.alone(p, 0, int(seed)) for seed in SEEDS])
-        p = each[0]._replace(layout=each[0].layout._replace(ring=max(one.layout.ring for one in each)))
-        schedules = jax.tree.map(lambda *a: np.stack(a), *(one.problem.schedule for one in each))
-        assert isinstance(p.problem.schedule, shared.Schedule)
-    runs = jax.jit(simulate_runs, static_argnums=0)
-    return runs(p.layout, jax.tree.map(np.asarray, p.problem), np.asarray(0), SEEDS, schedules)
-
-
-def table(p, out, label):
-    effort = out.effort if isinstance(out.effort, metrics.Effort) else None
-    tracking = out.tracking if isinstance(out.tracking, metrics.Stream) else None
-    squares = out.consistency.get(label) if out.consistency else None
-    n, dt = p.cell.times.ticks, p.cell.scenario.dt
-    known = metrics.read(
-        out.streams[label],
-        out.watches[label],
-        out.final[label],
-        n,
-        p.cell.times.tail,
-        dt,
-        True,
-        tracking,
-        effort,
-        True,
-        squares,
-    )
-    return {name: np.asarray(values) for name, values in known.items()}
+def results(case, engine):
+    """By cell, what each metric of each observer is for some seeds, as the engine computes it."""
+    study = read.study_of({"name": "definition", "seeds": len(SEEDS), "engine": engine} | CASES[case], {}, [])
+    with process.float64():
+        return [found.results for found in in_memory.execute(study, planning.plan(study), SEEDS)]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", CASES)
-def test_the_engine_equals_the_definition(case):
-    for p in plans(case):
-        with process.float64():
-            job = runner.Job(p.problem, 0, SEEDS)
-            made = next(runner.serial(runner.program(p.layout, job), [job]))[1]
-            defined = by_the_definition(p)
-        assert p.layout.observers
-        for label, _ in p.layout.observers:
-            quick, slow = table(p, made, label), table(p, defined, label)
+@pytest.mark.parametrize(
+    ("case", "engine"), [*((case, "steps") for case in CASES), *((case, "products") for case in PRODUCTS)]
+)
+def test_the_engine_equals_the_definition(case, engine):
+    cells = zip(results(case, engine), results(case, "definition"), strict=True)
+    for made, defined in cells:
+        assert made.keys() == defined.keys()
+        for label, slow in defined.items():
+            quick = made[label]
             assert quick.keys() == slow.keys()
             size = np.max(slow["peak"], initial=0.0, where=np.isfinite(slow["peak"]))
             for name, value in slow.items():
