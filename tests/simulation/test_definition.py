@@ -57,7 +57,7 @@ CASES = {
         **RANDOM,
     },
     "clones": {
-        "lti": LTI | {"delay": [0.5, 0.5], "sampling_period": [0.1, 0.1]},
+        "lti": LTI | {"delay": [0.5, 0.5], "sampling_period": [0.1, 0.1], "horizon": 1.2},
         "observers": ["kf-cloning", "kf-larsen"],
         "axes": {"loss": [0.2], "delay_jitter": [0.05]},
         "options": {"scenario": {"random_start": True, "consistency": True}},
