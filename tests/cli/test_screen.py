@@ -15,9 +15,10 @@ from small_study import STUDY
 
 import pcbench
 from pcbench.cli import shared
-from pcbench.cli.screen import consistency, results
+from pcbench.cli.screen import consistency, replays, results
 from pcbench.cli.screen.tables import Column, Screen, aligned, printed
 from pcbench.controllers import CONTROLLERS
+from pcbench.export.files import Line
 from pcbench.observers import OBSERVERS
 from pcbench.plants import PLANTS
 from pcbench.report import headline
@@ -348,3 +349,14 @@ def test_a_title_says_what_was_averaged_over(method, n, words):
     rows = [{"metric": m, "signal": "a", "unit": "m", "n": n, "diverged": 0, "method": method} for m in ("mae", "mse")]
     view = results.View(SimpleNamespace(name="s"), pd.DataFrame(rows), pd.DataFrame(), "mse")
     assert view.title == f"s: error of a [m], {words}"
+
+
+def test_c_tested_on_a_recording_without_the_truth_has_no_column_of_errors():
+    about = SimpleNamespace(signals=[("x", "m")], oldest=3, dt=0.1, newer=0, observer="dkf", scenario="lti")
+    for error, shown in ((0.5, True), (float("nan"), False)):
+        found = {"x": Line(most=1e-16, differs=1e-17, error=error)}
+        console = shared.console()
+        console.file = io.StringIO()
+        replays.table(SimpleNamespace(about=about), found, found, "the recording", console)
+        assert ("rms error" in console.file.getvalue()) == shown
+        assert "nan" not in console.file.getvalue()

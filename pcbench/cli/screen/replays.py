@@ -1,5 +1,6 @@
 """What comes of compiling an exported observer, as a table."""
 
+import math
 from typing import Any
 
 from rich.console import Console
@@ -19,6 +20,8 @@ def table(found: Any, double: dict[str, Any], single: dict[str, Any], of: str, c
         Column("at most off", [f"{single[name].most:.2g}" for name, _ in signals], spare=1),
         Column("rms error", [f"{single[name].error:.6g}" for name, _ in signals]),
     ]
+    if all(math.isnan(each.error) for each in (*double.values(), *single.values())):  # of a recording without the truth
+        columns = [column for column in columns if column.head != "rms error"]
     oldest = f"oldest admissible age: {about.oldest} ticks ({about.oldest * about.dt:g} s)"
     newer = f"at most {about.newer}" if about.newer else "no"
     oldest += f", if {newer} newer measurement{'s' * (about.newer > 1)} arrived before it"
