@@ -10,6 +10,8 @@ import pyarrow.parquet as pq
 from pcbench.errors import UserError
 
 SEAL = b"pcbench.digest"  # the key in a table's metadata
+PLAIN = 2**28  # bytes that a file may take in memory
+RATIO = 1000  # or so many times its own bytes, if that is more: equal numbers take little in a file
 
 
 def encoded(table: pa.Table) -> pa.Buffer:
@@ -30,9 +32,18 @@ def opened(content: pa.Buffer) -> pq.ParquetFile:
     """Return a Parquet file in memory, to be read by the thread that asks, every page checked.
 
     A thread of pyarrow's own that lets go of one of Python's objects while the interpreter ends aborts the process
-    (apache/arrow #34314): the bytes are pyarrow's, and none of its threads is asked.
+    (apache/arrow #34314): the bytes are pyarrow's, and none of its threads is asked. Raises pa.ArrowInvalid if the file says of
+    itself that it takes far more memory than its size; what single pages say is left to pyarrow.
     """
-    return pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True, pre_buffer=False)
+    file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True, pre_buffer=False)
+    of = file.metadata
+    groups = map(of.row_group, range(of.num_row_groups))
+    pages = sum(group.column(i).total_uncompressed_size for group in groups for i in range(group.num_columns))
+    needed = max(8 * of.num_rows * of.num_columns, pages)
+    if needed > max(PLAIN, RATIO * len(content)):
+        file.close()
+        raise pa.ArrowInvalid(f"{len(content) / 1e6:.3g} MB that take {needed / 1e6:.3g} MB in memory")
+    return file
 
 
 def parsed(content: pa.Buffer) -> pa.Table:

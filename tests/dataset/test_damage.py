@@ -7,6 +7,8 @@ import subprocess
 import sys
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from commands import call
 from small_study import STUDY, same, tables
@@ -107,6 +109,19 @@ def test_a_block_cut_short_is_one_sentence_wherever_it_is_read(whole, copy, cut)
     assert told(call("verify", copy, "--sample", "0"), 1) == ""
     pcbench.run(STUDY, out=copy)
     same(whole, copy)
+
+
+def test_a_block_that_takes_much_memory_is_one_sentence_before_it_takes_it(copy):
+    (block, *_) = sorted((copy / "runs").rglob("*.parquet"))
+    zeros = pa.table({"mae": np.zeros(40_000_000)})
+    pq.write_table(zeros, block)
+    assert block.stat().st_size < 300_000
+    with pytest.raises(pa.ArrowInvalid, match="320 MB in memory"):
+        parquet.parsed(pa.py_buffer(block.read_bytes()))
+    done = call("verify", copy)
+    assert done.returncode == 1
+    assert "MB that take 320 MB in memory" in done.stdout
+    assert done.stderr == ""
 
 
 def test_a_flipped_bit_in_a_page_is_not_drawn(copy):
