@@ -47,6 +47,11 @@ def choices_of(study: Study) -> Choices:
 
 def checked_options(study: Study, name: str, given: dict[str, Any], where: str) -> BaseModel:
     """Return the options in the table of an observer's label, or of 'scenario', checked and complete."""
+    bare = name.rstrip("0123456789")
+    if bare != name and base_in(study, name) is None and base_in(study, bare) == bare:
+        raise UserError(
+            f"{where}: got no observer, expected a label of {bare}; write [options.{bare}-{name[len(bare) :]}]."
+        )
     if name != "scenario" and base_in(study, name) is None:
         raise unknown(where, "observer with options (or 'scenario')", name, [*study.use, *OBSERVERS, "scenario"])
     model = Choices if name == "scenario" else entry_in(study, name).options

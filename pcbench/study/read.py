@@ -8,7 +8,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from pcbench.errors import UserError, unknown
+from pcbench.errors import UserError, short, unknown
 from pcbench.observers import OBSERVERS
 from pcbench.plants import signals_of
 from pcbench.scenarios import Scenario
@@ -26,6 +26,7 @@ from pcbench.study import (
     sentence,
 )
 from pcbench.study.cells import Cell, Grid, cells
+from pcbench.study.names import base_in
 from pcbench.study.own import Own
 from pcbench.study.own_scenarios import plain
 from pcbench.study.raw import Described, named, raw_of, where_of
@@ -202,6 +203,11 @@ def _observers(study: Study, names: list[str], where: str) -> None:
         if name == ALL:
             raise UserError(
                 f'{where}: got "all", expected names here; write observers = "all" at the top of the study.'
+            )
+        if name not in known and (base := base_in(study, name)) is not None:
+            label = short(name)
+            raise UserError(
+                f"{where}: got '{label}' without options, expected some for a label of {base}; write [options.{label}]."
             )
         if name not in known:
             raise unknown(where, "observer", name, known)

@@ -61,3 +61,12 @@ def test_a_plants_parameters_may_stand_as_a_table_of_their_own():
     assert made.axes == {"delay": [0.2], "plant.lam": [110.0, 122.0]}
     with pytest.raises(UserError, match=r"got plant.lam twice"):
         study("cart/white", axes={"plant": {"lam": [110.0]}, "plant.lam": [120.0]})
+
+
+def test_a_label_without_its_options_or_its_dash_is_told_how_it_is_written():
+    for changes, told in (
+        ({"observers": ["dkf-gate"]}, r"observers: got 'dkf-gate' without options, .* write \[options\.dkf-gate\]"),
+        ({"options": {"dkf2": {"R": 2.0}}}, r"options\.dkf2: got no observer, .* write \[options\.dkf-2\]"),
+    ):
+        with pytest.raises(UserError, match=told):
+            study("cart/white", **changes)
