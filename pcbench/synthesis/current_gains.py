@@ -7,8 +7,8 @@
     h2        the least covariance, and
     hinf      the least energy gain, from noise to the estimate at a sample's arrival: `robust`
 
-The first three are found at the (mean) sampling period, in units of the size of x(0), as the solution of (23) depends on the
-units. If a range or a rate is asked for, one P of its own proves over it what they found. All report
+The first three are found at the (mean) sampling period, in units of 1000^k (k whole) near the size of x(0), as the solution
+of (23) depends on the units. If a range or a rate is asked for, one P of its own proves over it what they found. All report
 the effect of noise in the same way: `noise_rms` [n], exact at the mean period, is the stationary rms of the estimate's error
 at a sample's arrival which measurement noise alone leaves.
 """
@@ -53,8 +53,8 @@ def find(
     ahead = linear.over(doubled, late)
     mean = Maps(Phi[None], Q[None], np.array([period * setting.dt]), np.array([0]))
     error_bounds.require_slower(decay or 0.0, (maps or mean).seconds, where)
-    S = units.prior_size(setting)
-    s = units.of_rows(C, S)
+    S = units.near(units.prior_size(setting))
+    s = units.near(np.linalg.norm(C * S, axis=1))
     into, C1, R1 = np.outer(1 / S, S), C * S / s[:, None], R / np.outer(s, s)
     if given is None and method in ROBUST:
         size = _size(setting, Phi, Q, R)

@@ -6,8 +6,8 @@ With z = T x = [y; w], C inv(T) = [I 0], and e^{A T} partitioned after y and w, 
 
 from sample to sample. With more unmeasured states than outputs (n > 2 l) J has the eigenvalue 1, whatever Kp and Ki are:
 Ki A12 [n-l, n-l] has a rank of at most l < n-l, so there is a v with Ki A12 v = 0, and J [v; (F - I) v] = [v; (F - I) v].
-So no PI-PCO is stable there. Gains are sought and proven in units of the size of x(0), as the solution of the LMI depends on
-the units; the margin is of those units.
+So no PI-PCO is stable there. Gains are sought and proven in units of 1000^k (k whole) near the size of x(0), as the solution of
+the LMI depends on the units; the margin is of those units.
 Source: Li, Wang, Tian, PI-PCO, (10) to (17) and (26); J is ours, the paper looks at F only.
 """
 
@@ -74,7 +74,7 @@ def partition(model: Model, size: Matrix, maps: Maps, where: str) -> Partition:
         A12=whole[:, :l, l:],
         A22=whole[:, l:, l:],
         seconds=maps.seconds,
-        units=units.of_rows(T, size),
+        units=units.near(np.linalg.norm(T * size, axis=1)),
         corners=maps.corners,
     )
 
