@@ -139,10 +139,10 @@ def spread(gains: Gains, state: Cloud) -> Float[Array, "N N"]:
 def expected(gains: Gains, now: Now, state: Cloud, sample: Measurement) -> Surprise:
     """Return how far a sample is from what the particles' mean and covariance expect of it."""
     y = seen(gains, now, state.x)
-    lost = jnp.any(jnp.isnan(y) & sample.fresh[None], axis=1)  # as in `update`: weight 0
+    lost = jnp.any(~jnp.isfinite(y) & sample.fresh[None], axis=1)  # as in `update`: weight 0
     left = jnp.where(lost, -jnp.inf, state.weight)
     weight = jnp.where(jnp.any(lost), left - jax.nn.logsumexp(left), state.weight)
-    both = jnp.concatenate([state.x, jnp.where(jnp.isnan(y), 0.0, y)], axis=1)
+    both = jnp.concatenate([state.x, jnp.where(jnp.isfinite(y), y, 0.0)], axis=1)
     return corrections.by_points(gains, *weighted(weight, both), sample)[2]
 
 

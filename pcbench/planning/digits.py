@@ -83,8 +83,7 @@ def _require_response(p: Plan, label: str, gains: Any, tail_mae: Floats) -> None
         moved = np.abs(np.linalg.matrix_power(np.asarray(Phi), p.cell.times.ticks)[:n, :n])
         size = moved @ (np.abs(np.asarray(p.problem.x0)) + np.asarray(s.belief.prior_std))
     lost = (EPS * size[:, None] > PART * tail_mae[:n]).mean(-1) > 0.5
-    band = np.asarray(p.problem.band)[:n]
-    lost &= (EPS * size > TRIFLE * band) & (band > 0)
+    lost &= EPS * size > TRIFLE * np.asarray(p.problem.band)[:n]
     if lost.any():
         i = int(np.argmax(np.where(lost, size, 0.0)))
         name, unit = signals_of(s)[i]
@@ -121,7 +120,7 @@ def _matters(p: Plan, size: Floats) -> bool:
     state = np.where(np.isfinite(size[:n]), size[:n], 0.0)
     y = np.asarray(jax.jit(partial(_output, p.layout))(jax.tree.map(np.asarray, p.problem), state))
     return bool(
-        _beyond(size, np.asarray(p.problem.band)[: len(size)])
+        (EPS * size > TRIFLE * np.asarray(p.problem.band)[: len(size)]).any()
         or _beyond(size[:n], _process(p.problem))
         or _beyond(np.abs(y), np.asarray(p.problem.noise_std))
     )
@@ -139,5 +138,5 @@ def _process(problem: Problem) -> Floats:
 
 
 def _beyond(size: Floats, std: Floats) -> bool:
-    """Whether the rounding of some number is no trifle beside its noise or band, of those that have any."""
+    """Whether the rounding of some number is no trifle beside its noise, of those that have any."""
     return bool(((EPS * size[: len(std)] > TRIFLE * std) & (std > 0)).any())

@@ -223,7 +223,7 @@ def test_the_command_says_what_it_found(tmp_path):
 
 def test_options_of_another_observer_have_no_part_in_a_tuning(tmp_path):
     scenario = {"name": "two", "scenarios": ["cart/white"], "observers": ["dkf", "pccebo"]}
-    studies = [scenario | {"options": {"kfbo": {"R": R}}} for R in (0.02, 0.03)]
+    studies = [scenario | {"options": {"pccebo": {"q": R}}} for R in (0.02, 0.03)]
     one, two = (
         tune.tune(each, "dkf", budget=2, training=(0, 4), judges=(4, 8), out=tmp_path / "t") for each in studies
     )

@@ -229,9 +229,3 @@ def test_a_state_that_is_known_at_the_start_has_a_settling_band_of_its_size(tmp_
     (cell,) = read.grid_of(str(tmp_path / "known.toml"), {}, []).cells
     assert min(cell.scenario.scoring.settle_band) > 0
     assert np.isfinite(pcbench.run(str(tmp_path / "known.toml")).stats["mean"].iloc[0])
-
-
-def test_a_band_of_zero_has_no_part_in_whether_digits_are_left():
-    """As a measured state without noise it says nothing of what rounding is small."""
-    stats = pcbench.run(study(seeds=4, horizon=2.0, settle_band=0.0, A=[[0.5]])).stats
-    assert np.isfinite(value(stats, "rmse")["dkf"])
