@@ -28,6 +28,7 @@ from pcbench.errors import UserError
 from pcbench.statistics.comparison import holm
 from pcbench.statistics.moments import Values
 from pcbench.study import Study
+from pcbench.study.as_toml import to_toml
 from pcbench.study.cells import identity, rooted
 
 LEVEL = 0.05
@@ -89,8 +90,11 @@ def compare(a: str | Path, b: str | Path) -> Comparison:
 
 def _rooted(owned: Owned, other: Study) -> Owned:
     """A claim as it would be with the root seed of another study: that makes no other study here."""
+    if other.root_seed == owned.study.root_seed:  # as it is: options of a user's observer may not be known here
+        return owned
     study = owned.study.model_copy(update={"root_seed": other.root_seed})
-    return owned._replace(study=study, cells=rooted(owned.cells, other.root_seed))
+    every = rooted(owned.cells, other.root_seed)
+    return Owned(study, every, to_toml(study, every))
 
 
 class Side(NamedTuple):
@@ -111,14 +115,20 @@ def _side(target: store.Target, owned: Owned) -> Side:
             f"{target.name}/stats.parquet: is not there or damaged, expected a finished study; run it again to go on."
         )
     blocks: dict[tuple[str, int, str], list[Block]] = {}
+    digests = {c.key: identity(c, 0) for c in owned.cells}
     for b in sorted(block_files.settled(block_files.present(target))):
+        if (b.scenario, b.cell) not in digests:
+            raise UserError(
+                f"{target.name}/{b.name}: is of a cell that {target.name}/study.toml does not have, expected one of its cells; "
+                "restore that file, or run the study again."
+            )
         if store.footer(target, b.name) is None:
             raise UserError(
                 f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
             )
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
     stats = earlier.completed(found, columns.stats_order)
-    return Side(target, owned, stats, {c.key: identity(c, 0) for c in owned.cells}, blocks)
+    return Side(target, owned, stats, digests, blocks)
 
 
 EXACT = "no draws: exact"

@@ -1,6 +1,6 @@
 """Several datasets of one study, of other seeds or machines, made one. What two of them hold must be equal, row by row.
 
-Rows that two engines computed are equal to 1e-11; those of the first dataset are kept.
+Rows that two engines computed are equal to 1e-11. Of rows that several datasets hold those of the first of them are kept.
 """
 
 from collections.abc import Iterator, Sequence
@@ -9,16 +9,16 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, exact_merge, fill, kept_code, ownership, parquet, store, summary
+from pcbench.dataset import block_files, earlier, exact_merge, fill, kept_code, ownership, parquet, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
-from pcbench.dataset.rows_apart import difference
-from pcbench.dataset.seeds import Seeds, common, counted
+from pcbench.dataset.rows_apart import difference, of_one_run
+from pcbench.dataset.seeds import Seeds, common, counted, gaps
 from pcbench.errors import UserError
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.study.as_toml import to_toml
 
-BETWEEN_ENGINES = 1e-11  # of a signal's largest error, by which rows that two engines computed may differ
+BETWEEN_ENGINES = 1e-11  # by which rows that two engines computed may differ, see `of_one_run`
 
 
 class Part(NamedTuple):
@@ -27,6 +27,7 @@ class Part(NamedTuple):
     target: store.Target
     there: Block
     block: Block
+    engine: str  # of its study
 
 
 class MergeReport(NamedTuple):
@@ -98,41 +99,46 @@ def _parts(targets: list[store.Target], holdings: list[Owned]) -> dict[tuple[str
     out: dict[tuple[str, int, str], list[Part]] = {}
     for target, owned in zip(targets, holdings, strict=True):
         digests = ownership.digests(owned)
-        for b in block_files.present(target):
+        for b in sorted(block_files.present(target), key=lambda b: (b.seeds.first, -b.seeds.stop)):
             if wrong := block_files.damage(target, b, digests.get((b.scenario, b.cell), "")):
                 raise UserError(
                     f"{target.name}/{b.name}: is damaged ({wrong}), expected a whole block; run its study again first."
                 )
             number = numbers[b.scenario, digests[b.scenario, b.cell]]
-            part = Part(target, b, b._replace(cell=number))
+            part = Part(target, b, b._replace(cell=number), str(owned.study.engine))
             out.setdefault((b.scenario, number, b.observer), []).append(part)
-    return {key: sorted(parts, key=lambda p: p.block.seeds.first) for key, parts in sorted(out.items())}
+    return dict(sorted(out.items()))
 
 
 def _pieces(parts: list[Part]) -> Iterator[tuple[str, pa.Buffer | None, int]]:
-    """Yield for each part of one observer and cell its name, its bytes (None: all held already) and its runs held twice."""
-    kept: list[Part] = []
+    """Yield for each part of one observer and cell its name, its bytes (None: all held already) and its runs held twice.
+
+    A part of which earlier ones hold the middle is yielded as two.
+    """
+    seen: list[Part] = []
+    held: list[Seeds] = []
     for part in parts:
         mine = part.block.seeds
-        at = kept[-1].block.seeds.stop if kept else mine.first  # the furthest: what lies within the kept is not kept
-        twice = max(min(at, mine.stop) - mine.first, 0)
-        if twice:
-            _equal(part, kept)
-        left = Seeds(max(at, mine.first), mine.stop)
-        if not left.many:
+        _equal(part, seen)
+        left = gaps(held, mine, mine.stop)
+        twice = mine.many - sum(each.many for each in left)
+        seen.append(part)
+        held += left
+        if not left:
             yield part.block.name, None, twice
-            continue
-        kept.append(part)
-        block = part.block._replace(seeds=left)
-        if block == part.there:
-            content = store.get(part.target, block.name)
-            if content is None:
-                raise UserError(
-                    f"{part.target.name}/{block.name}: is gone, expected a dataset at rest; merge it again."
-                )
-            yield block.name, content, twice
-        else:
-            yield block.name, parquet.encoded(cut(block_files.read(part.target, part.there), block)), twice
+        for seeds in left:
+            block = part.block._replace(seeds=seeds)
+            yield block.name, _content(part, block), twice if seeds == left[0] else 0
+
+
+def _content(part: Part, block: Block) -> pa.Buffer:
+    """The bytes of a block of some seeds of a part; as they stand, if it is all of it."""
+    if block != part.there:
+        return parquet.encoded(cut(block_files.read(part.target, part.there), block))
+    content = store.get(part.target, block.name)
+    if content is None:
+        raise UserError(f"{part.target.name}/{block.name}: is gone, expected a dataset at rest; merge it again.")
+    return content
 
 
 def cut(table: pa.Table, block: Block) -> pa.Table:
@@ -153,9 +159,9 @@ def _equal(part: Part, kept: list[Part]) -> None:
             same = part.block._replace(seeds=both)
             a, b = (cut(block_files.read(p.target, p.there), same) for p in (other, part))
             if not a.equals(b):
-                apart = difference(a, b)
-                if apart and _engine(a) != _engine(b) and apart.of_largest <= BETWEEN_ENGINES:
+                if _engine(part, b) != _engine(other, a) and of_one_run(a, b, BETWEEN_ENGINES):
                     continue
+                apart = difference(a, b)
                 how = "in more than numbers" if apart is None else f"by {apart.relative:.1e} of themselves"
                 raise UserError(
                     f"{part.target.name}/{part.there.name}: its seeds {both.first} .. {both.stop - 1} differ {how} from those "
@@ -163,9 +169,9 @@ def _equal(part: Part, kept: list[Part]) -> None:
                 )
 
 
-def _engine(table: pa.Table) -> str:
-    """How the rows of a block were computed."""
-    return str(block_files.about(table)["flow"])
+def _engine(part: Part, table: pa.Table) -> tuple[str, str]:
+    """What computed the rows of a block: the engine of its study, and how its observer went."""
+    return part.engine, block_files.about(table).get("flow", earlier.FLOW)
 
 
 def _whole(holdings: list[Owned]) -> Owned:

@@ -14,7 +14,7 @@ from pcbench.dataset.seeds import Seeds, common, counted
 from pcbench.errors import UserError
 from pcbench.study import Study, read
 from pcbench.study.as_toml import to_toml
-from pcbench.study.cells import Cell, Grid, channels_apart, numbered, numbering, with_engine
+from pcbench.study.cells import Cell, Grid, channels_apart, numbered, with_engine
 
 TEXT = "study.toml"
 CLOSING = ("stats.parquet", "pairs.parquet", "provenance.json")  # written last: they say that a run is whole
@@ -43,6 +43,10 @@ def claim(target: store.Target, grid: Grid, fresh: bool = False) -> Owned:
     said = store.text(target, TEXT)
     blocks = block_files.present(target)
     begun = toml_text.parse(said).get("engine") if said is not None and _readable(said) and not fresh else None
+    if begun is None and blocks and not fresh:  # its text is lost
+        begun = {"defined": "definition", "lifted": "products"}.get(
+            block_files.about_block(target, blocks[0]).get("flow", "")
+        )
     study, every = grid = with_engine(grid, begun)
     if fresh and (blocks or said is not None):
         if said is not None and not blocks:
@@ -104,9 +108,9 @@ def digests(owned: Owned) -> dict[tuple[str, int], str]:
 def differences(a: Owned, b: Owned) -> list[str]:
     """Return what differs between two studies besides their seeds, engine and the order of their cells, a phrase each."""
     old, new = (toml_text.parse(each.text) for each in (a, b))
-    for each, owned in ((old, a), (new, b)):
-        each.update(first_seed=0, seeds=1, engine="", root_seed=owned.study.root_seed)
-        each["resolved"]["cells"] = {s: sorted(found) for s, found in numbering(owned.cells).items()}
+    for each in (old, new):
+        each.update(first_seed=0, seeds=1, engine="")
+        each["resolved"]["cells"] = {s: sorted(found) for s, found in each["resolved"]["cells"].items()}
     return list(dict.fromkeys([*changes(old, new), *changes(new, old)]))
 
 

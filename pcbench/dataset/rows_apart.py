@@ -7,6 +7,7 @@ import pyarrow as pa
 
 ROUNDING = 1e-9  # two runs of one seed that differ by less, relatively, differ by rounding only
 ZERO = 1e-11  # errors this small, as they are or as a part of the signal's largest, are rounding of zero
+ERRORS = ("mae", "rmse", "mse", "peak", "final", "tail_mae", "tail_rmse", "tail_mse", "tail_peak")
 
 
 class Difference(NamedTuple):
@@ -25,14 +26,48 @@ def difference(a: pa.Table, b: pa.Table) -> Difference | None:
         x, y = a[name], b[name]
         if x.equals(y):
             continue
-        if not pa.types.is_floating(x.type) or x.null_count != y.null_count:
+        if not _comparable(x, y):
             return None
         u, v = (np.nan_to_num(column.to_numpy()) for column in (x, y))
         apart, larger = np.abs(u - v), np.maximum(np.abs(u), np.abs(v))
-        whole = size**2 if name in ("mse", "tail_mse") else size
+        whole = _in_unit_of(name, size)
         found = Difference(float((apart / np.where(larger > 0, larger, 1)).max()), float((apart / whole).max()))
         worst = Difference(*map(max, worst, found))
     return worst
+
+
+def of_one_run(a: pa.Table, b: pa.Table, within: float) -> bool:
+    """Say whether two tables are of the same runs: numbers differ by a part `within` of the largest of their column at most.
+
+    An error's may differ by that part of its signal's largest error, so that what is left of zero is rounding.
+    """
+    if a.schema.names != b.schema.names or len(a) != len(b):
+        return False
+    size = _sizes(a)
+    for name in a.schema.names:
+        x, y = a[name], b[name]
+        if x.equals(y):
+            continue
+        if not _comparable(x, y):
+            return False
+        u, v = (column.to_numpy() for column in (x, y))
+        scale = np.nanmax(np.abs(u))
+        if name in ERRORS:
+            scale = np.maximum(scale, _in_unit_of(name, size))
+        same = (np.abs(u - v) <= within * scale) | (u == v) | (np.isnan(u) & np.isnan(v))
+        if not same.all():
+            return False
+    return True
+
+
+def _comparable(x: pa.ChunkedArray, y: pa.ChunkedArray) -> bool:
+    """Whether two columns are numbers, as many of which are missing."""
+    return bool(pa.types.is_floating(x.type)) and x.null_count == y.null_count
+
+
+def _in_unit_of(name: str, size: np.ndarray) -> np.ndarray:
+    """The size of errors in the unit of a column."""
+    return size**2 if name in ("mse", "tail_mse") else size
 
 
 def _sizes(table: pa.Table) -> np.ndarray:

@@ -60,7 +60,6 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
         made = executors.dask(how.dask, how.workers) if how.dask else executors.here(how.devices)
         run_tasks = stack.enter_context(made)
         there = [] if owned.fresh else fill.whole(target, owned, say)
-        engines = set((summary.record(target) or {}).get("engines", [owned.study.engine])) if there else set()
         exact, exactly = Cost(), perf_counter()
         if grid.study.method != "runs" and exact_part.made(target, owned, say, how.progress):
             owned, there = owned._replace(fresh=False), block_files.settled(block_files.present(target))
@@ -92,7 +91,6 @@ def execute(grid: Grid, out: str | Path | None = None, how: How | None = None) -
                 "closing_seconds": round(cost.closing_seconds, 3),
                 "runs_added": cost.runs,
                 "until_se": how.until_se,
-                "engines": sorted(engines | ({c.engine for c in owned.cells} if cost.runs else set())),
             }
             summary.close(target, owned, there, about, closing[0] if closing else None)
     where: str | Path | None = out

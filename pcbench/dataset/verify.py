@@ -153,9 +153,23 @@ def _again(target: store.Target, owned: Owned, chosen: list[Block], progress: Pr
     """Yield a sentence for every block that does not come out again."""
     work = partial(_compared, target, task.Work("", owned.study.name, owned.study.root_seed))
     with executors.here() as execute:
-        for count, sentences in execute(work, _tasks(owned, chosen)):
-            progress.step(count)
-            yield from sentences
+        by: dict[str, list[Block]] = {}
+        for b in chosen:
+            flow = block_files.about_block(target, b).get("flow", earlier.FLOW)
+            by.setdefault(_engine(flow, owned), []).append(b)
+        for engine, mine in by.items():
+            cells = [cell._replace(engine=engine) for cell in owned.cells]
+            for count, sentences in execute(work, _tasks(owned._replace(cells=cells), mine)):
+                progress.step(count)
+                yield from sentences
+
+
+def _engine(flow: str, owned: Owned) -> str:
+    """The engine that has computed a block: that of its study, but for blocks of another that were merged or added."""
+    if flow == "defined":
+        return "definition"
+    asked = str(owned.study.engine)
+    return asked if asked != "definition" else "products" if flow == "lifted" else "steps"
 
 
 def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 import pcbench
-from pcbench.dataset import compare, merge, ownership, store
+from pcbench.dataset import block_files, compare, merge, ownership, store, verify
 from pcbench.engine import jaxpr_compat
 from pcbench.errors import UserError
 from pcbench.study import cells, read
@@ -93,16 +93,61 @@ def test_by_the_definition_a_run_has_its_bits_whatever_the_number_of_seeds_and_o
         pd.testing.assert_frame_equal(some, many.loc[some.index], check_exact=True)
 
 
+def test_by_the_definition_calls_of_other_shapes_make_one_block(tmp_path):
+    """Runs of one call have at most two arrivals at a tick, those of another one."""
+    study = RANDOM | {"axes": {"loss": [0.9], "delay_jitter": [0.1]}, "observers": ["dkf"], "seeds": 200}
+    study |= {"lti": RANDOM["lti"] | {"tick": 0.05, "horizon": 1.0}, "engine": "definition"}
+    many = pcbench.run(study, out=tmp_path / "o", block=200).runs.set_index(KEYS).sort_index()
+    some = rows(study, seeds=3)
+    pd.testing.assert_frame_equal(some, many.loc[some.index], check_exact=True)
+
+
+def test_by_the_definition_heavy_observers_leave_others_their_bits(tmp_path):
+    study = RANDOM | {"observers": ["ukf", "particle"], "options": RANDOM["options"] | {"particle": {"particles": 20}}}
+    both, one = rows(study, seeds=3), rows(study, seeds=3, observers=["ukf"])
+    pd.testing.assert_frame_equal(one, both.loc[one.index], check_exact=True)
+    pcbench.run(study | {"seeds": 3, "engine": "definition"}, out=tmp_path / "o")
+    found = verify.verify(tmp_path / "o", None, 0)
+    assert found.differing == []
+    stepped = pcbench.run(study | {"seeds": 3, "engine": "steps"}).runs.set_index(KEYS).sort_index()
+    np.testing.assert_allclose(stepped.rmse, both.rmse, rtol=1e-11)
+
+
+def kept(out):
+    return pcbench.opened(out).runs.set_index(KEYS).sort_index()
+
+
 def test_of_two_engines_a_merge_keeps_the_rows_of_the_first_and_says_both(tmp_path):
-    for engine, seeds in (("definition", 3), ("steps", 5)):
-        pcbench.run(STUDY | {"engine": engine, "seeds": seeds}, out=tmp_path / engine)
-    report = merge.merge([tmp_path / "definition", tmp_path / "steps"], tmp_path / "both")
+    """Wherever its blocks begin and end."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    pcbench.run(STUDY | {"engine": "definition", "seeds": 3}, out=first, first_seed=2, block=2)
+    pcbench.run(STUDY | {"engine": "steps", "seeds": 6}, out=second)
+    report = merge.merge([first, second], tmp_path / "both")
     assert (report.doubled, report.missing) == (3, 0)
     both = pcbench.opened(tmp_path / "both")
     assert both.provenance["engines"] == ["definition", "steps"]
-    assert both.study.engine == "definition"
-    mine, first = (pcbench.opened(tmp_path / d).runs.set_index(KEYS).sort_index() for d in ("both", "definition"))
-    pd.testing.assert_frame_equal(mine.loc[first.index], first, check_exact=True)
+    mine, a, b = kept(tmp_path / "both"), kept(first), kept(second)
+    pd.testing.assert_frame_equal(mine.loc[a.index], a, check_exact=True)
+    rest = b.index.difference(a.index)
+    pd.testing.assert_frame_equal(mine.loc[rest], b.loc[rest], check_exact=True)
+    assert verify.verify(tmp_path / "both", None, 0).differing == []
+
+
+def test_numbers_of_any_size_and_unit_are_compared_by_their_own(tmp_path):
+    """A nees of errors of 1e-5, and what one engine steps whose plant goes by products in the other."""
+    small = RANDOM["lti"] | {
+        "noise_std": 3e-6,
+        "process_std": [2e-7, 5e-7],
+        "prior_std": [1e-5, 1e-5],
+        "x0": [1e-5, 1e-5],
+    }
+    small = RANDOM | {"lti": small | {"input": "zero"}, "observers": ["dkf"], "axes": {}, "seeds": 3}
+    small |= {"options": {"scenario": {"random_start": True, "consistency": True}}}
+    for study, engines in ((small, ("definition", "steps")), (STUDY | {"observers": ["ukf"]}, ("products", "steps"))):
+        outs = [tmp_path / engines[0] / engine for engine in engines]
+        for engine, out in zip(engines, outs, strict=True):
+            pcbench.run(study | {"engine": engine}, out=out)
+        assert merge.merge(outs, tmp_path / engines[0] / "both").missing == 0
 
 
 def test_rows_of_two_engines_that_differ_by_more_are_not_merged(tmp_path, monkeypatch):
@@ -117,10 +162,12 @@ def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_say
     pcbench.run(STUDY, out=tmp_path / "begun")
     monkeypatch.setattr(jaxpr_compat, "NEWEST", (0, 1))
     said = []
-    fresh = pcbench.run(STUDY, out=tmp_path / "fresh", say=said.append)
-    assert fresh.study.engine == "definition"
-    assert [s for s in said if "computed by their definition" in s] == said
-    assert len(said) == 1
+    for changes in ({}, {"engine": "steps"}):
+        fresh = pcbench.run(STUDY | changes, out=tmp_path / f"fresh{len(said)}", say=said.append)
+        assert fresh.study.engine == "definition"
+    assert ["computed by their definition" in sentence for sentence in said] == [True, True]
     grown = pcbench.run(STUDY | {"seeds": 6}, out=tmp_path / "begun", say=said.append)
-    assert (grown.study.engine, len(said)) == ("steps", 2)
-    assert grown.provenance["engines"] == ["definition", "steps"]
+    assert (grown.study.engine, len(said)) == ("steps", 3)
+    place = store.target(tmp_path / "begun")
+    flows = [block_files.about_block(place, b)["flow"] for b in sorted(block_files.present(place))]
+    assert flows == ["stepped", "defined"]

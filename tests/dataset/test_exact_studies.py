@@ -202,14 +202,3 @@ def test_a_picture_in_time_says_over_what_errors_are_taken(exact, of):
     rows = [(series, kind, 1.0) for series in "ab" for kind in ("estimate", "rms")]
     run = pd.DataFrame(rows, columns=["series", "kind", "value"])
     assert f"nine in ten errors over {of}" in sentences.time(run, "m", frozenset(exact))[1]
-
-
-@pytest.mark.parametrize("drawn", [{"seeds": 4}, {"first_seed": 2}, {"until_se": "rmse=0.1"}, {"block": 2}])
-def test_what_has_no_effect_on_exact_values_is_refused(drawn):
-    (name,) = drawn
-    for where in ({"method": "exact"}, {}):
-        asked = {"name": "e", "scenarios": ["cart/white"], "observers": ["dkf"]} | (
-            {} if where else {"method": "exact"}
-        )
-        with pytest.raises(UserError, match=f"{name}: got it with method 'exact', where it has no effect"):
-            pcbench.run(asked, **drawn, **where)
