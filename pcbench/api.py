@@ -11,7 +11,7 @@ import numpy as np
 from pcbench.dataset import as_file, run_study
 from pcbench.dataset.result import Result
 from pcbench.dataset.run_study import Say
-from pcbench.errors import UserError, require_effect
+from pcbench.errors import UserError
 from pcbench.gains import versions
 from pcbench.logs import runs as run_as_log
 from pcbench.machine import process
@@ -71,9 +71,6 @@ def run(
     observers = [observers] if isinstance(observers, str) else observers
     changes = {"seeds": seeds, "observers": observers, "axes": axes, "options": options, "root_seed": root_seed}
     grid = all_observers.grid_of(study, changes | {"first_seed": first_seed, "method": method}, overrides or [])
-    if grid.study.method == "exact":
-        drawn = {"seeds": seeds, "first_seed": first_seed, "until_se": until_se, "max_seeds": max_seeds, "block": block}
-        require_effect(drawn, "with method 'exact'", "exact values without seeds, or simulated runs; leave one out")
     with process.float64():
         how = run_study.How(
             fresh=fresh,

@@ -6,7 +6,7 @@ import os
 import re
 import sysconfig
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from reprlib import Repr
 from typing import Any
 
@@ -58,13 +58,6 @@ def missing(module: str) -> str:
     package = module.split(".")[0].replace("_", "-")
     named = f"'pcbench[{EXTRAS[package]}]'" if package in EXTRAS else package
     return f"got no package '{package}', expected it for this command; install it: pip install {named}."
-
-
-def require_effect(given: Mapping[str, Any], beside: str, expected: str) -> None:
-    """Raise UserError for an option that is given `beside` another, with which it has no effect."""
-    for name, value in given.items():
-        if value is not None and value is not False:
-            raise UserError(f"{name}: got it {beside}, where it has no effect, expected {expected}.")
 
 
 def short(text: str) -> str:

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Folder, Quiet, console, out, setup
-from pcbench.errors import require_effect
+from pcbench.cli.shared import AsJson, Folder, Quiet, console, out, require_effect, setup
 
 SAMPLE = 4  # blocks that are computed again
 

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import AsJson, Set, console, say, write
-from pcbench.errors import require_effect
+from pcbench.cli.shared import AsJson, Set, console, require_effect, say, write
 
 
 def list_(

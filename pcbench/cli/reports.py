@@ -4,9 +4,9 @@ from typing import Annotated
 
 import typer
 
-from pcbench.cli.shared import RANKS, Folder, Metric, Quiet, Signals, chosen, out, setup
+from pcbench.cli.shared import RANKS, Folder, Metric, Quiet, Signals, chosen, out, require_effect, setup
 from pcbench.cli.stopping import stoppable
-from pcbench.errors import UserError, require_effect
+from pcbench.errors import UserError
 
 
 def report(

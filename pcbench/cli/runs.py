@@ -19,11 +19,11 @@ from pcbench.cli.shared import (
     console,
     names,
     out,
+    require_effect,
     say,
     setup,
 )
 from pcbench.cli.stopping import stoppable
-from pcbench.errors import require_effect
 
 
 def run(

@@ -4,6 +4,7 @@ import codecs
 import io
 import os
 import sys
+from collections.abc import Mapping
 from typing import Annotated, Any
 
 import typer
@@ -65,6 +66,13 @@ def say(sentence: str) -> None:
 def write(text: str) -> None:
     """Print a text of several lines as it is, for a program or a file; what no terminal may obey is its escape."""
     print(printable(text, but="\n\t"), end="")
+
+
+def require_effect(given: Mapping[str, Any], beside: str, expected: str) -> None:
+    """Raise UserError for an option that is given `beside` another, with which it has no effect."""
+    for name, value in given.items():
+        if value is not None and value is not False:
+            raise UserError(f"{name}: got it {beside}, where it has no effect, expected {expected}.")
 
 
 def console() -> Any:

@@ -46,7 +46,7 @@ NEWEST = (0, 12)  # release of jax that this file was read against
 
 
 def is_known() -> bool:
-    """Return whether this file was read against the jax that is installed, or a later one."""
+    """Return whether the jax that is installed is no newer than `NEWEST`."""
     return tuple(jax.__version_info__[:2]) <= NEWEST
 
 
@@ -101,7 +101,7 @@ def scan(params: dict[str, Any]) -> Scan:
     else:
         raise UserError(
             f"jax: got a scan with the parameters {', '.join(sorted(params))}, which pcbench does not know, expected a release "
-            "that it has been read against (see pyproject.toml); install that."
+            "such as 0.12, which it was read against; install that."
         )
     how = {name: params[name] for name in ("length", "reverse", "unroll")}
     return Scan(params["jaxpr"], consts, carry, params["length"], how)
@@ -148,7 +148,7 @@ def param(eqn: Any, name: str) -> Any:
     if name not in eqn.params:
         raise UserError(
             f"jax: got {eqn.primitive.name} with the parameters {', '.join(sorted(eqn.params))}, expected {name} among "
-            "them, as up to jax 0.12; install a release of jax that pyproject.toml lists."
+            "them, as up to jax 0.12; install that or an earlier one."
         )
     return eqn.params[name]
 

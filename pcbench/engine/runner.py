@@ -26,7 +26,8 @@ from pcbench.simulation.simulate_runs import simulate_runs
 
 Reads = dict[str, list[int]]  # by form, which leaves of a problem its maps depend on
 WIDTH = 1024  # lanes a call
-FEW, SOME = 8, 64  # of the definition: of runs that are expensive, and of all others
+DEFINITION = 64  # of the definition
+EXPENSIVE = 8  # of the definition with an observer whose runs are expensive
 NARROW = (64, 256)  # of cells with few runs: 64 lanes take a quarter of the time of 1024
 HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
 FIRST, ENOUGH, SHORT = 4, 2.0, 1.0  # ticks, [s], [s]: of calls by which it is estimated how long one takes
@@ -48,6 +49,7 @@ class Job(NamedTuple):
 class Program(NamedTuple):
     """A compiled call and what it took to make."""
 
+    layout: Layout
     call: Any  # (problem, root seed, seeds [L], schedules, maps) -> Outcome with arrays [..., L]
     device: Any
     width: int
@@ -118,6 +120,7 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
         call = jax.jit(simulate).lower(*with_maps()).compile(options)
         made = maker.result()
     return Program(
+        layout=layout,
         call=call,
         device=device,
         width=layout.width,
@@ -173,7 +176,8 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
     waiting: list[tuple[Job, Any]] = []
     for job in jobs:
         given = arguments(job, made.width)
-        waiting.append((job, made.call(*given, made.maps(given[0]))))
+        fits = made if job.schedules is None else program(made.layout, job, made.device)  # schedules have other shapes
+        waiting.append((job, fits.call(*given, fits.maps(given[0]))))
         if len(waiting) > 1:
             yield _read(*waiting.pop(0))
     for job, out in waiting:

@@ -1,6 +1,6 @@
 """From a study to what is simulated: gains, inputs, schedules and bounds as arrays, one draft a cell."""
 
-from collections.abc import Callable, Container, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from typing import Any
 
 import jax
@@ -62,24 +62,25 @@ def drafts(
             known = known.roomier(most[cell.scenario.plant])
         for options in _programs(cell, apart) if wanted is None or cell.key in wanted else [{}]:
             p = draft(cell, options, known, ask)
-            yield p._replace(layout=p.layout._replace(width=width(cell, runs(cell)))) if runs else p
+            yield p._replace(layout=p.layout._replace(width=width(cell, runs(cell), options))) if runs else p
 
 
 def _programs(cell: Cell, apart: bool) -> list[dict[str, BaseModel]]:
     """Return the options of a cell's observers, those of one program at a time."""
-    loop = bool(cell.scenario.loop.controller)
+    loop, apart = bool(cell.scenario.loop.controller), apart or cell.engine == "definition"
     alone = [o for o in cell.options if loop or (apart and cell.entry(o).expensive)]
     others = {o: given for o, given in cell.options.items() if o not in alone}
     return [group for group in (others, *({o: cell.options[o]} for o in alone)) if group] or [{}]
 
 
-def width(cell: Cell, runs: int | None = None) -> int:
+def width(cell: Cell, runs: int | None = None, labels: Iterable[str] = ()) -> int:
     """Return the lanes of a call, fewer where the `runs` of a light cell do not fill them: bits are the same.
 
-    Of observers whose bits depend on it, as many in every call (`Entry.lanes`).
+    Of observers whose bits depend on it, as many in every call (`Entry.lanes`). The definition has as many in all calls of a
+    program with the observers `labels`.
     """
     if cell.engine == "definition":
-        return runner.FEW if any(cell.entry(label).expensive for label in cell.options) else runner.SOME
+        return runner.EXPENSIVE if any(cell.entry(label).expensive for label in labels) else runner.DEFINITION
     if fixed := [lanes for label in cell.options if (lanes := cell.entry(label).lanes)]:
         return min(fixed)
     most = runner.HEAVY if plants.entry_of(cell.scenario).heavy else runner.WIDTH
@@ -127,7 +128,7 @@ def draft(cell: Cell, options: dict[str, BaseModel], known: Setting | None = Non
     layout = Layout(
         plant=plant.plant,
         observers=tuple((names[o], cell.entry(o).observer) for o in options),
-        width=width(cell),
+        width=width(cell, labels=options),
         ring=room,
         random_start=drawn or choices.start_spread > 0,
         continuous=s.sampling.continuous,

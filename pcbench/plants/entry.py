@@ -17,7 +17,7 @@ class Entry(NamedTuple):
     prepare: Callable[[Any, float, int], Any]  # (numbers, dt [s], ticks) -> params
     summary: str
     unknowns: tuple[tuple[str, str], ...] = ()  # (what observers may estimate beside the states, unit)
-    heavy: bool = False  # a tick costs so much that fewer lanes a call, and one tick in a loop's body, are as fast
+    heavy: bool = False  # a tick costs so much that fewer lanes a call are as fast
     model: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> dx/dt; None: `nominal` is the model
     successor: Callable[..., Any] | None = None  # likewise -> x one tick later, of a plant that is given by its step
     sensor: Callable[..., Any] | None = None  # (params, now, x, unknowns) -> y; None: `nominal`'s

@@ -250,10 +250,17 @@ def _plain(value: Any) -> Any:
 
 
 def with_engine(grid: Grid, engine: str | None) -> Grid:
-    """Return the study with the engine that it names; if it names none, with `engine`, or with the one that suits its size."""
+    """Return the study with the engine that it names; if it names none, with the one that suits its size.
+
+    `engine` is the one with which its dataset was begun: it stays, and the definition computes what is added if that engine
+    cannot.
+    """
     study, every = grid
     runs = max((sum(c.scenario.name == s for c in every) * study.seeds for s in study.scenarios), default=0)
-    name = study.engine or engine or _usable("products" if runs >= MANY else "steps")
+    if engine is None:
+        name = _usable(study.engine or ("products" if runs >= MANY else "steps"))
+    else:
+        name = engine if study.engine is None or _usable(study.engine) == engine else study.engine
     return Grid(study.model_copy(update={"engine": name}), [c._replace(engine=_usable(name)) for c in every])
 
 
@@ -266,7 +273,9 @@ def _usable(engine: str) -> str:
 
 def engine_warnings(grid: Grid) -> list[str]:
     """Return a sentence if runs are computed by the definition because the engines do not know this jax."""
-    if grid.study.engine == "definition" or all(c.engine != "definition" for c in grid.cells):
+    if grid.study.engine == "definition" or grid.study.method == "exact":
+        return []
+    if all(c.engine != "definition" for c in grid.cells):
         return []
     return [
         f"jax {version('jax')} is newer than what pcbench's engines were read against: runs are computed by their definition, "

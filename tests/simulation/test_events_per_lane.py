@@ -1,6 +1,6 @@
 """Lanes on schedules of their own: each gets its own samples, has the reference's numbers, and the same bits among any others.
 
-Of forty lanes sixteen are taken out at once here (`events_per_lane.CHUNK`), so events of one tick come in up to three parts.
+Of forty lanes sixteen are taken out at once here (`random_schedules.CHUNK`), so events of one tick come in up to three parts.
 """
 
 from functools import cache, partial
