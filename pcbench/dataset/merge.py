@@ -151,9 +151,9 @@ def cut(table: pa.Table, block: Block) -> pa.Table:
     return block_files.sealed(rows, said | {"first": block.seeds.first, "last": block.seeds.stop})
 
 
-def _equal(part: Part, kept: list[Part]) -> None:
-    """Raise UserError where a part disagrees with one that holds the same seeds."""
-    for other in kept:
+def _equal(part: Part, seen: list[Part]) -> None:
+    """Raise UserError where a part disagrees with one of those seen before that holds the same seeds."""
+    for other in seen:
         both = common(part.block.seeds, other.block.seeds)
         if both.many:
             same = part.block._replace(seeds=both)

@@ -19,16 +19,11 @@ class Difference(NamedTuple):
 
 def difference(a: pa.Table, b: pa.Table) -> Difference | None:
     """Return how far two tables' numbers are apart; None where they differ in anything else."""
-    if a.schema.names != b.schema.names or len(a) != len(b):
+    if (unequal := _unequal(a, b)) is None:
         return None
     worst, size = Difference(0.0, 0.0), _sizes(a)
-    for name in a.schema.names:
-        x, y = a[name], b[name]
-        if x.equals(y):
-            continue
-        if not _comparable(x, y):
-            return None
-        u, v = (np.nan_to_num(column.to_numpy()) for column in (x, y))
+    for name, *numbers in unequal:
+        u, v = map(np.nan_to_num, numbers)
         apart, larger = np.abs(u - v), np.maximum(np.abs(u), np.abs(v))
         whole = _in_unit_of(name, size)
         found = Difference(float((apart / np.where(larger > 0, larger, 1)).max()), float((apart / whole).max()))
@@ -39,30 +34,33 @@ def difference(a: pa.Table, b: pa.Table) -> Difference | None:
 def of_one_run(a: pa.Table, b: pa.Table, within: float) -> bool:
     """Say whether two tables are of the same runs: numbers differ by a part `within` of the largest of their column at most.
 
-    An error's may differ by that part of its signal's largest error, so that what is left of zero is rounding.
+    An error may differ by that part of its signal's largest error, so that what is left of zero is rounding.
     """
-    if a.schema.names != b.schema.names or len(a) != len(b):
+    if (unequal := _unequal(a, b)) is None:
         return False
     size = _sizes(a)
-    for name in a.schema.names:
-        x, y = a[name], b[name]
-        if x.equals(y):
-            continue
-        if not _comparable(x, y):
-            return False
-        u, v = (column.to_numpy() for column in (x, y))
-        scale = np.nanmax(np.abs(u))
+    for name, u, v in unequal:
+        scale = np.max(np.abs(u), initial=0.0, where=np.isfinite(u))
         if name in ERRORS:
             scale = np.maximum(scale, _in_unit_of(name, size))
-        same = (np.abs(u - v) <= within * scale) | (u == v) | (np.isnan(u) & np.isnan(v))
-        if not same.all():
+        if not np.where(np.isfinite(u) & np.isfinite(v), np.abs(u - v) <= within * scale, _same(u, v)).all():
             return False
     return True
 
 
-def _comparable(x: pa.ChunkedArray, y: pa.ChunkedArray) -> bool:
-    """Whether two columns are numbers, as many of which are missing."""
-    return bool(pa.types.is_floating(x.type)) and x.null_count == y.null_count
+def _same(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Whether numbers are equal, NaN to NaN."""
+    return np.asarray((u == v) | (np.isnan(u) & np.isnan(v)))
+
+
+def _unequal(a: pa.Table, b: pa.Table) -> list[tuple[str, np.ndarray, np.ndarray]] | None:
+    """The columns of numbers in which two tables differ; None where they differ in anything else."""
+    if a.schema.names != b.schema.names or len(a) != len(b):
+        return None
+    both = [(name, a[name], b[name]) for name in a.schema.names if not a[name].equals(b[name])]
+    if not all(pa.types.is_floating(x.type) and x.null_count == y.null_count for _, x, y in both):
+        return None
+    return [(name, x.to_numpy(), y.to_numpy()) for name, x, y in both]
 
 
 def _in_unit_of(name: str, size: np.ndarray) -> np.ndarray:

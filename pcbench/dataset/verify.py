@@ -29,7 +29,7 @@ from pcbench.dataset.seeds import Seeds
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import padding
 from pcbench.study.as_toml import digest
-from pcbench.study.cells import Cell
+from pcbench.study.cells import Cell, usable
 from pcbench.synthesis.certificate import is_certified
 
 FAIR = "fair.parquet"  # of a study with several tunings
@@ -166,10 +166,10 @@ def _again(target: store.Target, owned: Owned, chosen: list[Block], progress: Pr
 
 def _engine(flow: str, owned: Owned) -> str:
     """The engine that has computed a block: that of its study, but for blocks of another that were merged or added."""
-    if flow == "defined":
-        return "definition"
     asked = str(owned.study.engine)
-    return asked if asked != "definition" else "products" if flow == "lifted" else "steps"
+    if asked == "definition" and flow != "defined":
+        asked = "products" if flow == "lifted" else "steps"
+    return usable("definition" if flow == "defined" else asked)
 
 
 def _tasks(owned: Owned, chosen: list[Block]) -> Iterator[task.Task]:

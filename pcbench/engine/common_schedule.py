@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from pcbench.engine import lane_array
 from pcbench.engine.initial_state import begin
-from pcbench.engine.steps import Happen, jump, measure, note, tells, told
+from pcbench.engine.steps import Happen, any_is_notified, jump, measure, note, notify_sampled
 from pcbench.simulation import sample_noise
 from pcbench.simulation.problem import Layout, Notes, Packet, PerLane, Problem, Row, State
 from pcbench.simulation.sample_noise import Noise
@@ -71,7 +71,9 @@ def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> 
         flight = flight._replace(notes=put(flight.notes, plan.also[k, more], noted))
 
     def tell() -> Any:
-        return lane_array.match_form(told(layout, p, k, state, plan.sample[k] >= 0), state.memories, layout.width)
+        return lane_array.match_form(
+            notify_sampled(layout, p, k, state, plan.sample[k] >= 0), state.memories, layout.width
+        )
 
     def deliver(slot: Array, memories: Any) -> Any:
         number = plan.arrive[k, slot]
@@ -85,7 +87,7 @@ def happen(layout: Layout, p: Problem, noise: Noise, k: Array, state: State) -> 
 
         return lax.cond(number >= 0, jumped, lambda memories: memories, memories)
 
-    if tells(layout):
+    if any_is_notified(layout):
         state = state._replace(memories=lax.cond(plan.sense[k] >= 0, tell, lambda: state.memories))
     memories = lax.fori_loop(0, plan.arrive.shape[1], deliver, state.memories)
     return state._replace(memories=memories, flight=flight)

@@ -117,8 +117,8 @@ def _everything(layout: Layout, p: Problem) -> steps.Happen:
     def happen(k: Array, state: State) -> State:
         packet = Packet(steps.measure(layout, p, k, state, noise), steps.note(layout, p, k, state))
         before = state.memories
-        if steps.tells(layout):
-            state = state._replace(memories=steps.told(layout, p, k, state, row.fresh))
+        if steps.any_is_notified(layout):
+            state = state._replace(memories=steps.notify_sampled(layout, p, k, state, row.fresh))
         memories = steps.jump(layout, p, k, state, row, packet)
         if random:  # what a jump changes at all, it changes in some lanes only
             memories = lane_array.unless_same(memories, before, layout.width)

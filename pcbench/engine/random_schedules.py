@@ -13,7 +13,7 @@ from jax import Array, lax
 
 from pcbench.engine import lane_array, packing
 from pcbench.engine.initial_state import begin
-from pcbench.engine.steps import flow, jump, measure, note, tells, told
+from pcbench.engine.steps import any_is_notified, flow, jump, measure, note, notify_sampled
 from pcbench.simulation import sample_noise
 from pcbench.simulation.problem import Layout, Notes, Packet, Problem, Row, State
 from pcbench.simulation.schedule.agenda import Agenda, agenda
@@ -113,7 +113,7 @@ def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple
 
 def _take(events: Events, k: Array, state: State) -> State:
     """Let the samples of tick k be taken, and noted where they are believed to be of it: CHUNK runs at a time."""
-    taken, noting, now, telling = events.taken, events.noting, k * events.rows, tells(events.layout)
+    taken, noting, now, telling = events.taken, events.noting, k * events.rows, any_is_notified(events.layout)
 
     def due(c: tuple[Flight, Any]) -> Array:
         return (taken.when[c[0].done.sensed] == now) | (noting.when[c[0].done.noted] == now)
@@ -124,7 +124,7 @@ def _take(events: Events, k: Array, state: State) -> State:
         values = _write(flight.values, sensed, _measured(events, k, state, sensed))
         notes = _write(flight.notes, noted, note(events.layout, events.p, k, _taken_out(events, state, noted)))
         if telling:
-            memories = _told(events, k, state._replace(memories=memories), sensed)
+            memories = _notified(events, k, state._replace(memories=memories), sensed)
         done = Progress(done.sensed + sensed.size, done.noted + noted.size, done.arrived)
         return Flight(values, notes, done), memories
 
@@ -139,10 +139,10 @@ def _measured(events: Events, k: Array, state: State, c: Chunk) -> Any:
     return measure(events.layout, events.p, k, state._replace(x=x, drawn=drawn), lane_array.split(noise))
 
 
-def _told(events: Events, k: Array, state: State, c: Chunk) -> packing.Kept:
-    """The memories after the observers of some runs were told of their samples."""
+def _notified(events: Events, k: Array, state: State, c: Chunk) -> packing.Kept:
+    """The memories after the observers of some runs were notified of their samples."""
     mine, number = _taken_out(events, state, c), _of_channels(events, events.agenda.number, c.row, c.lane)
-    after = told(events.layout, events.p, k, mine, lane_array.split(number >= 0))
+    after = notify_sampled(events.layout, events.p, k, mine, lane_array.split(number >= 0))
     return packing.put_back(
         state.memories, events.form.pack(lane_array.match_form(after, mine.memories, CHUNK)), c.lane
     )

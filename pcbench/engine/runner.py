@@ -113,7 +113,7 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
         found = traced().shape
         return *given, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), found)
 
-    stepped = "defined" if layout.defined else "stepped"
+    way = "defined" if layout.defined else "stepped"  # of observers that have no maps
     reads = map_cache.reads(traced()) if layout.lifted else {}
     with pools.pool(1) as beside:  # each takes seconds
         maker = beside.submit(in_float64, _maker, given[0], traced, reads, options)
@@ -126,7 +126,7 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
         width=layout.width,
         compile_seconds=perf_counter() - start,
         compiled=call,
-        ways={label: "lifted" if label in reads else stepped for label, _ in layout.observers},
+        ways={label: "lifted" if label in reads else way for label, _ in layout.observers},
         maps=partial(map_cache.given, made),
         number=next(_NUMBERS),
         memory=max(_memory(call), _memory(made.call) if made else 0),
@@ -176,8 +176,9 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
     waiting: list[tuple[Job, Any]] = []
     for job in jobs:
         given = arguments(job, made.width)
-        fits = made if job.schedules is None else program(made.layout, job, made.device)  # schedules have other shapes
-        waiting.append((job, fits.call(*given, fits.maps(given[0]))))
+        if job.schedules is not None:  # they have other shapes, where more arrives at a tick
+            made = program(made.layout, job, made.device)
+        waiting.append((job, made.call(*given, made.maps(given[0]))))
         if len(waiting) > 1:
             yield _read(*waiting.pop(0))
     for job, out in waiting:

@@ -82,8 +82,8 @@ def note(layout: Layout, p: Problem, k: Array, state: State) -> Notes:
     return vmap_entrywise(partial(simulate_runs.take_notes, layout, p))(k, state.memories, state.commands)
 
 
-def told(layout: Layout, p: Problem, k: Array, state: State, fresh: PerLane) -> Memories:
-    """Return the memories after observers were told which channels [q] are sampled at tick k; `tells` says whether any is."""
+def notify_sampled(layout: Layout, p: Problem, k: Array, state: State, fresh: PerLane) -> Memories:
+    """Return the memories after those observers that ask for it were notified which channels [q] are sampled at tick k."""
 
     def one_lane(k: Array, lane: Lane, fresh: Array) -> Memories:
         after = simulate_runs.notify(layout, p, k, lane.run, fresh)
@@ -92,8 +92,8 @@ def told(layout: Layout, p: Problem, k: Array, state: State, fresh: PerLane) -> 
     return vmap_entrywise(one_lane)(k, seen(layout, state), fresh)
 
 
-def tells(layout: Layout) -> bool:
-    """Whether any observer is told at sampling time."""
+def any_is_notified(layout: Layout) -> bool:
+    """Whether any observer asks to be notified at sampling time."""
     return any(o.sampled for _, o in layout.observers)
 
 

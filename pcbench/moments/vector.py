@@ -1,7 +1,7 @@
 """What noise reaches of a state, as one vector, and slopes of the simulated functions along it.
 
 Which arrays those are is found as the simulation finds what differs between its runs (`engine.initial_state`). What is the
-same in all runs, a filter's covariance or a counter, stays out of the vector; a slope is taken where it stands.
+same in all runs, a filter's covariance or a counter, stays out of the vector; a slope is taken at its present value.
 """
 
 import itertools

@@ -67,7 +67,7 @@ def drafts(
 
 def _programs(cell: Cell, apart: bool) -> list[dict[str, BaseModel]]:
     """Return the options of a cell's observers, those of one program at a time."""
-    loop, apart = bool(cell.scenario.loop.controller), apart or cell.engine == "definition"
+    loop = bool(cell.scenario.loop.controller)
     alone = [o for o in cell.options if loop or (apart and cell.entry(o).expensive)]
     others = {o: given for o, given in cell.options.items() if o not in alone}
     return [group for group in (others, *({o: cell.options[o]} for o in alone)) if group] or [{}]

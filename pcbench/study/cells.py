@@ -125,7 +125,7 @@ def cells(study: Study, scenario: str, where: str | None = None) -> list[Cell]:
         cell = cell_of(changed, index, values, parameters, choices)
         here = tuned.options(cell, list(options))
         by_label = digests | {o: told(each, mine.get(o)) for o, each in here.items()}
-        identified = cell._replace(digest=identity(cell, study.root_seed), engine=_usable(study.engine or "steps"))
+        identified = cell._replace(digest=identity(cell, study.root_seed), engine=usable(study.engine or "steps"))
         out.append(identified._replace(options=options | here, own=mine, told=by_label))
     return out
 
@@ -258,13 +258,13 @@ def with_engine(grid: Grid, engine: str | None) -> Grid:
     study, every = grid
     runs = max((sum(c.scenario.name == s for c in every) * study.seeds for s in study.scenarios), default=0)
     if engine is None:
-        name = _usable(study.engine or ("products" if runs >= MANY else "steps"))
+        name = usable(study.engine or ("products" if runs >= MANY else "steps"))
     else:
-        name = engine if study.engine is None or _usable(study.engine) == engine else study.engine
-    return Grid(study.model_copy(update={"engine": name}), [c._replace(engine=_usable(name)) for c in every])
+        name = engine if study.engine is None or usable(study.engine) == engine else study.engine
+    return Grid(study.model_copy(update={"engine": name}), [c._replace(engine=usable(name)) for c in every])
 
 
-def _usable(engine: str) -> str:
+def usable(engine: str) -> str:
     """Return an engine, or the definition where that engine does not know the jax that is installed."""
     from pcbench.engine import jaxpr_compat  # with jax
 

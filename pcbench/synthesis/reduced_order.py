@@ -122,8 +122,10 @@ def design(plant: Partition, given: list[Matrix], integral: bool, rate: float, w
     what = what.replace("< P", f"< e^{{-2 {rate:g} T}} P") if rate else what
     found, certificate = common_lyapunov.design(shown, every, rate, f"{what} at every interval T", where)
     Kp, Ki = (gain * into_y.T for gain in gains(found))
-    of = np.tile(unseen, 2 if integral else 1)
-    numbers = dict(certificate.numbers) | {"P": found.P / np.outer(of, of), "Kp": Kp} | ({"Ki": Ki} if integral else {})
+    scale = np.tile(unseen, 2 if integral else 1)
+    numbers = (
+        dict(certificate.numbers) | {"P": found.P / np.outer(scale, scale), "Kp": Kp} | ({"Ki": Ki} if integral else {})
+    )
     return ReducedOrderGains(Kp, Ki, certificate._replace(numbers=numbers))
 
 

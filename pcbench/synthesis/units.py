@@ -7,7 +7,7 @@ from pcbench.synthesis.certificate import Setting
 
 
 def near(size: Matrix) -> Matrix:
-    """Return the units nearest to sizes [n]; 1 for a size of 0. Of sizes a thousand times larger they are so, too."""
+    """Return the units nearest to sizes [n], 1 for a size of 0. Units of sizes a thousand times larger are so much larger."""
     return 1000.0 ** np.round(np.log10(np.where(size > 0, size, 1.0)) / 3)
 
 

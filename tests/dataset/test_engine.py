@@ -1,11 +1,14 @@
 """Which engine computes a study: chosen by its size, written into the dataset, and kept from then on."""
 
+import shutil
+
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 import pcbench
-from pcbench.dataset import block_files, compare, merge, ownership, store, verify
+from pcbench.dataset import block_files, compare, merge, ownership, rows_apart, store, verify
 from pcbench.engine import jaxpr_compat
 from pcbench.errors import UserError
 from pcbench.study import cells, read
@@ -113,6 +116,12 @@ def test_by_the_definition_heavy_observers_leave_others_their_bits(tmp_path):
     np.testing.assert_allclose(stepped.rmse, both.rmse, rtol=1e-11)
 
 
+@pytest.mark.parametrize("engine", ["definition", "steps"])
+def test_a_trace_has_heavy_observers_and_others_whatever_the_engine(engine):
+    found = pcbench.trace(RANDOM | {"engine": engine}, ["dkf", "particle"])
+    assert {"dkf.x1", "particle.x1"} <= set(found.columns)
+
+
 def kept(out):
     return pcbench.opened(out).runs.set_index(KEYS).sort_index()
 
@@ -171,3 +180,37 @@ def test_with_a_jax_that_the_engines_do_not_know_the_definition_computes_and_say
     place = store.target(tmp_path / "begun")
     flows = [block_files.about_block(place, b)["flow"] for b in sorted(block_files.present(place))]
     assert flows == ["stepped", "defined"]
+
+
+def test_two_datasets_of_one_engine_are_compared_to_the_bit_after_one_of_another(tmp_path):
+    for name, engine in (("a", "definition"), ("b", "steps")):
+        pcbench.run(STUDY | {"engine": engine}, out=tmp_path / name)
+    shutil.copytree(tmp_path / "b", tmp_path / "c")
+    place = store.target(tmp_path / "c")
+    (block,) = block_files.present(place)
+    table = block_files.read(place, block)
+    i = table.schema.get_field_index("mae")
+    moved = table.set_column(i, table.schema.field(i), pa.array(table["mae"].to_numpy() * (1 + 1e-13)))
+    store.put_table(place, block.name, block_files.sealed(moved, block_files.about(table)))
+    for order in ("abc", "cba"):
+        with pytest.raises(UserError, match="expected equal rows"):
+            merge.merge([tmp_path / name for name in order], tmp_path / order)
+    assert merge.merge([tmp_path / "a", tmp_path / "c"], tmp_path / "ac").missing == 0
+
+
+@pytest.mark.parametrize(
+    ("column", "before", "after", "same"),
+    [
+        ("final", [1e-17, 2e-16], [3e-16, -2e-16], True),  # zero beside a peak of 1e3
+        ("rmse", [1.0, 2.0], [1.0, 2.0 + 1e-8], True),
+        ("settling_time", [1.0, 2.0], [1.0, 2.0 + 1e-8], False),
+        ("settling_time", [1.0, np.nan], [1.0, np.nan], True),
+        ("settling_time", [1.0, np.nan], [1.0, 2.0], False),
+        ("nees", [1.0, 1e9], [1.0 + 1e-3, 1e9], True),
+        ("nees", [np.inf, 1.0], [np.inf, 1.0], True),
+        ("nees", [np.inf, 1.0], [1.0, 1.0], False),
+    ],
+)
+def test_a_number_is_held_against_the_largest_of_its_column_an_error_against_its_peak(column, before, after, same):
+    tables = [pa.table({"signal": ["x", "x"], "peak": [1e3, 1e3], column: each}) for each in (before, after)]
+    assert rows_apart.of_one_run(*tables, within=1e-11) == same

@@ -222,12 +222,16 @@ def test_particles_equal_the_reference_on_the_same_draws(many, share):
     same(P, np.array([each for _, each in want]))
 
 
+def eight_particles():
+    """Gains of a filter that never resamples, and the present of tick 0."""
+    entry, zero, u = OBSERVERS["particle"], jnp.asarray(0), jnp.zeros(1)
+    gains = entry.design(swinging.told(), entry.options(particles=8, resample=0.0)).gains
+    return gains, Now(jnp.asarray(0.0), zero, jnp.asarray(swinging.H), u, lambda age: u)
+
+
 def test_a_particle_that_overflows_gets_weight_zero():
     """The other particles give mean and covariance, at this tick and after the next measurement."""
-    entry = OBSERVERS["particle"]
-    gains = entry.design(swinging.told(), entry.options(particles=8, resample=0.0)).gains
-    zero, u = jnp.asarray(0), jnp.zeros(1)
-    now = Now(jnp.asarray(0.0), zero, jnp.asarray(swinging.H), u, lambda age: u)
+    gains, now = eight_particles()
     before = particle.first(gains, jnp.asarray(swinging.START))
     before = before._replace(x=before.x.at[3, 1].set(1.7e308))
     after = particle.tick(gains, now, before)
@@ -240,19 +244,17 @@ def test_a_particle_that_overflows_gets_weight_zero():
     assert np.isfinite(particle.mean(gains, particle.update(gains, now, after, arrival))).all()
 
 
-def test_a_particle_whose_sensor_has_no_value_does_not_take_part_in_the_nis():
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_particle_whose_sensor_has_no_value_does_not_take_part_in_the_nis(value):
     """As of a level below zero whose root is measured: what is expected of a sample is the other particles'."""
-    entry = OBSERVERS["particle"]
-    gains = entry.design(swinging.told(), entry.options(particles=8, resample=0.0)).gains
-    zero, u = jnp.asarray(0), jnp.zeros(1)
-    now = Now(jnp.asarray(0.0), zero, jnp.asarray(swinging.H), u, lambda age: u)
+    gains, now = eight_particles()
     state = particle.first(gains, jnp.asarray(swinging.START))
     sensor, gains = gains.sensor, gains._replace(R=jnp.asarray(gains.R))
 
     def partial(now, x, p):
-        return jnp.where(x[0] == state.x[3, 0], jnp.nan, sensor(now, x, p))
+        return jnp.where(x[0] == state.x[3, 0], value, sensor(now, x, p))
 
-    sample = Measurement(taken=zero, fresh=jnp.array([True, True]), value=jnp.array([0.4, 0.1]), note=jnp.zeros(0))
+    sample = Measurement(taken=now.tick, fresh=jnp.array([True, True]), value=jnp.array([0.4, 0.1]), note=jnp.zeros(0))
     found = particle.expected(gains._replace(sensor=partial), now, state, sample)
     off = jnp.where(jnp.arange(8) == 3, -jnp.inf, -jnp.log(7.0))
     want = particle.expected(gains, now, state._replace(weight=off), sample)

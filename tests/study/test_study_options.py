@@ -63,10 +63,10 @@ def test_a_plants_parameters_may_stand_as_a_table_of_their_own():
         study("cart/white", axes={"plant": {"lam": [110.0]}, "plant.lam": [120.0]})
 
 
-def test_a_label_without_its_options_or_its_dash_is_told_how_it_is_written():
-    for changes, told in (
+def test_a_label_without_its_options_or_its_dash_is_answered_with_how_it_is_written():
+    for changes, answer in (
         ({"observers": ["dkf-gate"]}, r"observers: got 'dkf-gate' without options, .* write \[options\.dkf-gate\]"),
         ({"options": {"dkf2": {"R": 2.0}}}, r"options\.dkf2: got no observer, .* write \[options\.dkf-2\]"),
     ):
-        with pytest.raises(UserError, match=told):
+        with pytest.raises(UserError, match=answer):
             study("cart/white", **changes)
