@@ -43,7 +43,6 @@ from turns import Row, Timed, take
 import pcbench
 from pcbench import planning
 from pcbench.engine import runner
-from pcbench.engine.products import map_cache
 from pcbench.machine import process, provenance
 from pcbench.planning import padding
 from pcbench.planning.padding import Plan
@@ -129,8 +128,8 @@ def pcbench_rows(
 
 def turn(layout: Layout, jobs: list[runner.Job], cores: int) -> None:
     """Simulate a cell's jobs as if none of that kind had been simulated before."""
-    map_cache.KEPT.clear()
-    for _ in runner.run(layout, jobs, cores):
+    problem = jobs[0].problem._replace()  # of a cell that is new
+    for _ in runner.run(layout, [job._replace(problem=problem) for job in jobs], cores):
         pass
 
 

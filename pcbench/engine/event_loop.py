@@ -15,7 +15,7 @@ from jax import Array, lax
 
 from pcbench.engine import common_schedule, lane_array, random_schedules, steps
 from pcbench.engine.initial_state import drawing
-from pcbench.engine.products import flow as lifted
+from pcbench.engine.products.flow import flow
 from pcbench.simulation import judging
 from pcbench.simulation.metrics import Weights
 from pcbench.simulation.problem import Layout, Memories, Outcome, Problem, State
@@ -36,7 +36,7 @@ class Events(NamedTuple):
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: Any = None) -> Outcome:
     """Simulate one lane for each of seeds[L] over all windows, the last of one tick; L must be `layout.width`.
 
-    `maps` are what `products.map_cache` made of this layout and problem; None: they are made here.
+    `maps` are what `products.block_maps` made of this layout and problem; None: they are made here.
     """
     layout = judging.watched(layout) if layout.consistency else layout
     events, state = _events(layout, p, root_seed, seeds)
@@ -51,20 +51,19 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
     def stepped(layout: Layout, start: Array, stop: Array, state: State) -> State:
         return lax.fori_loop(start, stop, partial(tick, layout), state)  # two ticks a body would draw noise twice
 
-    way = lifted.way(layout, p, state, stepped, maps)
+    flows = flow(layout, p, state, stepped, maps)
 
     def segment(edge: Array, k: Array, state: State) -> tuple[Array, State]:
         state = events.happen(k, state)  # a window's edge may be no event: then nothing happens
         following = events.following(k, state)
         stop = jnp.minimum(jnp.minimum(following, edge), end)  # the last tick's events happen, its flow is not needed
-        return jnp.where(k < end, stop, k + 1), way.flow(k, stop, state)
+        return jnp.where(k < end, stop, k + 1), flows(k, stop, state)
 
     def window(state: State, edges: Array) -> tuple[State, Any]:
         _, state = lax.while_loop(lambda c: c[0] < edges[1], lambda c: segment(edges[1], *c), (edges[0], state))
         return state._replace(**empty), (state.streams, state.tracking, state.effort)
 
-    state, sums = lax.scan(window, way.ready(state), p.windows)
-    state = way.settled(state)
+    state, sums = lax.scan(window, state, p.windows)
     state = state._replace(memories=events.whole(state.memories))
     last = steps.score(layout, p, end, state)  # of the last tick its error is all that is needed
     if isinstance(p.weights, Weights):  # or its command, where the input counts

@@ -8,8 +8,8 @@ many threads as there are cores, so that a run has the same bits whatever runs b
 import itertools
 import operator
 import os
-from collections.abc import Callable, Iterable, Iterator
-from functools import cache, partial
+from collections.abc import Iterable, Iterator
+from functools import partial
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -17,14 +17,13 @@ import jax
 import numpy as np
 
 from pcbench.engine import event_loop
-from pcbench.engine.products import map_cache
+from pcbench.engine.products.block_maps import Maps, every_map
 from pcbench.errors import UserError
 from pcbench.machine import pools, process, program_cache
 from pcbench.simulation import judging
 from pcbench.simulation.problem import Layout, Outcome, Problem
 from pcbench.simulation.simulate_runs import simulate_runs
 
-Reads = dict[str, list[int]]  # by form, which leaves of a problem its maps depend on
 WIDTH = 1024  # lanes a call
 DEFINITION = 64  # of the definition
 EXPENSIVE = 8  # of the definition with an observer whose runs are expensive
@@ -56,9 +55,28 @@ class Program(NamedTuple):
     compile_seconds: float
     compiled: Any  # the executable itself, for those who want to read it
     ways: dict[str, str]  # by observer: lifted, stepped or defined
-    maps: Callable[[Problem], map_cache.Every]  # of a lifted flow, made before a call, or kept from an earlier one
+    maps: "MapsOfCell"  # of products, made before a cell's first call
     number: int = 0  # of this process: the first program, the second ...
     memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
+
+
+class MapsOfCell:
+    """Makes the maps of a cell once, for all calls that have its problem."""
+
+    def __init__(self, make: Any) -> None:
+        """Begin with none; `make` is a compiled call, None where nothing goes by products."""
+        self.make = make
+        self.last: tuple[Problem | None, dict[str, Maps]] = (None, {})
+
+    def __call__(self, p: Problem) -> dict[str, Maps]:
+        """Return the maps of a problem: those made last, if it is the same object."""
+        if self.make is None:
+            return {}
+        problem, maps = self.last
+        if problem is not p:
+            maps = self.make(jax.tree.map(np.asarray, p))
+            self.last = p, maps
+        return maps
 
 
 def devices(count: int | None = None) -> list[Any]:
@@ -98,27 +116,19 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     sharding = jax.sharding.SingleDeviceSharding(device)
     given = jax.tree.unflatten(tree, [jax.ShapeDtypeStruct(s, d, sharding=sharding) for s, d in shapes])
     options, start = OPTIONS if device.platform == "cpu" else None, perf_counter()
-    lifted = judging.watched(layout) if layout.consistency else layout  # as a simulation has it
 
     def simulate(p: Problem, root_seed: Any, seeds: Any, schedules: Any, maps: Any) -> Outcome:
         if layout.defined:
             return simulate_runs(layout, p, root_seed, seeds, schedules)
         return event_loop.simulate(layout, p, root_seed, seeds, maps)
 
-    @cache
-    def traced() -> map_cache.Traced:
-        return map_cache.traced(lifted, given[0])
-
-    def with_maps() -> tuple[Any, ...]:
-        found = traced().shape
-        return *given, jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), found)
-
+    mapped = jax.jit(partial(every_map, judging.watched(layout) if layout.consistency else layout)).trace(given[0])
+    shapes_of_maps = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), mapped.out_info)
     way = "defined" if layout.defined else "stepped"  # of observers that have no maps
-    reads = map_cache.reads(traced()) if layout.lifted else {}
     with pools.pool(1) as beside:  # each takes seconds
-        maker = beside.submit(in_float64, _maker, given[0], traced, reads, options)
-        call = jax.jit(simulate).lower(*with_maps()).compile(options)
-        made = maker.result()
+        maker = beside.submit(in_float64, lambda: mapped.lower().compile(options)) if shapes_of_maps else None
+        call = jax.jit(simulate).lower(*given, shapes_of_maps).compile(options)
+        made = maker.result() if maker else None
     return Program(
         layout=layout,
         call=call,
@@ -126,25 +136,11 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
         width=layout.width,
         compile_seconds=perf_counter() - start,
         compiled=call,
-        ways={label: "lifted" if label in reads else way for label, _ in layout.observers},
-        maps=partial(map_cache.given, made),
+        ways={label: "lifted" if label in shapes_of_maps else way for label, _ in layout.observers},
+        maps=MapsOfCell(made),
         number=next(_NUMBERS),
-        memory=max(_memory(call), _memory(made.call) if made else 0),
+        memory=max(_memory(call), _memory(made) if made else 0),
     )
-
-
-def _maker(
-    given: Problem, traced: Callable[[], map_cache.Traced], reads: Reads, options: Any
-) -> map_cache.Maker | None:
-    """What makes the maps of a layout; None where there are none."""
-    if not reads:
-        return None
-
-    def maps(p: Problem) -> map_cache.Every:
-        return traced()(p)
-
-    call = jax.jit(maps).lower(given).compile(options)
-    return map_cache.Maker(call, tuple(sorted(set().union(*reads.values()))), next(_NUMBERS))
 
 
 def _memory(call: Any) -> int:
@@ -178,7 +174,7 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
         given = arguments(job, made.width)
         if job.schedules is not None:  # they have other shapes, where more arrives at a tick
             made = program(made.layout, job, made.device)
-        waiting.append((job, made.call(*given, made.maps(given[0]))))
+        waiting.append((job, made.call(*given, made.maps(job.problem))))
         if len(waiting) > 1:
             yield _read(*waiting.pop(0))
     for job, out in waiting:

@@ -102,7 +102,6 @@ class State(NamedTuple):
     tracking: Any = ()  # metrics.Stream of the set point less the state, in a closed loop
     law: Any = ()  # what the controller keeps
     effort: Any = ()  # metrics.Effort of a closed loop
-    exits: Any = ()  # of a lifted flow, what settling times are found by: settling.Exits by observer label
 
 
 class Outcome(NamedTuple):

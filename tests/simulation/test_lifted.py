@@ -10,15 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pcbench import planning
-from pcbench.engine import runner
-from pcbench.engine.initial_state import begin
-from pcbench.engine.products import affine_detection, blocks, jaxpr_dependence, map_cache, matmul, qr_sums
+from pcbench.engine import event_loop, runner
+from pcbench.engine.products import affine_detection, blocks, jaxpr_dependence, matmul
+from pcbench.engine.products.block_maps import every_map
 from pcbench.machine import process
 from pcbench.observers import OBSERVERS
 from pcbench.protocols import Observer
 from pcbench.simulation import metrics
-from pcbench.study import read as read_study
 from tests.support.harness import LINEAR, ODD, Case, problem, recorder
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
@@ -104,7 +102,7 @@ def ways(observer=None, label="dkf", case=CASE):
     layout, p = problem(case, {label: {}})
     each = ((label, observer or OBSERVERS[label].observer),)
     with process.float64():
-        found = map_cache.reads(map_cache.traced(layout._replace(observers=each, lifted=ROOM, random_start=True), p))
+        found = jax.eval_shape(partial(every_map, layout._replace(observers=each, lifted=ROOM, random_start=True)), p)
         return "lifted" if label in found else "stepped"
 
 
@@ -145,25 +143,12 @@ def test_an_observer_of_ones_own_is_lifted_where_its_flow_is_affine(kind):
     assert ways(own(flow)) == way
 
 
-@pytest.mark.parametrize(("label", "drift", "expected"), [("dkf", 0.0, True), ("dkf", 0.5, True), ("kfbo", 0.0, False)])
-def test_what_is_the_same_at_every_tick_is_known(label, drift, expected):
-    """Of a plant's state it is not asked, whether that drifts or not; kfbo begins a delay late."""
-    study = {"name": "x", "scenarios": ["cart/gaussian"], "observers": [label], "seeds": 1, "axes": {"drift": [drift]}}
-    planned = planning.plan(read_study.parse(study, "x"))[0]
-    layout = planned.layout._replace(width=1)
-    with process.float64():
-        state = jax.eval_shape(partial(begin, layout), planned.problem, jnp.asarray(0), jnp.zeros(1, int))
-        (mine,) = (each for each in affine_detection.forms(layout, planned.problem, state) if each.label == label)
-        found = affine_detection.steady(layout, planned.problem, state, mine)
-    assert mine.shared
-    assert found == (tuple(i for i in (*mine.own, *mine.shared) if i) if expected else ())
-
-
 def test_a_plant_that_bends_lifts_nobody():
     layout, p = problem(CASE, {"dkf": {}})
     bent = LINEAR._replace(step=lambda params, now, x: jnp.sin(x))
     with process.float64():
-        assert map_cache.reads(map_cache.traced(layout._replace(plant=bent, lifted=ROOM), p)) == {}
+        assert jax.eval_shape(partial(every_map, layout._replace(plant=bent, lifted=ROOM)), p) == {}
+        assert every_map(layout, p) == {}
         assert not affine_detection.plant_goes(layout._replace(plant=bent), p)
         assert not affine_detection.plant_goes(layout, p._replace(process_std=np.ones(3)))
 
@@ -205,19 +190,30 @@ def test_dense_events_and_long_and_short_horizons_are_stepped():
 
 
 @pytest.mark.parametrize("own", [0, 2, matmul.FEW, matmul.FEW + 3])
-def test_sums_of_squares_are_those_of_the_errors_whatever_part_of_them_lanes_share(own):
-    """R of the QR of a chunk's map gives what the map gives, with few numbers of a lane's own or many."""
-    rng, common, lanes = np.random.default_rng(own), 3, 5
-    E, z, shared = (
-        rng.normal(size=(1, 64 * 2, own + common)),
-        rng.normal(size=(own, lanes)),
-        rng.normal(size=common - 1),
-    )
+def test_products_are_those_of_matrices_whether_written_out_or_not(own):
+    rng = np.random.default_rng(own)
+    M, fixed, z = rng.normal(size=(6, own)), rng.normal(size=6), rng.normal(size=(own, 5))
     with process.float64():
-        found = qr_sums.basis(jnp.asarray(E[..., :own]), 2)
-        a = (E[0, :, own:] @ np.append(1.0, shared)).reshape(64, 2).T
-        along, beside = qr_sums.parts(found.Q[0], jnp.asarray(a))
-        squares = qr_sums.square(found.R[0], along, beside, jnp.asarray(z) if own else jnp.zeros((0, 1)))
-    e = E[0, :, :own] @ z + (E[0, :, own:] @ np.append(1.0, shared))[:, None]
-    expected = (e**2).reshape(64, 2, lanes).sum(0)
-    np.testing.assert_allclose(np.broadcast_to(squares, expected.shape), expected, rtol=1e-12)
+        found = matmul.of_lanes(*(jnp.asarray(a) for a in (M, fixed, z)))
+    np.testing.assert_allclose(np.broadcast_to(found, (6, 5)), fixed[:, None] + M @ z, rtol=1e-13, atol=1e-14)
+
+
+def test_maps_are_made_once_for_the_calls_of_a_cell_and_anew_for_the_next():
+    _, p = problem(CASE, {"dkf": {}})
+    calls, other = [], p._replace(noise_std=p.noise_std * 2)
+    maps = runner.MapsOfCell(lambda p: calls.append(p) or {"made": len(calls)})
+    found = [maps(q)["made"] for q in (p, p, other, other, p)]
+    assert found == [1, 1, 2, 2, 3]
+    assert runner.MapsOfCell(None)(p) == {}
+
+
+@pytest.mark.nightly
+def test_a_call_leaves_the_same_with_maps_that_it_makes_itself():
+    layout, p = problem(CASE, {o: {} for o in ("pccebo", "dkf")})
+    layout, p = layout._replace(lifted=ROOM, width=WIDTH, random_start=True), jax.tree.map(np.asarray, p)
+    job = runner.Job(p, 0, np.arange(WIDTH))
+    with process.float64():
+        made = next(runner.serial(runner.program(layout, job), [job]))[1]
+        alone = jax.jit(partial(event_loop.simulate, layout))(p, np.asarray(0), np.arange(WIDTH))
+    for a, b in zip(jax.tree.leaves(made), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_allclose(a, b, 1e-11, 1e-13 * np.abs(b).max(initial=0.0))

@@ -92,26 +92,6 @@ def slopes(layout: Layout, p: Problem, label: str, tree: Any, k: Array, leaves: 
     return jax.jvp(of_z, ({i: leaves[i] for i in along},), (along,))
 
 
-def steady(layout: Layout, p: Problem, state: State, form: Form) -> tuple[int, ...]:
-    """Return leaves of a memory's z along which the derivative is the same at every tick: all, a lane's own, or none.
-
-    A memory's lead to a memory's only, and a lane's own to a lane's own. Of x it is not asked: whether a plant's numbers are
-    looked up by tick depends on the other cells of a study, and bits are not to.
-    """
-    tree, each = one_lane(state, form.label)
-    zeros = [jnp.zeros(a.shape, a.dtype) for a in each]
-
-    def slope(k: Array, p: Problem, along: Z) -> Any:
-        return slopes(layout, p, form.label, tree, k, zeros, along)[1]
-
-    memory = [tuple(i for i in leaves if i) for leaves in ((*form.own, *form.shared), form.own)]
-    for some in memory if form.label != PLANT else ():
-        (e, after), _ = reach(slope, jax.ShapeDtypeStruct((), int), p, {i: each[i] for i in some})
-        if some and not any(0 in found for found in (e, *after.values())):
-            return some
-    return ()
-
-
 def _form(layout: Layout, p: Problem, state: State, label: str) -> Form | None:
     found = _classes(layout, p, label, *one_lane(state, label))
     if found is None:

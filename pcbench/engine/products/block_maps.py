@@ -10,15 +10,16 @@ import math
 from functools import partial
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 
 from pcbench.engine import lane_array
+from pcbench.engine.initial_state import begin
 from pcbench.engine.interpreter import vmap_entrywise
-from pcbench.engine.products.affine_detection import PLANT, Form, Z, one_lane, slopes, steady
-from pcbench.engine.products.blocks import TICKS, Chunks
-from pcbench.engine.products.qr_sums import Basis, basis
+from pcbench.engine.products.affine_detection import PLANT, Form, Z, forms, one_lane, slopes
+from pcbench.engine.products.blocks import TICKS, Chunks, chunks
 from pcbench.simulation.problem import Layout, Problem, State
 
 
@@ -27,7 +28,6 @@ class Maps(NamedTuple):
 
     own: Array  # [C, TICKS n, r] what each own number adds to the errors
     common: Array  # [C, TICKS n, 1 + S] what is the same in all lanes, and what shared numbers add
-    basis: Basis  # the QR of `own`, by which squares are summed
     own_after: Array  # [C, r', r] the same of own numbers behind the chunk
     common_after: Array  # [C, r', 1 + S]
     shared_after: Array  # [C, S', 1 + S] and of shared ones
@@ -40,58 +40,43 @@ class Moving(NamedTuple):
     shared: Array  # [S]
 
 
-class Columns(NamedTuple):
-    """What M chunks do to some columns: to z = 0, and to directions of z; F numbers."""
-
-    errors: Array  # [M, TICKS n, columns]
-    after: Array  # [M, F, columns]
+def every_map(layout: Layout, p: Problem) -> dict[str, Maps]:
+    """Return by label the maps of the plant and of every observer that goes by products; none where nothing does."""
+    if not layout.lifted:
+        return {}
+    layout = layout._replace(width=1, ring=1)  # no map depends on them
+    state = jax.eval_shape(partial(begin, layout), p, jnp.asarray(0), jnp.zeros(1, int))
+    each = chunks(p, layout.lifted)
+    return {form.label: maps(layout, p, state, form, each) for form in forms(layout, p, state)}
 
 
 def maps(layout: Layout, p: Problem, state: State, form: Form, each: Chunks) -> Maps:
-    """Return the maps of one form."""
-    _, shapes = one_lane(state, form.label)
-    order = [*form.own, *form.shared]
+    """Return the maps of one form: of z = 0, and of a direction along each number of z."""
+    tree, shapes = one_lane(state, form.label)
+    order, C = [*form.own, *form.shared], each.start.shape[0]
     sizes = [math.prod(shapes[i].shape) for i in order]
     F, r = sum(sizes), sum(sizes[: len(form.own)])
-    same = steady(layout, p, state, form)
-    once = 1 + np.flatnonzero(np.repeat([i in same for i in order], sizes))
-    moving, carried = np.setdiff1d(np.arange(1 + F), once), partial(_columns, layout, p, state, form)
-    found = carried(moving, each)
-    if len(once):  # of every length; so many that they fill vectors
-        lengths = Chunks(jnp.zeros(2 * TICKS, int), jnp.minimum(jnp.arange(2 * TICKS), TICKS), each.before)
-        back, steadily = np.argsort(np.r_[moving, once]), carried(once, lengths)
-        both = zip(found, steadily, strict=True)
-        found = Columns(*(jnp.concatenate([a, b[each.length]], -1)[..., back] for a, b in both))
-    errors, after = found
-    moves = np.repeat([i != 0 or form.label == PLANT for i in order], sizes)
-    own, shared, common = np.flatnonzero(moves[:r]), r + np.flatnonzero(moves[r:]), np.r_[0, 1 + r : 1 + F]
-    return Maps(
-        own=errors[..., 1 : 1 + r],
-        common=errors[..., common],
-        basis=basis(errors[..., 1 : 1 + r], form.signals),
-        own_after=after[:, own, 1 : 1 + r],
-        common_after=after[:, own][..., common],
-        shared_after=after[:, shared][..., common],
-    )
-
-
-def _columns(layout: Layout, p: Problem, state: State, form: Form, which: np.ndarray, each: Chunks) -> Columns:
-    """Return what chunks do to some columns: the first is of z = 0, the others are directions."""
-    tree, shapes = one_lane(state, form.label)
-    order, many, C = [*form.own, *form.shared], len(which), each.start.shape[0]
-    sizes = [math.prod(shapes[i].shape) for i in order]
-    F = sum(sizes)
     zeros = [jnp.zeros(a.shape, a.dtype) for a in shapes]  # what no error depends on may be anything
 
     def column(k: Array, first: Array, z: Z) -> tuple[Array, Z]:
         (e, after), (de, dz) = slopes(layout, p, form.label, tree, k, zeros, z)
         return de + jnp.where(first, e, 0.0), {i: dz[i] + jnp.where(first, after[i], 0.0) for i in z}
 
-    parts = jnp.split(jnp.tile(jnp.eye(F, 1 + F, 1)[:, which], C), np.cumsum(sizes)[:-1])
+    parts = jnp.split(jnp.tile(jnp.eye(F, 1 + F, 1), C), np.cumsum(sizes)[:-1])
     start = {i: lane_array.split(a.reshape(*shapes[i].shape, a.shape[-1])) for i, a in zip(order, parts, strict=True)}
-    e, z = _carried(column, form.signals, start, each, jnp.asarray(which == 0))
-    after = jnp.concatenate([lane_array.join(z[i]).reshape(-1, C, many) for i in order])
-    return Columns(jnp.moveaxis(e.reshape(-1, C, many), 1, 0), jnp.moveaxis(after, 1, 0))
+    e, z = _carried(column, form.signals, start, each, jnp.arange(1 + F) == 0)
+    errors = jnp.moveaxis(e.reshape(-1, C, 1 + F), 1, 0)
+    after = jnp.concatenate([lane_array.join(z[i]).reshape(-1, C, 1 + F) for i in order])
+    after = jnp.moveaxis(after, 1, 0)
+    moves = np.repeat([i != 0 or form.label == PLANT for i in order], sizes)
+    own, shared, common = np.flatnonzero(moves[:r]), r + np.flatnonzero(moves[r:]), np.r_[0, 1 + r : 1 + F]
+    return Maps(
+        own=errors[..., 1 : 1 + r],
+        common=errors[..., common],
+        own_after=after[:, own, 1 : 1 + r],
+        common_after=after[:, own][..., common],
+        shared_after=after[:, shared][..., common],
+    )
 
 
 def _carried(column: Any, signals: int, z: Z, each: Chunks, first: Array) -> tuple[Array, Z]:

@@ -9,37 +9,22 @@ from typing import Any
 import jax.numpy as jnp
 from jax import Array, lax
 
-from pcbench.engine.products import matmul, qr_sums
-from pcbench.engine.products.block_maps import Maps, Moving
-from pcbench.engine.products.blocks import TICKS
 from pcbench.simulation.metrics import Stream, Watch
 from pcbench.simulation.problem import Problem
 
 
-def none(e: Any) -> Array:
-    """Return the sizes of no tick; e [n, L] says their shape."""
-    return lax.complex(jnp.zeros(e.shape), jnp.zeros(e.shape))
-
-
-def sized(e: list[Array], sizes: Array) -> Array:
-    """Take errors into the sizes [n, L]: the sum of |e| as real part, the peak as imaginary one.
+def sizes(e: list[Array], before: Array) -> Array:
+    """Take errors into sizes [n, L]: the sum of |e| as real part, the peak as imaginary one.
 
     One array, for an array is computed in one loop: of two, each would go through all errors again.
     """
     each = [jnp.abs(tick) for tick in e]
-    return lax.complex(sizes.real + _folded(jnp.add, each), _larger(sizes.imag, _folded(_larger, each)))
+    return lax.complex(before.real + _folded(jnp.add, each), _larger(before.imag, _folded(_larger, each)))
 
 
-def squares(m: Maps, c: Array, z: Moving) -> Array:
-    """Return the sum of e^2 over chunk c, [n, L]."""
-    shared, Q = matmul.same(m.common[c], z.shared), m.basis.Q[c]
-    along, beside = qr_sums.parts(Q, shared.reshape(TICKS, len(Q)).T)
-    return qr_sums.square(m.basis.R[c], along, beside, z.own)
-
-
-def scored(stream: Stream, sizes: Array, square: Array) -> Stream:
-    """Take a chunk into the sums."""
-    return Stream(stream.absolute + sizes.real, stream.square + square, _larger(stream.peak, sizes.imag))
+def squares(e: list[Array], before: Array) -> Array:
+    """Take errors into the sum of e^2, [n, L]."""
+    return before + _folded(jnp.add, [tick * tick for tick in e])
 
 
 def stays(p: Problem, stream: Stream, watch: Watch) -> Array:
@@ -62,9 +47,10 @@ def looked(p: Problem, k: Array, e: list[Array], watch: Watch) -> Watch:
     for t, tick in enumerate(e):
         outside = jnp.abs(tick) > band
         unsettled = jnp.where(outside, (k + t + 1).astype(float), unsettled)
-        since = jnp.min(jnp.where(p.jumps <= k + t, k + t - p.jumps, k + t))
-        after = outside & jnp.any(p.jumps <= k + t)
-        recovery = jnp.where(after, jnp.maximum(recovery, since + 1.0), recovery)
+        if p.jumps.shape[0]:
+            since = jnp.min(jnp.where(p.jumps <= k + t, k + t - p.jumps, k + t))
+            after = outside & jnp.any(p.jumps <= k + t)
+            recovery = jnp.where(after, jnp.maximum(recovery, since + 1.0), recovery)
     return watch._replace(unsettled=unsettled, recovery=recovery)
 
 

@@ -6,16 +6,17 @@ is moved by itself, so that its numbers do not depend on who observes it; observ
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax.numpy as jnp
 from jax import Array, lax
 
 from pcbench.engine import lane_array, steps
-from pcbench.engine.products import block_metrics, matmul, settling_time, state_rows
+from pcbench.engine.products import block_metrics, matmul, state_rows
 from pcbench.engine.products.affine_detection import PLANT, Form, forms, leaves_of, with_leaves
-from pcbench.engine.products.block_maps import Maps, Moving, maps
+from pcbench.engine.products.block_maps import Maps, Moving, every_map
 from pcbench.engine.products.blocks import BLOCK, TICKS, WRITTEN, Chunks, chunks
+from pcbench.simulation.metrics import Stream
 from pcbench.simulation.problem import Layout, Problem, State
 
 Flow = Callable[[Array, Array, State], State]  # (first tick, tick after the last, state) -> state
@@ -27,59 +28,32 @@ All = dict[str, Any]  # by label
 Visit = Callable[[str, Array, Moving, Any], Any]  # (label, chunk, z at its start, kept) -> kept
 
 
-class Way(NamedTuple):
-    """How a block of lanes flows."""
-
-    ready: Callable[[State], State]  # before tick 0
-    flow: Flow
-    settled: Callable[[State], State]  # behind the last flow: watches as of every tick
-
-
-def unchanged(state: State) -> State:
-    """Return the state."""
-    return state
-
-
-def way(layout: Layout, p: Problem, state: State, stepped: Stepped, given: dict[str, Maps] | None = None) -> Way:
-    """Return what takes a block of lanes through its flows, `state` that before tick 0: by products, what can be.
+def flow(layout: Layout, p: Problem, state: State, stepped: Stepped, given: dict[str, Maps] | None = None) -> Flow:
+    """Return what takes a block of lanes from an event to the next, `state` that before tick 0: by products, what can be.
 
     Maps of all that can are `given`, or made here.
     """
     found = forms(layout, p, state) if layout.lifted else ()
     if not found:
-        return Way(unchanged, partial(stepped, layout), unchanged)
+        return partial(stepped, layout)
     each, quick = chunks(p, layout.lifted), [form.label for form in found if form.label != PLANT]
-    every = given or {form.label: maps(layout, p, state, form, each) for form in found}
+    every = given or every_map(layout, p)
     slow = layout._replace(observers=tuple(o for o in layout.observers if o[0] not in quick))
-    at_the_end = layout.watch and not p.jumps.shape[0]  # an exit's tick is looked for
-
-    def taken(state: State) -> All:
-        return {form.label: state_rows.taken(form, state) for form in found}
-
-    def ready(state: State) -> State:
-        z = _together(taken(state))
-        return state._replace(exits={o: settling_time.none(every[o], z[o]) for o in quick} if at_the_end else {})
 
     def lifted(start: Array, stop: Array, state: State) -> State:
         over = partial(_over_chunks, every, (each.before[start], each.before[stop]))
-        z, kept = taken(state), {label: (*state_rows.sums_of(label, state), state.exits.get(label)) for label in quick}
+        z = {form.label: state_rows.taken(form, state) for form in found}
+        kept = {label: state_rows.sums_of(label, state) for label in quick}
         after, kept = over(partial(_scored, p, every, each), z, kept)
         kept = _bounded(p, over, partial(_blocks, every, each), z, kept) if layout.watch and quick else kept
         out = _beside(slow, stepped, start, stop, _counted(layout, p, found, start, stop, state))
         for form in found:
             out = state_rows.put(form, out, after[form.label])
         for label in quick:
-            out = state_rows.keep(label, out, kept[label][:2])
-        return out._replace(exits={label: kept[label][2] for label in state.exits})
+            out = state_rows.keep(label, out, kept[label])
+        return out
 
-    def settled(state: State) -> State:
-        for label, exits in state.exits.items():
-            stream, watch = state_rows.sums_of(label, state)
-            last = settling_time.unsettled(p.band, every[label], each, exits)
-            state = state_rows.keep(label, state, (stream, watch._replace(unsettled=last)))
-        return state._replace(exits={})
-
-    return Way(ready, lifted, settled)
+    return lifted
 
 
 def _together(z: All) -> All:
@@ -101,16 +75,17 @@ def _over_chunks(every: All, span: tuple[Array, Array], visit: Visit, z: All, ke
 
 
 def _scored(p: Problem, every: All, each: Chunks, label: str, c: Array, z: Moving, kept: Any) -> Any:
-    """Take the errors of a chunk into streams, watch and exits."""
-    (stream, watch, exits), m = kept, every[label]
-    looks = bool(watch) and exits is None
+    """Take the errors of a chunk into streams and watch."""
+    stream, watch = kept
 
     def take(k: Array, left: Array, e: list[Array], kept: Any) -> Any:
-        return block_metrics.sized(e, kept[0]), block_metrics.looked(p, k, e, kept[1]) if looks else kept[1]
+        sizes, square, watch = kept
+        looked = block_metrics.looked(p, k, e, watch) if watch else watch
+        return block_metrics.sizes(e, sizes), block_metrics.squares(e, square), looked
 
-    sizes, watch = _blocks(every, each, take, label, c, z, (block_metrics.none(stream.peak), watch))
-    exits = exits and settling_time.noted(p.band, exits, c, sizes.imag, z)
-    return block_metrics.scored(stream, sizes, block_metrics.squares(m, c, z)), watch, exits
+    kept = lax.complex(stream.absolute, stream.peak), stream.square, watch
+    sizes, square, watch = _blocks(every, each, take, label, c, z, kept)
+    return Stream(sizes.real, square, sizes.imag), watch
 
 
 def _blocks(every: All, each: Chunks, take: Take, label: str, c: Array, z: Moving, kept: Any) -> Any:
@@ -140,11 +115,11 @@ def _ahead(m: Maps, c: Array, z: Moving) -> Moving:
 
 def _bounded(p: Problem, over: Callable[..., tuple[All, All]], blocks: Callable[..., Any], z: All, kept: All) -> All:
     """Where a peak says that some lane has left its bound, go over the chunks again and note at which tick."""
-    bad = {label: watch.first_bad for label, (_, watch, _) in kept.items()}
-    stays = jnp.all(jnp.stack([block_metrics.stays(p, stream, watch) for stream, watch, _ in kept.values()]))
+    bad = {label: watch.first_bad for label, (_, watch) in kept.items()}
+    stays = jnp.all(jnp.stack([block_metrics.stays(p, stream, watch) for stream, watch in kept.values()]))
     again = partial(over, partial(blocks, partial(block_metrics.first_bad, p)), z)
     found = lax.cond(stays, lambda bad: bad, lambda bad: again(bad)[1], bad)
-    return {o: (stream, watch._replace(first_bad=found[o]), exits) for o, (stream, watch, exits) in kept.items()}
+    return {o: (stream, watch._replace(first_bad=found[o])) for o, (stream, watch) in kept.items()}
 
 
 def _beside(slow: Layout, stepped: Stepped, start: Array, stop: Array, state: State) -> State:

@@ -21,11 +21,7 @@ def reach(f: Callable[..., Any], *args: Any) -> tuple[Any, list[bool]]:
 
     Arguments are arrays or their shapes; both are counted as `jax.tree.leaves` does.
     """
-    return read(*jax.make_jaxpr(f, return_shape=True)(*args))
-
-
-def read(closed: Any, shape: Any) -> tuple[Any, list[bool]]:
-    """Return the same of what was traced, with the form of what it returns."""
+    closed, shape = jax.make_jaxpr(f, return_shape=True)(*args)
     out = _through(closed.jaxpr, [frozenset([i]) for i in range(len(closed.jaxpr.invars))])
     given = {id(v) for v in closed.jaxpr.invars}
     return jax.tree.unflatten(jax.tree.structure(shape), out), [id(v) in given for v in closed.jaxpr.outvars]
