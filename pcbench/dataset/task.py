@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import block_files, cell_rows, columns, runs_table, store
+from pcbench.dataset import block_files, call_time, cell_rows, columns, runs_table, store
 from pcbench.dataset.pickled import pack, unpack
 from pcbench.dataset.seeds import Seeds
 from pcbench.engine import runner
@@ -133,7 +133,7 @@ def estimated(work: Work, task: Task, device: Any = None) -> tuple[Plan, float, 
     """Return about how many seconds a call of a task takes, from calls that end early."""
     with process.float64():
         p, jobs, made = _prepared(work, task, device)
-        return p, runner.seconds(made, jobs[0]), made
+        return p, call_time.seconds(made, jobs[0]), made
 
 
 def _prepared(work: Work, task: Task, device: Any) -> tuple[Plan, list[runner.Job], runner.Program]:

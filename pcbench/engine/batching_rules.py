@@ -1,6 +1,6 @@
 """Single primitives over lanes: elementwise, structural, folds, products, rows of a table."""
 
-from functools import cache, reduce
+from functools import cache, partial, reduce
 from typing import Any
 
 import jax
@@ -95,7 +95,7 @@ def dot(eqn: Any, args: list[Any]) -> LaneArray:
 
     a, b = arranged(lhs, ba, ca), arranged(rhs, bb, cb)
     sums = [
-        reduce(_add, (_mul(a[k, i, c], b[k, j, c]) for c in range(inner)))
+        reduce(partial(_both, lax.add), (_both(lax.mul, a[k, i, c], b[k, j, c]) for c in range(inner)))
         for k in range(a.shape[0])
         for i in range(a.shape[1])
         for j in range(b.shape[1])
@@ -103,18 +103,10 @@ def dot(eqn: Any, args: list[Any]) -> LaneArray:
     return lanes_of(out, sums)
 
 
-def _alike(a: Any, b: Any) -> tuple[Any, Any]:
-    """Two entries, one of them perhaps the same in all lanes, as wide as each other."""
+def _both(apply: Any, a: Any, b: Any) -> Any:
+    """Apply a primitive to two entries, one of them perhaps the same in all lanes."""
     width = jnp.broadcast_shapes(jnp.shape(a), jnp.shape(b))
-    return jnp.broadcast_to(a, width), jnp.broadcast_to(b, width)
-
-
-def _add(a: Any, b: Any) -> Any:
-    return lax.add(*_alike(a, b))
-
-
-def _mul(a: Any, b: Any) -> Any:
-    return lax.mul(*_alike(a, b))
+    return apply(jnp.broadcast_to(a, width), jnp.broadcast_to(b, width))
 
 
 def rows_of_table(eqn: Any, args: list[Any]) -> LaneArray:

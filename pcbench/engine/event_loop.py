@@ -28,9 +28,7 @@ class Events(NamedTuple):
     happen: steps.Happen
     following: Callable[[Array, State], Array]  # (tick, state after its events) -> the next event's tick
     whole: Callable[[Any], Memories] = lambda kept: kept  # packed -> the observers' memories
-    moved: Callable[[Memories, Any], Any] = lambda memories, kept: (
-        memories
-    )  # (after a flow, packed before it) -> packed
+    moved: Callable[[Memories, Any], Any] = lambda after, kept: after  # (after a flow, packed before it) -> packed
 
 
 def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: Any = None) -> Outcome:
@@ -70,13 +68,8 @@ def simulate(layout: Layout, p: Problem, root_seed: Array, seeds: Array, maps: A
         last = steps.control(layout, p, end, last, drawn(end).command)
     errors = steps.errors(layout, p, end, state)
     squares = steps.squares(layout, p, end, state, errors) if layout.consistency else ()
-    left = (
-        (last.streams, last.tracking, last.effort),
-        last.watches,
-        errors,
-        squares,
-        steps.actual(layout, p, end, state),
-    )
+    kept = last.streams, last.tracking, last.effort
+    left = kept, last.watches, errors, squares, steps.actual(layout, p, end, state)
     sums, left = jax.tree.map(lambda a: lane_array.to_array(a, layout.width), (sums, left), is_leaf=lane_array.is_lanes)
     streams, tracking, effort = jax.tree.map(lambda a, b: a.at[-1].set(b), sums, left[0])
     return Outcome(

@@ -21,6 +21,7 @@ from pcbench.engine.lane_array import (
     LaneArray,
     broadcast_table,
     entries,
+    forms_of,
     infer_batched,
     is_lanes,
     join,
@@ -95,11 +96,7 @@ def _together(eqn: Any, args: list[Any]) -> list[Any]:
     def alone(*args: Any) -> list[Any]:
         return _evaluate(closed.jaxpr, closed.consts, list(args))
 
-    before = FORMS_ONLY.set(True)
-    try:
-        differs = [is_lanes(x) for x in jax.eval_shape(alone, *args)]
-    finally:
-        FORMS_ONLY.reset(before)
+    differs = [is_lanes(x) for x in forms_of(alone, *args)]
     if FORMS_ONLY.get():
         forms = [_form(v.aval, args, eqn.primitive.name) for v in eqn.outvars]
         shapes = [jnp.zeros(v.aval.shape, v.aval.dtype) for v in eqn.outvars]

@@ -158,17 +158,19 @@ def put_back(tree: Any, some: Any, lane: jax.Array) -> Any:
     return jax.tree.map(one, tree, some, is_leaf=is_lanes)
 
 
-def infer_batched(step: Any, tree: Any, width: int) -> Any:
-    """Spread whatever `step` (tree -> tree of the same shape) makes different between lanes, until nothing changes.
+def forms_of(f: Any, *args: Any) -> Any:
+    """Return what f returns without its numbers: meanwhile `interpreter` asks for forms only."""
+    before = FORMS_ONLY.set(True)
+    try:
+        return jax.eval_shape(f, *args)
+    finally:
+        FORMS_ONLY.reset(before)
 
-    Only the form of what it returns is asked for: meanwhile `interpreter` computes no numbers.
-    """
+
+def infer_batched(step: Any, tree: Any, width: int) -> Any:
+    """Spread whatever `step` (tree -> tree of the same shape) makes different between lanes, until nothing changes."""
     while True:
-        before = FORMS_ONLY.set(True)
-        try:
-            out = jax.eval_shape(step, tree)
-        finally:
-            FORMS_ONLY.reset(before)
+        out = forms_of(step, tree)
         wider = match_form(tree, jax.tree.map(_the_wider, tree, out, is_leaf=is_lanes), width)
         if _forms(wider) == _forms(tree):
             return tree

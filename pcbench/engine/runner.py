@@ -29,7 +29,6 @@ DEFINITION = 64  # of the definition
 EXPENSIVE = 8  # of the definition with an observer whose runs are expensive
 NARROW = (64, 256)  # of cells with few runs: 64 lanes take a quarter of the time of 1024
 HEAVY = 256  # of a plant whose ticks cost much: on the arm 1024 lanes are no faster a lane, and few seeds fill them
-FIRST, ENOUGH, SHORT = 4, 2.0, 1.0  # ticks, [s], [s]: of calls by which it is estimated how long one takes
 OPTIONS: dict[str, str | bool] = {  # of the compiler, for a processor
     "xla_cpu_multi_thread_eigen": False,  # small products shared out among threads: 3 times slower, other bits
     "xla_cpu_prefer_vector_width": "512",  # the arm takes 0.77 of the time that 256 bits take, a lifted flow 0.95
@@ -179,30 +178,6 @@ def serial(made: Program, jobs: Iterable[Job]) -> Iterator[tuple[Job, Outcome]]:
             yield _read(*waiting.pop(0))
     for job, out in waiting:
         yield _read(job, out)
-
-
-def seconds(made: Program, job: Job) -> float:
-    """Return about how many seconds a call takes, from calls that end early, each after twice as many ticks.
-
-    They stop once the last took `ENOUGH` seconds, or a sixteenth of the ticks are done, or a call is clearly `SHORT`. The first
-    ticks cost less than others, as nothing has arrived yet: it is a lower estimate. 0 if all observers are lifted, or the
-    program is the definition, whose calls do not end early.
-    """
-    if all(way in ("lifted", "defined") for way in made.ways.values()):
-        return 0.0
-    many, before = int(job.problem.windows[-1, 1]), (0, 0.0)
-    end, rest = FIRST, 0.0
-    while end <= many // 16 and before[1] < ENOUGH:
-        windows = np.minimum(job.problem.windows, end)
-        windows[-1] = end, end + 1
-        start = perf_counter()
-        for _ in serial(made, [job._replace(problem=job.problem._replace(windows=windows))]):
-            took = perf_counter() - start
-        rest = max(took - before[1], 0.0) / (end - before[0]) * (many - end)
-        if took * many / end < SHORT:
-            return took + rest
-        before, end = (end, took), 2 * end
-    return before[1] + rest
 
 
 def run(layout: Layout, jobs: list[Job], count: int | None = None) -> Iterator[tuple[Job, Outcome]]:
