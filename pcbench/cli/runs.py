@@ -24,6 +24,7 @@ from pcbench.cli.shared import (
     setup,
 )
 from pcbench.cli.stopping import stoppable
+from pcbench.errors import UserError
 
 
 def run(
@@ -67,11 +68,10 @@ def run(
     Example: pcbench run quick --seeds 512 --out first-look
     """
     began = perf_counter()
+    drawn = {"--seeds": seeds, "--first-seed": first_seed, "--until-se": until_se, "--max-seeds": max_seeds}
+    simulated = drawn | {"--block": block}, "exact values without seeds, or simulated runs; leave one out"
     if exact:
-        drawn = {"--seeds": seeds, "--first-seed": first_seed, "--until-se": until_se, "--max-seeds": max_seeds}
-        require_effect(
-            drawn | {"--block": block}, "with --exact", "exact values without seeds, or simulated runs; leave one out"
-        )
+        require_effect(simulated[0], "with --exact", simulated[1])
     if quiet or as_json:
         tables, beside = {"--costs": costs, "--timings": timings}, f"with {'--quiet' if quiet else '--json'}"
         require_effect(tables, beside, "it where tables are printed; leave one out")
@@ -84,6 +84,9 @@ def run(
     statistics.compared(metric, "--metric")
     asked, where = read.outline(study, changes or []), chosen(signal)
     read.require_signals(asked, where, "--signal")
+    if exact or asked.method == "exact":
+        require_effect(simulated[0], 'with a study of method "exact"', simulated[1])
+        _require_exact(metric)
     into = str(Path("results") / asked.name.replace("/", "-")) if folder is None else folder
     with bar(quiet or as_json, "designing gains") as progress:
         result = api.run(
@@ -130,6 +133,22 @@ def run(
         for line in took.timings(result, perf_counter() - began) if timings else []:
             screen.print(line, highlight=False, markup=False, soft_wrap=True)
         screen.print(f"Now look at it: pcbench report {into}", highlight=False, markup=False, soft_wrap=True)
+
+
+def _require_exact(metric: str) -> None:
+    """Raise UserError where the metric that is to rank observers has no exact value, nor has its pooled form."""
+    from pcbench.moments.described import ORDER, RUNS_ONLY
+    from pcbench.statistics import COMPARED
+
+    def has_one(metric: str) -> bool:
+        pooled = f"tail_pooled_{metric[5:]}" if metric.startswith("tail_") else f"pooled_{metric}"
+        return metric not in RUNS_ONLY or pooled in ORDER
+
+    if not has_one(metric):
+        raise UserError(
+            f"--metric: got {metric}, which has no exact value ({RUNS_ONLY[metric]}), expected one of "
+            f"{', '.join(filter(has_one, COMPARED))}; write one of them, or simulate runs."
+        )
 
 
 def trace(
