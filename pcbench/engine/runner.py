@@ -44,21 +44,6 @@ class Job(NamedTuple):
     schedules: Any = None  # of each seed, [seeds] first, where the definition computes runs whose sampling is random
 
 
-class Program(NamedTuple):
-    """A compiled call and what it took to make."""
-
-    layout: Layout
-    call: Any  # (problem, root seed, seeds [L], schedules, maps) -> Outcome with arrays [..., L]
-    device: Any
-    width: int
-    compile_seconds: float
-    compiled: Any  # the executable itself, for those who want to read it
-    ways: dict[str, str]  # by observer: lifted, stepped or defined
-    maps: "MapsOfCell"  # of products, made before a cell's first call
-    number: int = 0  # of this process: the first program, the second ...
-    memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
-
-
 class MapsOfCell:
     """Makes the maps of a cell once, for all calls that have its problem."""
 
@@ -76,6 +61,21 @@ class MapsOfCell:
             maps = self.make(jax.tree.map(np.asarray, p))
             self.last = p, maps
         return maps
+
+
+class Program(NamedTuple):
+    """A compiled call and what it took to make."""
+
+    layout: Layout
+    call: Any  # (problem, root seed, seeds [L], schedules, maps) -> Outcome with arrays [..., L]
+    device: Any
+    width: int
+    compile_seconds: float
+    compiled: Any  # the executable itself, for those who want to read it
+    ways: dict[str, str]  # by observer: lifted, stepped or defined
+    maps: MapsOfCell  # of products, made before a cell's first call
+    number: int = 0  # of this process: the first program, the second ...
+    memory: int = 0  # bytes a call takes while it computes, as the compiler says; 0: it does not say
 
 
 def devices(count: int | None = None) -> list[Any]:
