@@ -45,7 +45,7 @@ class Job(NamedTuple):
 
 
 class MapsOfCell:
-    """Makes the maps of a cell once, for all calls that have its problem."""
+    """Makes the maps of a cell once, for all calls that have its problem; two threads that begin it make them twice."""
 
     def __init__(self, make: Any) -> None:
         """Begin with none; `make` is a compiled call, None where nothing goes by products."""
@@ -124,8 +124,8 @@ def _compiled(layout: Layout, device: Any, tree: Any, shapes: tuple[Any, ...]) -
     mapped = jax.jit(partial(every_map, judging.watched(layout) if layout.consistency else layout)).trace(given[0])
     shapes_of_maps = jax.tree.map(lambda a: jax.ShapeDtypeStruct(a.shape, a.dtype, sharding=sharding), mapped.out_info)
     way = "defined" if layout.defined else "stepped"  # of observers that have no maps
-    with pools.pool(1) as beside:  # each takes seconds
-        maker = beside.submit(in_float64, lambda: mapped.lower().compile(options)) if shapes_of_maps else None
+    with pools.pool(1) as thread:  # each takes seconds
+        maker = thread.submit(in_float64, lambda: mapped.lower().compile(options)) if shapes_of_maps else None
         call = jax.jit(simulate).lower(*given, shapes_of_maps).compile(options)
         made = maker.result() if maker else None
     return Program(
