@@ -40,8 +40,8 @@ def sentences(grid: Grid, stats: "pd.DataFrame") -> Iterator[str]:
         if age is not None:
             yield (
                 f"{label}: asks past_u for the input of {age} ticks ago, which a closed loop no longer has in "
-                f"{row['scenario']}: its estimates are NaN from there on, and its runs count as diverged; ask for no input from "
-                "before the oldest sample that may still arrive."
+                f"{row['scenario']}: its estimates are NaN from there on, and its runs count as diverged; ask for no input "
+                "from before the oldest sample that may still arrive."
             )
 
 

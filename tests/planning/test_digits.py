@@ -229,3 +229,36 @@ def test_a_state_that_is_known_at_the_start_has_a_settling_band_of_its_size(tmp_
     (cell,) = read.grid_of(str(tmp_path / "known.toml"), {}, []).cells
     assert min(cell.scenario.scoring.settle_band) > 0
     assert np.isfinite(pcbench.run(str(tmp_path / "known.toml")).stats["mean"].iloc[0])
+
+
+def still(observer, prior, **changed):
+    """A start known exactly, and a state that forgets the noise at once: its error is 0 but for rounding."""
+    plant = {
+        "A": [[0.0, 1.0], [0.0, -122.0]],
+        "B": [[0.0], [355.0]],
+        "C": [[1.0, 0.0]],
+        "tick": 0.001,
+        "noise_std": 0.6,
+    }
+    times = {"sampling_period": 0.2, "delay": 0.2, "x0": [5.0, 10.0], "xhat0": [5.0, 10.0], "horizon": 2.0}
+    return {
+        "name": "x",
+        "observers": [observer],
+        "seeds": 64,
+        "lti": plant | times | {"prior_std": [prior] * 2} | changed,
+    }
+
+
+@pytest.mark.parametrize(
+    ("observer", "prior", "changed"),
+    [("dkf", 100.0, {}), ("ekf", 1.0, {}), ("ekf", 100.0, {"loss": 0.3})],
+    ids=["dkf", "ekf", "ekf with loss"],
+)
+def test_an_error_that_is_0_but_for_rounding_is_no_sign_of_a_bend(observer, prior, changed):
+    """Its deviation from where linear maps put it was divided by itself, which is rounding too."""
+    study = still(observer, prior, **changed)
+    exact = pcbench.exact(study).stats.query("metric == 'pooled_rmse'").set_index("signal")["mean"]
+    runs = pcbench.run(study).stats.query("metric == 'pooled_rmse'").set_index("signal")
+    assert exact["x2"] < 1e-12
+    assert runs["mean"]["x2"] < 1e-12
+    assert abs(exact["x1"] - runs["mean"]["x1"]) < 5 * runs["se"]["x1"] + 0.02 * exact["x1"] * bool(changed)
