@@ -4,6 +4,7 @@ A study may grow: more seeds, more values of its axes, more scenarios, more obse
 Cells keep their numbers; new ones follow. Where the study's text is lost or damaged, the blocks say whose they are (`repair`).
 """
 
+import re
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -111,7 +112,12 @@ def differences(a: Owned, b: Owned) -> list[str]:
     for each in (old, new):
         each.update(first_seed=0, seeds=1, engine="")
         each["resolved"]["cells"] = {s: sorted(found) for s, found in each["resolved"]["cells"].items()}
-    return list(dict.fromkeys([*changes(old, new), *changes(new, old)]))
+    return list(dict.fromkeys([*changes(old, new), *map(_mirrored, changes(new, old))]))
+
+
+def _mirrored(change: str) -> str:
+    """Return a phrase of `changes(b, a)` as `changes(a, b)` would put it."""
+    return re.sub(r": (.*) there, (.*) here$", r": \2 there, \1 here", change)
 
 
 def begin(target: store.Target, owned: Owned) -> None:

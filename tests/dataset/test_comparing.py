@@ -193,6 +193,13 @@ def test_other_studies_and_unfinished_ones_are_refused_in_a_sentence(whole, copy
         pcbench.run(STUDY | {"observers": ["pccebo", "dkf"]}, out=tmp_path / "o")
     with pytest.raises(UserError, match=r"is of another study than .*kfbo there, not here.*expected the same study"):
         compare.compare(whole, tmp_path / "o")
+    text = (copy / "study.toml").read_text()
+    (copy / "study.toml").write_text(text.replace("drift = 0.0", "drift = 5.0", 1))
+    with pytest.raises(
+        UserError, match=r"\(cart/\S+drift: 0.0 there, 5.0 here\), expected"
+    ):  # once, and this way round
+        compare.compare(whole, copy)
+    (copy / "study.toml").write_text(text)
     (copy / "stats.parquet").unlink()
     done = call("compare", whole, copy)
     assert done.returncode == 2
