@@ -1,11 +1,16 @@
 """The engine computes what the definition says: vmap of lax.scan over runs, for each kind of plant, schedule and loop."""
 
+from functools import partial
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from pcbench import planning
 from pcbench.machine import process
-from pcbench.planning import in_memory
+from pcbench.planning import all_observers, in_memory, padding
+from pcbench.simulation import simulate_runs
 from pcbench.study import read
 
 SEEDS = np.arange(3)
@@ -104,3 +109,23 @@ def test_the_engine_equals_the_definition(case, engine):
             for name, value in slow.items():
                 scale = size**2 if "mse" in name and "rmse" not in name else max(size, 1.0)
                 np.testing.assert_allclose(quick[name], value, atol=WITHIN * scale, err_msg=f"{label} {name}")
+
+
+def test_grid_points_of_one_shape_are_one_call_over_periods_delays_and_drifts():
+    axes = {"sampling_period": [0.1, 0.2], "delay": [0.1, 0.3], "drift": [0.0, 0.2]}
+    short = {"base": "cart/white", "name": "short", "horizon": 1.0, "tail": 0.5}
+    study = {"name": "stacked", "scenario": short, "observers": ["dkf", "kfbo"], "seeds": 3, "axes": axes}
+    with process.float64():
+        plans = padding.fit(list(planning.drafts(all_observers.grid_of(study, {}, []).cells)))
+        (layout,) = {p.layout for p in plans}
+        problems = [p.problem for p in plans]
+        simulate = jax.jit(
+            partial(simulate_runs.simulate_runs, layout, root_seed=jnp.asarray(0), seeds=jnp.asarray(SEEDS))
+        )
+        together = jax.vmap(simulate)(jax.tree.map(lambda *a: jnp.stack(a), *problems))
+        for i, problem in enumerate(problems):
+            alone = simulate(problem)
+            for one, of_all in zip(jax.tree.leaves(alone), jax.tree.leaves(together), strict=True):
+                np.testing.assert_allclose(of_all[i], one, rtol=1e-11, atol=1e-11)
+        final = np.asarray(together.final["dkf"])
+    assert len(final) == len({x.tobytes() for x in final}) == 8  # each has an influence
