@@ -130,6 +130,23 @@ def test_a_study_has_the_same_bits_with_few_seeds_and_many_and_comes_out_again(o
         assert found.recomputed
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["steps", "products", "definition"])
+def test_a_run_has_the_same_bits_with_1_3_8_128_and_2000_seeds_and_one_observer_or_all(engine):
+    scenario = {"base": "cart/white", "name": "short", "horizon": 0.6, "tail": 0.3}
+    every = ["pccebo", "kfbo", "dkf", "ukf", "kf-now"]
+
+    def runs(n, observers=every):
+        study = {"name": "counts", "scenario": scenario, "observers": observers, "engine": engine}
+        return pcbench.run(study, seeds=n).runs.set_index(["observer", "signal", "seed"]).sort_index()
+
+    many = runs(2000)
+    for few in (*map(runs, (1, 3, 8, 128)), *(runs(8, [observer]) for observer in every)):
+        pd.testing.assert_frame_equal(
+            many.loc[few.index].drop(columns="cell"), few.drop(columns="cell"), check_exact=True
+        )
+
+
 def test_other_seeds_and_root_seeds_draw_other_noise():
     a, b, c = (np.asarray(measurement_noise(root, seed, 5)) for root, seed in ((0, 0), (0, 1), (1, 0)))
     assert len({a.tobytes(), b.tobytes(), c.tobytes()}) == 3
