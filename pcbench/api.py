@@ -93,7 +93,7 @@ def run(
         if say and made.study.tuning_sentence:
             say(made.study.tuning_sentence)
         result = run_study.execute(made.grid, out, how)
-        for sentence in asked_inputs.sentences(made.grid, result):
+        for sentence in asked_inputs.sentences(made.grid, lambda: result.stats):
             (say or warnings.warn)(sentence)
         if made.aim is None:
             return result

@@ -11,6 +11,7 @@ import numpy as np
 from pcbench.moments import digits
 from pcbench.moments.bending import ROUNDING
 from pcbench.moments.solve import CellMoments
+from pcbench.moments.sums import strayed
 from pcbench.plants import signals_of
 
 INSTEAD = 'take runs for it: pcbench.run, or method = "runs"'
@@ -31,7 +32,7 @@ def refusal(cell: CellMoments, label: str, instead: str = INSTEAD) -> str:
         return f"{where} has samples that are rounded, which is not affine in what is measured; {instead}."
     if said := digits.lost(cell, label):
         return f"{where} {said}; shorten the horizon, or {instead}."
-    part = digits.strayed(s, mine, cell.reached)
+    part = strayed(s, mine, cell.reached)
     worst = int(np.argmax(part))
     reach = s.reach[mine].max(-1)
     bounded = (

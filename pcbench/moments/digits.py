@@ -6,39 +6,19 @@ errors' is a difference of large squares: it keeps about EPS Var x / E e^2. What
 square (`program`).
 """
 
-from typing import TYPE_CHECKING, Any
-
 import numpy as np
-from numpy.typing import NDArray
 
-from pcbench.moments import sums
 from pcbench.moments.bending import ROUNDING
-from pcbench.moments.sums import Sums
+from pcbench.moments.solve import CellMoments
+from pcbench.moments.sums import AMPLIFIED, strayed
 from pcbench.planning.digits import EPS, amount
 from pcbench.plants import signals_of
 
-if TYPE_CHECKING:
-    from pcbench.moments.solve import CellMoments
-
 SQUARES = 1e-6  # of E e^2
-AMPLIFIED = 100.0  # times the rounding of the last state: what a run with noise may be off by
 TRIFLE = 1e-4  # of the settling band: what is less is 0 for every purpose
 
 
-def strayed(s: Sums, mine: slice, reached: Any) -> NDArray[np.float64]:
-    """Return [Z] how far runs with noise were off, as a part of their size; 0 where that is within the rounding of the state.
-
-    An error that is 0 but for rounding has no size to compare with. `reached` as in `Found`.
-    """
-    part = sums.strayed(s.apart[mine], s.size[mine])
-    if np.size(reached):
-        size = np.asarray(reached)[0].max(-1)[: len(part)]
-        within = np.asarray(s.apart)[mine][: len(size)].max(-1) <= AMPLIFIED * EPS * size
-        part[: len(size)][within] = 0.0
-    return part
-
-
-def lost(cell: "CellMoments", label: str) -> str:
+def lost(cell: CellMoments, label: str) -> str:
     """Return which state leaves an observer's moments too few digits, the middle of a sentence; empty where none does."""
     if not np.size(cell.reached):
         return ""
@@ -49,7 +29,7 @@ def lost(cell: "CellMoments", label: str) -> str:
     size, deviation, band = size[:n], deviation[:n], np.asarray(p.problem.band)[:n]
     square = np.asarray(s.square)[1, state].min(-1) / (p.cell.times.ticks - p.cell.times.tail)
     with np.errstate(over="ignore", invalid="ignore"):
-        failed = (sums.strayed(s.apart[mine], s.size[mine]) > ROUNDING).any()
+        failed = (strayed(s, mine) > ROUNDING).any()
         trial = failed & (AMPLIFIED * EPS * size > ROUNDING * np.asarray(s.size)[state].max(-1))
         squares = EPS * deviation**2 > SQUARES * square
         bad = (trial & (EPS * size > ROUNDING * TRIFLE * band)) | (squares & (np.sqrt(EPS) * deviation > TRIFLE * band))

@@ -12,7 +12,6 @@ import numpy as np
 
 from pcbench.engine import runner
 from pcbench.machine import pools
-from pcbench.moments import digits
 from pcbench.moments import items as items_of
 from pcbench.moments.apart import ALONE, computed
 from pcbench.moments.believed import Believed
@@ -24,7 +23,7 @@ from pcbench.moments.given import shared_of
 from pcbench.moments.items import Asked, Item
 from pcbench.moments.modes import delays_alone
 from pcbench.moments.realised import Realised, losses_alone, realised
-from pcbench.moments.sums import Sums, nothing
+from pcbench.moments.sums import Sums, nothing, strayed
 from pcbench.moments.vector import form_of
 from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
@@ -129,7 +128,7 @@ def _answered(parts: list[Part]) -> bool:
         return bool(np.max([part.found.unlike for part in parts]) <= ROUNDING)
     (found,) = (part.found for part in parts)
     alone: Sums = jax.tree.map(lambda a: a[..., None], found.sums)  # of the one realisation and the one observer
-    return bool((digits.strayed(alone, slice(None), np.asarray(found.reached)[..., None]) > ROUNDING).any())
+    return bool((strayed(alone, slice(None), np.asarray(found.reached)[..., None]) > ROUNDING).any())
 
 
 def _averaged(item: Item, asked: Asked) -> list[Part]:

@@ -10,9 +10,11 @@ from jax import Array, lax
 from jax.scipy.special import erf
 from numpy.typing import NDArray
 
+from pcbench.planning.digits import EPS
 from pcbench.simulation.metrics import Weights
 
 STILL = 1e-12  # of the largest number: a standard deviation below it is rounding
+AMPLIFIED = 100.0  # times the rounding of the last state: what a run with noise may be off by
 FAR = 6.0  # standard deviations: a run is taken to stay within so many of the mean
 
 
@@ -58,12 +60,19 @@ def nothing(signals: int, targets: int | None, cells: int) -> Sums:
     return sums._replace(off=jnp.zeros((2, targets, cells)), cost=both, input=both)
 
 
-def strayed(apart: Any, size: Any) -> NDArray[np.float64]:
-    """Return [Z] how far runs with noise were off, as a part of their size, in the worst of S realisations [Z, S]."""
-    apart, size = apart.max(-1), size.max(-1)
+def strayed(s: Sums, mine: slice, reached: Any = ()) -> NDArray[np.float64]:
+    """Return [Z] how far runs with noise were off, as a part of their size, in the worst realisation; 0 where that is rounding.
+
+    An error that is 0 but for the rounding of its state has no size to compare with. `reached` as in `Found`, or ().
+    """
+    apart, size = (np.asarray(a)[mine].max(-1) for a in (s.apart, s.size))
     with np.errstate(invalid="ignore"):
         part = np.where(apart > 0, apart / np.where(size > 0, size, 1.0), 0.0)
-        return np.where(np.isfinite(apart) & np.isfinite(size), part, np.inf)
+    part = np.where(np.isfinite(apart) & np.isfinite(size), part, np.inf)
+    if np.size(reached):
+        state = np.asarray(reached)[0].max(-1)[: len(part)]
+        part[: len(state)][apart[: len(state)] <= AMPLIFIED * EPS * state] = 0.0
+    return part
 
 
 def variances(read: Read) -> Array:

@@ -22,12 +22,12 @@ from pcbench.simulation import trace
 from pcbench.study.cells import Cell, Grid
 
 if TYPE_CHECKING:
-    from pcbench.dataset.result import Result
+    import pandas as pd
 
 Heard = Callable[[Any, Any], None]  # (age [ticks], whether there is no such input)
 
 
-def sentences(grid: Grid, result: "Result") -> Iterator[str]:
+def sentences(grid: Grid, stats: "Callable[[], pd.DataFrame]") -> Iterator[str]:
     """Yield a sentence for each observer of a user's own that asks too much of a closed loop, of those whose runs all diverged.
 
     Of each scenario the first cell is looked at in which they did.
@@ -35,8 +35,8 @@ def sentences(grid: Grid, result: "Result") -> Iterator[str]:
     cells = {cell.key: cell for cell in grid.cells if cell.scenario.loop.controller and cell.own}
     if not cells:
         return
-    stats = result.stats
-    bad = stats[(stats.metric == "divergence") & (stats.method == "runs") & (stats["mean"] == 1.0)]
+    found = stats()
+    bad = found[(found.metric == "divergence") & (found.method == "runs") & (found["mean"] == 1.0)]
     for row in bad.drop_duplicates(["scenario", "observer"]).to_dict("records"):
         label, cell = row["observer"], cells.get((row["scenario"], row["cell"]))
         age = oldest(cell, label, grid.study) if cell and label in cell.own else None

@@ -1,0 +1,38 @@
+"""How many programs a built-in study compiles: what differs between its grid points is data wherever a run keeps its bits."""
+
+import pytest
+
+from pcbench.machine import process
+from pcbench.planning import arrays, padding
+from pcbench.study import read
+from pcbench.study.builtin import STUDIES
+from pcbench.study.cells import cells_of
+
+PROGRAMS = {
+    "quick": 1,
+    "cart": 1,
+    "unequal-delays": 1,
+    "unknown-input": 2,
+    "helicopter": 2,
+    "fair": 1,
+    "beliefs": 1,
+    "late": 1,
+    "faults": 9,
+    "reactor": 3,  # each expensive observer has one of its own
+    "fair-reactor": 2,
+    "all": 12,
+    "variable-sampling": 2,
+}
+
+
+def test_every_study_with_runs_has_its_count():
+    assert {name for name, study in STUDIES.items() if study.method != "exact"} == PROGRAMS.keys()
+
+
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_a_study_compiles_no_more_programs(name):
+    with process.float64():
+        study = read.study_of(name, {}, [])
+        drafts = arrays.drafts(cells_of(study), runs=lambda cell: study.seeds, apart=True)
+        programs = {padding.key_of(p) for p in padding.fit(list(drafts))}
+    assert len(programs) == PROGRAMS[name]
