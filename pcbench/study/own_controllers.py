@@ -6,6 +6,7 @@ would be, the law is a `ControllerEntry`. Without `linear` the law is linearised
 its set point of tick 0: so a loop that does not settle is named, unless the law looks at the inputs that are on their way.
 """
 
+import logging
 from functools import partial
 from types import ModuleType
 from typing import Any
@@ -16,12 +17,14 @@ from pydantic import ConfigDict, create_model
 from pcbench.controllers import Entry
 from pcbench.controllers.parts.sizes import Sizes
 from pcbench.controllers.parts.told import Told
-from pcbench.errors import UserError
+from pcbench.errors import UserError, raised
 from pcbench.machine import process
 from pcbench.protocols import Controller, Now
 from pcbench.study.own import Code, Own
 from pcbench.study.own_observers import ABSENT, NoOptions
 from pcbench.synthesis.lqr import Law
+
+_LOG = logging.getLogger(__name__)
 
 
 def entry(found: Any, module: ModuleType, where: str) -> Entry:
@@ -62,7 +65,8 @@ def linearised(law: Controller, prepare: Any, options: Any, told: Told) -> Law |
         with process.float64():
             params = jax.tree.map(jax.numpy.asarray, prepare(options, told))
             found, asked = _slopes(law, params, told)
-    except Exception:
+    except Exception as error:  # whatever the user's functions raise
+        _LOG.info("a controller is not linearised: %s", raised(error))
         return None
     return found if not asked and found.D.shape == told.model.B.T.shape else None
 

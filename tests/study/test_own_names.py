@@ -143,7 +143,7 @@ def test_a_planned_cell_takes_plant_and_law_along(here):
     assert back.cell.digest == p.cell.digest
 
 
-def test_a_law_without_a_linear_one_is_linearised(here):
+def test_a_law_without_a_linear_one_is_linearised(here, caplog):
     """[kept, x] -> [kept, u] by jax: what the law says on paper, to the bit."""
     law = own_entries.load("controller", "mine.py:law", "here")
     n, m = 2, 1
@@ -154,6 +154,10 @@ def test_a_law_without_a_linear_one_is_linearised(here):
         np.testing.assert_allclose(got, want, rtol=1e-15)
     looks = law.entry.controller._replace(command=lambda p, now, x, coming, kept: (coming(0), kept))
     assert own_controllers.linearised(looks, law.entry.prepare, law.entry.options(), told) is None
+    raises = law.entry.controller._replace(command=lambda p, now, x, coming, kept: 1 // 0)
+    with caplog.at_level("INFO"):
+        assert own_controllers.linearised(raises, law.entry.prepare, law.entry.options(), told) is None
+    assert "is not linearised: ZeroDivisionError: " in caplog.text
 
 
 def test_a_law_that_does_not_settle_is_told_so_by_its_eigenvalue(here):
