@@ -33,7 +33,7 @@ def test_files_are_named_at_all():
 def test_every_command_that_is_quoted_exists():
     (block,) = re.findall(r"^```sh\n(.*?)^```$", TEXT, re.S | re.M)
     tools = set(re.findall(r"\.venv/bin/([\w]+)", block))
-    assert tools == {"pip", "python", "ruff", "mypy"}
+    assert tools == {"pip", "python", "ruff", "lint", "mypy"}
     asked = re.search(r'pip install -e "\.\[([\w,]+)\]"', block)[1].split(",")
     assert set(asked) <= set(PROJECT["project"]["optional-dependencies"])
     assert re.findall(r"--group (\w+)", block) == list(PROJECT["dependency-groups"])
