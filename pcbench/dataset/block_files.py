@@ -14,7 +14,7 @@ from urllib.parse import quote, unquote
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import earlier, parquet, store
+from pcbench.dataset import columns, parquet, store
 from pcbench.dataset.seeds import Seeds
 from pcbench.errors import UserError
 
@@ -126,7 +126,7 @@ def damage(target: store.Target, block: Block, cell: str) -> str | None:
     if isinstance(table, str):
         return table
     said, metadata = about(table), table.schema.metadata or {}
-    if not earlier.is_read(metadata):
+    if metadata.get(columns.SCHEMA_KEY) != columns.SCHEMA.encode():
         return OTHER_SCHEMA
     if said.get("cell") != cell:
         return "it is of another cell"

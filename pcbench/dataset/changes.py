@@ -26,7 +26,6 @@ GROWS = (
     "lti",
     "resolved",
 )
-GONE = {"drift_sign": 1}  # a choice of earlier releases, as it was where it was not chosen
 
 
 def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Files] = ({}, {})) -> Iterator[str]:
@@ -58,8 +57,7 @@ def changes(there: dict[str, Any], here: dict[str, Any], files: tuple[Files, Fil
     for cell, options in old_tuned.items():
         if cell in new_tuned:
             yield from _deep(f"options tuned at {cell}", options, new_tuned[cell], list(options))
-    chosen = {k: v for k, v in old["options"]["scenario"].items() if GONE.get(k) != v}
-    yield from _deep("options.scenario", chosen, new["options"]["scenario"])
+    yield from _deep("options.scenario", old["options"]["scenario"], new["options"]["scenario"])
     if not code:  # else that is why
         yield from _lost(there, here)
 

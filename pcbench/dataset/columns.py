@@ -12,7 +12,8 @@ from pcbench.statistics import QUANTILES
 
 # 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...;
 # 5: intervals of sizes stay positive; blocks know options, provenance.json digests; 6: certified; 7: method, reason
-SCHEMA = "7"
+SCHEMA = "1"
+SCHEMA_KEY = b"pcbench.schema"
 AXIS_UNITS = {
     "sampling_period": "s",
     "delay": "s",
@@ -54,7 +55,7 @@ MEANING = {
     "none, or predicts nothing",
     **{f"carries_input_{one}": f"carries_input of observer_{one}" for one in "ab"},
     "certified": "whether something proves the observer's gains in this cell (an inequality, checked again, with a margin "
-    "above 0); null: it has no gains, or the table is of an earlier release",
+    "above 0); null: it has no gains",
     **{f"certified_{one}": f"certified of observer_{one}" for one in "ab"},
     "unit": "unit of the signal; beside a metric, of that metric",
     "mae": "mean |e| over ticks 0 .. N-1",

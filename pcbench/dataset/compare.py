@@ -19,7 +19,7 @@ import pandas as pd
 import pyarrow as pa
 from scipy.special import stdtr
 
-from pcbench.dataset import block_files, cell_rows, columns, earlier, ownership, store, summary
+from pcbench.dataset import block_files, cell_rows, columns, ownership, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.rows_apart import ROUNDING, ZERO
@@ -127,8 +127,7 @@ def _side(target: store.Target, owned: Owned) -> Side:
                 f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
             )
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
-    stats = earlier.completed(found, columns.stats_order)
-    return Side(target, owned, stats, digests, blocks)
+    return Side(target, owned, found, digests, blocks)
 
 
 EXACT = "no draws: exact"

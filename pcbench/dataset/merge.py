@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, earlier, exact_merge, fill, kept_code, ownership, parquet, store, summary
+from pcbench.dataset import block_files, exact_merge, fill, kept_code, ownership, parquet, store, summary
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.ownership import Owned
 from pcbench.dataset.rows_apart import difference, of_one_run
@@ -171,7 +171,7 @@ def _equal(part: Part, seen: list[Part]) -> None:
 
 def _engine(part: Part, table: pa.Table) -> tuple[str, str]:
     """What computed the rows of a block: the engine of its study, and how its observer went."""
-    return part.engine, block_files.about(table).get("flow", earlier.FLOW)
+    return part.engine, block_files.about(table)["flow"]
 
 
 def _whole(holdings: list[Owned]) -> Owned:

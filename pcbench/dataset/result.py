@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from pcbench.dataset import block_files, columns, earlier, exact_part, ownership, parquet, store, summary
+from pcbench.dataset import block_files, exact_part, ownership, parquet, store, summary
 from pcbench.dataset.cost import Cost
 from pcbench.dataset.verify import FAIR
 from pcbench.errors import UserError, said
@@ -62,12 +62,12 @@ class Result:
     @cached_property
     def stats(self) -> "pd.DataFrame":
         """One row per cell, observer, signal and metric."""
-        return self._closing("stats.parquet", columns.stats_order)
+        return self._closing("stats.parquet")
 
     @cached_property
     def pairs(self) -> "pd.DataFrame":
         """One row per cell, pair of observers, signal and metric."""
-        return self._closing("pairs.parquet", columns.pairs_order)
+        return self._closing("pairs.parquet")
 
     @cached_property
     def runs(self) -> "pd.DataFrame":
@@ -182,13 +182,13 @@ class Result:
         base = f"{self._target.root}/runs"
         return ds.dataset(files, filesystem=self._target.fs, format=kind, partitioning="hive", partition_base_dir=base)
 
-    def _closing(self, name: str, order: earlier.Order) -> "pd.DataFrame":
+    def _closing(self, name: str) -> "pd.DataFrame":
         found = summary.table(self._target, name)
         if found is None:
             raise UserError(
                 f"{self._target.name}/{name}: is gone or damaged; run the study again to have it made anew."
             )
-        return earlier.completed(found, order).to_pandas()
+        return found.to_pandas()
 
     def __repr__(self) -> str:
         return f"<pcbench result of study '{self.study.name}': {len(self.stats)} rows of stats>"

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pcbench.dataset import block_files, cell_rows, columns, earlier, exact_part, parquet, store
+from pcbench.dataset import block_files, cell_rows, columns, exact_part, parquet, store
 from pcbench.dataset.adjusted import adjusted
 from pcbench.dataset.block_files import Block
 from pcbench.dataset.frames import Frame
@@ -174,7 +174,7 @@ class Closing:
         mine = self.weakest.setdefault(cell.scenario.name, {}) if found else {}
         went = self.ways.setdefault(cell.scenario.name, {}) if found else {}
         for name, each in found.items():
-            c, way = each.about["certificate"], each.about.get("flow", earlier.FLOW)
+            c, way = each.about["certificate"], each.about["flow"]
             mine[name] = min(mine.get(name, c), c, key=_strength)
             went[name] = way if went.get(name, way) == way else "both"
 
@@ -232,7 +232,7 @@ def is_closed(target: store.Target, there: list[Block]) -> bool:
     for name in ("stats.parquet", "pairs.parquet"):
         found = table(target, name)
         said = {} if found is None else found.schema.metadata or {}
-        if said.get(FROM) != made_from(target, there) or not earlier.is_read(said):
+        if said.get(FROM) != made_from(target, there) or said.get(columns.SCHEMA_KEY) != columns.SCHEMA.encode():
             return False
     return True
 

@@ -11,7 +11,6 @@ import pyarrow as pa
 from pcbench import planning
 from pcbench.dataset import (
     block_files,
-    earlier,
     exact_again,
     exact_part,
     executors,
@@ -155,7 +154,7 @@ def _again(target: store.Target, owned: Owned, chosen: list[Block], progress: Pr
     with executors.here() as execute:
         by: dict[str, list[Block]] = {}
         for b in chosen:
-            flow = block_files.about_block(target, b).get("flow", earlier.FLOW)
+            flow = block_files.about_block(target, b)["flow"]
             by.setdefault(_engine(flow, owned), []).append(b)
         for engine, mine in by.items():
             cells = [cell._replace(engine=engine) for cell in owned.cells]
@@ -211,7 +210,7 @@ def _difference(b: Block, there: pa.Table, here: pa.Table) -> Iterator[str]:
         return
     now = new["versions"]
     changed = [f"{k} {v}, now {now.get(k)}" for k, v in old["versions"].items() if now.get(k) != v]
-    if (way := old.get("flow", earlier.FLOW)) != new["flow"]:
+    if (way := old["flow"]) != new["flow"]:
         changed.append(f"flow {way}, now {new['flow']}")
     made = f"made with {'; '.join(changed)}; " if changed else ""
     kind = "rounding" if apart.relative < ROUNDING or apart.of_largest < ZERO else "more than rounding"
@@ -239,6 +238,6 @@ def _closing_differs(target: store.Target, owned: Owned, kept: list[Block]) -> l
     out = []
     for name, made in (("stats.parquet", stats), ("pairs.parquet", pairs)):
         there = summary.table(target, name)
-        if there is None or not earlier.follows(there, parquet.parsed(made)):
+        if there is None or not there.equals(parquet.parsed(made)):
             out.append(f"{name}: does not follow from the blocks; run the study again to have it made anew.")
     return out

@@ -51,9 +51,7 @@ class Tuning(NamedTuple):
     points: list[Evaluation]
     method: str
     objective: Objective
-    certified: bool | None = (
-        None  # whether something proves the gains chosen; None: there are none, or an earlier release
-    )
+    certified: bool | None = None  # whether something proves the gains chosen; None: there are none
     exact: bool = False  # the objective is its expected value, and `judged` has that alone
 
 

@@ -112,11 +112,6 @@ FAULTS = (  # of samples, which nobody is told of
 CHAIN = ("delay_steps", "delay_stay")
 TURNS = ("delay_turns",)
 SPREAD = ("delay_share", "delay_gamma", "delay_shape")  # delays that are drawn one by one
-OF_COMMANDS = ("command_jitter", "command_loss", "command_std")
-UNSAID = (  # where 0
-    *(*OF_COMMANDS, *STAMPS, *TURNS),
-    *("noise_tail", "resolution", "dither", "burst", "delay_share", "delay_gamma"),
-)
 RECORD_OF = {field: record for record, fields in RECORDS.items() for field in fields}
 CODE = ("own",)  # functions, which no digest and no file holds
 
@@ -163,17 +158,6 @@ class Scenario(NamedTuple):
 
         Of a user's own code it is the digest.
         """
-        hidden = {name for name in UNSAID if not _some(self.value(name))}
-        hidden |= set() if self.belief.assumed_noise_scale != 1 else {"assumed_noise_scale"}
-        hidden |= set() if self.sampling.outlier_probability else set(OUTLIERS)
-        hidden |= set() if self.sampling.delay_steps else set(CHAIN)
-        hidden |= set() if self.sampling.delay_gamma else {"delay_shape"}
-        # earlier folders know their cells without these
-        names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE, *hidden)]
+        names = [name for name in (*self._fields, *RECORD_OF) if name not in (*RECORDS, *CODE)]
         code = {"code": {kind: mine.code.digest for kind, mine in self.own.items()}} if self.own else {}
         return {name: self.value(name) for name in names} | code
-
-
-def _some(value: Any) -> bool:
-    """Whether a field that is a number, or one for each, is not 0."""
-    return any(value) if isinstance(value, tuple) else bool(value)

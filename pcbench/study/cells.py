@@ -12,7 +12,7 @@ from pydantic import BaseModel
 
 from pcbench.errors import UserError
 from pcbench.observers import Entry, entry_of
-from pcbench.scenarios import INTERVAL, Scenario
+from pcbench.scenarios import Scenario
 from pcbench.study import Choices, Study, choices_of, fits, limits, observers_of, options_of, scenarios_of
 from pcbench.study import axes as axis
 from pcbench.study.axes import axes_of
@@ -219,13 +219,10 @@ def channels_apart(study: Study) -> set[str]:
 
 def identity(cell: Cell, root_seed: int) -> str:
     """Return the digest of all that decides a cell's numbers except its observers: equal for equal numbers."""
-    delay = [None if d == INTERVAL else d for d in cell.scenario.sampling.delay]  # as the first releases wrote it
     said = {
-        "scenario": cell.scenario.flat() | {"delay": delay},
+        "scenario": cell.scenario.flat(),
         "parameters": cell.parameters,
-        # drift_sign was once a choice, and consistency was none: earlier folders know their cells by it
-        "choices": cell.choices.model_dump(exclude=None if cell.choices.consistency else {"consistency"})
-        | {"drift_sign": 1},
+        "choices": cell.choices.model_dump(),
         "root_seed": root_seed,
     }
     return _hashed(said)[:16]
@@ -235,10 +232,7 @@ def told(options: BaseModel, own: Own | None = None) -> str:
     """Return the digest of an observer's options, and of its code where it is a user's own: what else decides its numbers."""
     if own:
         return _hashed([options.model_dump(exclude_none=True), own.code.digest])[:16]
-    said = options.model_dump()
-    if said.get("gate") is None and said.get("huber") is None:  # earlier folders know their filters without these
-        said = {name: value for name, value in said.items() if name not in ("gate", "gate_opens", "huber")}
-    return _hashed(said)[:16]
+    return _hashed(options.model_dump())[:16]
 
 
 def _hashed(said: Any) -> str:

@@ -130,7 +130,7 @@ CHANGES = {
     "other observer": lambda t, said: (said.update(observer="pccebo"), t)[1],
     "other cell": lambda t, said: (said.update(cell="0"), t)[1],
     "a row less": lambda t, said: t.slice(1),
-    "older schema": lambda t, said: t.replace_schema_metadata(t.schema.metadata | {b"pcbench.schema": b"3"}),
+    "another schema": lambda t, said: t.replace_schema_metadata(t.schema.metadata | {b"pcbench.schema": b"2"}),
 }
 
 

@@ -1,17 +1,14 @@
-"""Gains that nothing proves are so called in every table, and tables of an earlier release, which do not say it, are read."""
+"""Every table says which gains have no certificate."""
 
-import shutil
 from pathlib import Path
 
 import pandas as pd
-import pyarrow.parquet as pq
 import pytest
 from rich.console import Console
-from small_study import sealed_again, tables
 
 import pcbench
 from pcbench.cli.screen import comparison, folder, results
-from pcbench.dataset import merge, parquet, store, summary, verify
+from pcbench.dataset import summary, verify
 from pcbench.dataset.compare import compare
 from pcbench.report import headline
 from pcbench.synthesis.certificate import NO_GAIN, Certificate, is_certified, uncertified
@@ -30,25 +27,6 @@ def out(tmp_path_factory):
     (here / "mine.py").write_text(SOURCE.replace(PROOF, 'pcbench.uncertified("by hand")'))
     pcbench.run(STUDY | {"observers": [f"{here}/mine.py:nudge", "kfbo", "open-loop"]}, out=here / "out")
     return here / "out"
-
-
-@pytest.fixture
-def old(out, tmp_path):
-    """The same as a release of schema 5 left it."""
-    shutil.copytree(out, tmp_path / "old")
-    place = store.target(tmp_path / "old")
-    for name in tables(tmp_path / "old"):
-        table = pq.read_table(tmp_path / "old" / name, partitioning=None)
-        table = table.drop_columns(
-            [c for c in table.column_names if c.startswith("certified") or c in ("method", "reason")]
-        )
-        store.put(
-            place,
-            name,
-            parquet.encoded(table.replace_schema_metadata(table.schema.metadata | {b"pcbench.schema": b"5"})),
-        )
-    sealed_again(tmp_path / "old", schema="5")
-    return tmp_path / "old"
 
 
 def shown(show, *what):
@@ -100,27 +78,3 @@ def test_of_several_cells_the_weakest_proof_is_kept():
     none = {"inequality": "none: by hand", "margin": None, "status": "uncertified"}
     nothing = {"inequality": NO_GAIN, "margin": None, "status": "not needed"}
     assert sorted([nothing, some, none], key=summary._strength) == [none, some, nothing]
-
-
-def test_a_dataset_of_schema_5_is_read_compared_verified_and_merged(out, old, tmp_path):
-    result = pcbench.opened(old)
-    assert result.stats.certified.isna().all(), "unknown"
-    assert list(result.stats.columns) == list(pcbench.opened(out).stats.columns)
-    assert result.pairs[["certified_a", "certified_b"]].isna().all(axis=None)
-    assert verify.status(old).closed
-    assert compare(old, out).identical
-    found = verify.verify(old, 1, 0)
-    assert not found.wrong
-    assert not found.differing
-    merge.merge([old, out], tmp_path / "both")
-    assert pcbench.opened(tmp_path / "both").stats.equals(pcbench.opened(out).stats), "closed anew: known"
-
-
-def test_a_table_of_schema_5_that_does_not_follow_is_named(old):
-    place = store.target(old)
-    table = summary.table(place, "stats.parquet")
-    i = table.schema.get_field_index("mean")
-    store.put_table(place, "stats.parquet", table.set_column(i, table.schema.field(i), [table["se"]]))
-    sealed_again(old)
-    (said,) = verify.verify(old, 0, 0).wrong
-    assert said.startswith("stats.parquet: does not follow")

@@ -1,4 +1,4 @@
-"""The digest of a table is of what stands in it, however its columns are kept: files of earlier releases stay whole."""
+"""The digest of a table is of what stands in it, however its columns are kept."""
 
 import hashlib
 

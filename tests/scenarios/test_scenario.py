@@ -9,9 +9,8 @@ from pcbench.controllers import CONTROLLERS
 from pcbench.controllers.pd import Options
 from pcbench.plants import PLANTS
 from pcbench.scenarios import SCENARIOS, Scenario
-from pcbench.scenarios.scenario import CHAIN, CODE, FAULTS, OF_COMMANDS, RECORDS, SPREAD, TURNS
-from pcbench.study import Study
-from pcbench.study.cells import cell_of, cells, identity
+from pcbench.scenarios.scenario import CODE, RECORDS
+from pcbench.study.cells import cell_of
 from pcbench.study.own import Code, Own
 
 ARM = SCENARIOS["arm/sampled"]
@@ -20,13 +19,7 @@ ARM = SCENARIOS["arm/sampled"]
 def test_no_two_records_have_a_field_of_the_same_name():
     names = [*Scenario._fields, *(field for fields in RECORDS.values() for field in fields)]
     assert max(Counter(names).values()) == 1
-    hidden = set(RECORDS) | set(CODE) | set(OF_COMMANDS) | set(FAULTS) | set(CHAIN) | set(SPREAD) | set(TURNS)
-    assert set(ARM.flat()) == set(names) - hidden, "those that are 0 are left out"
-    some = dict.fromkeys(FAULTS, 2.0) | {"resolution": (0.0, 0.1), "delay_gamma": 0.1, "delay_share": (0.5, 0.5)}
-    assert {*FAULTS, *SPREAD} < set(ARM.having(**some).flat())
-    assert "resolution" not in ARM.having(resolution=(0.0, 0.0)).flat()
-    assert set(CHAIN) < set(ARM.having(delay_steps=(0.0, 0.1)).flat())
-    assert ARM.having(command_loss=0.1).flat()["command_loss"] == 0.1
+    assert set(ARM.flat()) == set(names) - set(RECORDS) - set(CODE)
 
 
 def test_fields_are_changed_in_the_record_that_has_them_and_nowhere_else():
@@ -41,19 +34,6 @@ def test_fields_are_changed_in_the_record_that_has_them_and_nowhere_else():
 def test_a_name_that_is_no_field_is_refused(name):
     with pytest.raises(TypeError, match=f"no field '{name}'"):
         ARM.having(**{name: 1.0})
-
-
-@pytest.mark.parametrize(
-    ("scenario", "digest"),
-    [
-        ("cart/nominal", "728a21b962fd4b70"),
-        ("helicopter/constant", "ee54dd4e1509cf10"),
-        ("arm/sampled", "1b1cb641b2450405"),
-    ],
-)
-def test_folders_of_earlier_releases_know_their_cells_again(scenario, digest):
-    (cell,) = cells(Study(name="t", scenarios=[scenario]), scenario)
-    assert identity(cell, 0) == digest
 
 
 def test_a_scenario_may_carry_its_plant_and_its_controller_of_which_it_says_the_code():
