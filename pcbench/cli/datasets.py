@@ -14,7 +14,7 @@ def status(
     folder: Folder,
     as_json: AsJson = False,
 ) -> None:
-    """Show how far a study is, and whether its files are whole. Exit code 1 where one is damaged.
+    """Show how far a study is, and which files cannot be read. Exit code 1 where one is damaged; `verify` reads every number.
 
     Example: pcbench status results/quick
     """

@@ -116,7 +116,8 @@ def _side(target: store.Target, owned: Owned) -> Side:
         )
     blocks: dict[tuple[str, int, str], list[Block]] = {}
     digests = {c.key: identity(c, 0) for c in owned.cells}
-    for b in sorted(block_files.settled(block_files.present(target))):
+    there = sorted(block_files.settled(block_files.present(target)))
+    for b in there:
         if (b.scenario, b.cell) not in digests:
             raise UserError(
                 f"{target.name}/{b.name}: is of a cell that {target.name}/study.toml does not have, expected one of its cells; "
@@ -127,6 +128,11 @@ def _side(target: store.Target, owned: Owned) -> Side:
                 f"{target.name}/{b.name}: is damaged, expected a whole block; run the study again to have it redone."
             )
         blocks.setdefault((b.scenario, b.cell, b.observer), []).append(b)
+    if not summary.is_closed(target, there):
+        raise UserError(
+            f"{target.name}/stats.parquet: is not of the blocks in {target.name}/runs, expected a finished study; run it again "
+            "to go on."
+        )
     return Side(target, owned, found, digests, blocks)
 
 

@@ -26,6 +26,10 @@ def opened(out: str | Path) -> "Result":
     owned = ownership.opened(target)
     there = block_files.settled(block_files.present(target))
     if not summary.is_closed(target, there):
+        for name in summary.damaged(target):
+            raise UserError(
+                f"{target.name}/{name}: is damaged, expected it as it was written; run the study again to have it made anew."
+            )
         raise UserError(
             f"{target.name}: got a study without closing tables of its runs, expected a finished one; go on with pcbench run "
             f"{target.name}/study.toml --out {target.name}."

@@ -43,7 +43,8 @@ ORDER = """   At tick k, in this order:
    {label}_jump returns 0; or 1, with the memory unchanged, for a measurement outside its room. The oldest admissible age is
    {macro} = {oldest} ticks ({seconds:g} s), and no measurement may be from before tick 0 or after now. A
    measurement may arrive after at most {macro_newer} = {newer} newer ones; after more of them {label}_jump may return 1. It
-   returns 1 if the inputs since the last measurement are no longer stored: begin again with {label}_begin and {label}_init."""
+   returns 1 if the inputs since the last measurement are no longer stored: begin again with {label}_begin and {label}_init.
+   A value that is not finite makes the estimates so for good: set fresh to 0 for it."""
 OLDEST, NEWER = "{macro}_OLDEST_AGE", "{macro}_MAX_NEWER"
 ADMITTED = """    for (int j = 0; j < {outputs}; j++) {{
         if (a->fresh[j] && (a->age[j] < 0 || a->age[j] > {macro} || a->age[j] > now->tick)) {{

@@ -200,6 +200,11 @@ def test_other_studies_and_unfinished_ones_are_refused_in_a_sentence(whole, copy
     ):  # once, and this way round
         compare.compare(whole, copy)
     (copy / "study.toml").write_text(text)
+    kept = shutil.copytree(copy, tmp_path / "kept")
+    next((copy / "runs").rglob("*.parquet")).unlink()
+    with pytest.raises(UserError, match=r"stats.parquet: is not of the blocks in \S+runs, expected a finished study"):
+        compare.compare(whole, copy)
+    copy = kept
     (copy / "stats.parquet").unlink()
     done = call("compare", whole, copy)
     assert done.returncode == 2

@@ -34,7 +34,10 @@ class Gains(NamedTuple):
 
 
 class Options(BaseModel):
-    """What a study may set: [observers.NAME] share = 0.2. What `pcbench tune` may change is made by pcbench.tunable."""
+    """What a study may set: [observers.NAME] use = "NAME.py:NAME", share = 0.2.
+
+    What `pcbench tune` may change is made by pcbench.tunable.
+    """
 
     share: float = pcbench.tunable(
         0.3, between=(0, 1), gt=0, lt=1, description="part of the innovation that corrects the estimate"
