@@ -3,9 +3,6 @@
 Plant and schedules are those of `test_late_samples`; every fifth sample has ten standard deviations more.
 """
 
-import hashlib
-import json
-
 import driven
 import jax
 import numpy as np
@@ -17,7 +14,6 @@ from test_late_samples import CASE, KNOWN, MODEL, TICKS, TIMES, R, W, plant
 
 import pcbench
 from pcbench.observers import OBSERVERS
-from pcbench.study.cells import told
 
 pytestmark = pytest.mark.usefixtures("in_a_hurry")
 CHOICES = [{"gate": 3.0}, {"gate": 1.0, "gate_opens": 2}, {"huber": 1.3}, {"gate": 2.0, "huber": 1.0, "gate_opens": 3}]
@@ -94,15 +90,6 @@ def test_where_samples_are_outliers_both_are_better_and_without_hardly_worse():
 def test_bounds_that_are_none_are_refused(name, given):
     with pytest.raises(ValueError, match=next(iter(given))):
         OBSERVERS[name].options(**given)
-
-
-def test_a_filter_without_is_the_one_of_earlier_folders():
-    """A folder knows a filter by the digest of its options; one of the time before these had the others alone."""
-    known = {"R": None, "q": None, "Q": None, "bias_variance": None, "input_walk": 1.0}
-    earlier = hashlib.sha256(json.dumps(known, sort_keys=True).encode()).hexdigest()[:16]
-    options = OBSERVERS["dkf"].options
-    assert told(options()) == earlier
-    assert told(options(gate=3.0)) != earlier
 
 
 def test_what_it_leaves_out_nothing_proves():
