@@ -16,7 +16,7 @@ from pcbench.gains import versions
 from pcbench.logs import runs as run_as_log
 from pcbench.machine import process
 from pcbench.machine.progress import SILENT, Progress
-from pcbench.planning import all_observers, alone, asked_inputs, cost, digits, drafts, padding, samples_of
+from pcbench.planning import all_observers, alone, cost, digits, drafts, missing_inputs, padding, samples_of
 from pcbench.plants import signals_of
 from pcbench.scenarios.sources import units
 from pcbench.study import read
@@ -93,7 +93,7 @@ def run(
         if say and made.study.tuning_sentence:
             say(made.study.tuning_sentence)
         result = run_study.execute(made.grid, out, how)
-        for sentence in asked_inputs.sentences(made.grid, lambda: result.stats):
+        for sentence in missing_inputs.explain_divergence(made.grid, lambda: result.stats):
             (say or warnings.warn)(sentence)
         if made.aim is None:
             return result

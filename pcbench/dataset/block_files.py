@@ -126,7 +126,7 @@ def damage(target: store.Target, block: Block, cell: str) -> str | None:
     if isinstance(table, str):
         return table
     said, metadata = about(table), table.schema.metadata or {}
-    if metadata.get(columns.SCHEMA_KEY) != columns.SCHEMA.encode():
+    if not columns.has_schema(metadata):
         return OTHER_SCHEMA
     if said.get("cell") != cell:
         return "it is of another cell"

@@ -10,10 +10,7 @@ import pyarrow as pa
 from pcbench.dataset import loop_columns
 from pcbench.statistics import QUANTILES
 
-# 2: recovery_time, carries_input; 3: status, tracking_*, divergence, unsettled, actuator_delay; 4: p05_low ...;
-# 5: intervals of sizes stay positive; blocks know options, provenance.json digests; 6: certified; 7: method, reason
-SCHEMA = "1"
-SCHEMA_KEY = b"pcbench.schema"
+SCHEMA = "1"  # of every file; one more for each change once there is a release
 AXIS_UNITS = {
     "sampling_period": "s",
     "delay": "s",
@@ -159,6 +156,11 @@ def table(columns: dict[str, Any], bools: tuple[str, ...] = ()) -> pa.Table:
         arrays.append(values)
         fields.append(_field(name, kind))
     return pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata={"pcbench.schema": SCHEMA}))
+
+
+def has_schema(metadata: dict[bytes, bytes]) -> bool:
+    """Return whether a table with this metadata has the columns of this release."""
+    return metadata.get(b"pcbench.schema") == SCHEMA.encode()
 
 
 @cache

@@ -232,7 +232,7 @@ def is_closed(target: store.Target, there: list[Block]) -> bool:
     for name in ("stats.parquet", "pairs.parquet"):
         found = table(target, name)
         said = {} if found is None else found.schema.metadata or {}
-        if said.get(FROM) != made_from(target, there) or said.get(columns.SCHEMA_KEY) != columns.SCHEMA.encode():
+        if said.get(FROM) != made_from(target, there) or not columns.has_schema(said):
             return False
     return True
 

@@ -62,6 +62,12 @@ def test_the_folders_with_nightly_tests_are_listed():
     assert rows == sorted(files)
 
 
+def test_the_table_of_folders_has_the_order_that_the_linter_holds():
+    rows = re.findall(r"^\| (`pcbench/.*?) \|", TEXT, re.M)
+    (layers,) = (c["layers"] for c in PROJECT["tool"]["importlinter"]["contracts"] if c["type"] == "layers")
+    assert [" | ".join(re.findall(r"`pcbench/(\w+)(?:\.py)?`", row)) for row in rows] == layers
+
+
 def test_ci_builds_the_reference():
     assert ".ci/docs" in (ROOT / ".ci" / "run").read_text()
 

@@ -1,4 +1,4 @@
-"""An observer of a user's own that asks for an input that a closed loop no longer has is named: its runs had only diverged."""
+"""`run` names an own observer that asks for an input that its closed loop no longer stores."""
 
 from pathlib import Path
 
@@ -52,7 +52,7 @@ def sentences(tmp_path):
     return of
 
 
-def test_who_asks_for_an_input_that_a_loop_no_longer_has_is_named_with_its_age(sentences):
+def test_run_names_observer_and_age_if_a_loop_no_longer_stores_an_input(sentences):
     loop = {"controller": {"use": "lqr", "Q1": 1.0, "Q2": 1.0}}
     found = sentences(["far", "near", "far_by_vmap", "far_by_scan"], **loop)
     assert [sentence.split(" ticks ago")[0] for sentence in found] == [
@@ -61,5 +61,5 @@ def test_who_asks_for_an_input_that_a_loop_no_longer_has_is_named_with_its_age(s
     ]
 
 
-def test_an_open_loop_has_every_input(sentences):
+def test_run_names_nothing_in_an_open_loop(sentences):
     assert sentences(["far"]) == []
