@@ -1,5 +1,6 @@
 """What of a study is to be done, cell by cell: designed and checked before anything is written, and cut into tasks."""
 
+from collections import deque
 from collections.abc import Callable, Hashable, Iterator
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from pcbench.planning.padding import Plan
 from pcbench.study.cells import Cell
 
 DRAFTS = 2**27  # bytes of drafts that are kept between planning and computing, those of 10,000 cells of few schedules
+AHEAD = 16  # tasks that wait while the next program is begun
 SeedsOf = Callable[[Cell], Seeds]
 Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
 
@@ -36,8 +38,23 @@ class Planned(NamedTuple):
     def tasks(self, wanted: SeedsOf) -> Iterator[task.Task]:
         """Yield the tasks, cell by cell; those of expensive observers last, so that nothing waits for them.
 
-        The first task of a program comes after one that estimates how long a call takes.
+        The first task of a program comes after one that makes it and estimates how long a call takes; that one comes before the
+        other tasks of the program before, so that two programs are made side by side.
         """
+        waiting: deque[task.Task] = deque()
+        for each in self._in_order(wanted):
+            if each.timed:
+                yield each
+                yield from waiting
+                waiting.clear()
+                continue
+            waiting.append(each)
+            if len(waiting) > AHEAD:
+                yield waiting.popleft()
+        yield from waiting
+
+    def _in_order(self, wanted: SeedsOf) -> Iterator[task.Task]:
+        """Yield the tasks, cell by cell, each program's first after one that estimates how long a call of it takes."""
         cells = {cell.key: cell for cell in self.owned.cells}
         turns = {cells[key].entry(label).expensive for key, labels in self.todo.items() for label in labels}
         known: set[Hashable] = set()

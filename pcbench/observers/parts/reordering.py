@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 
 from pcbench.dynamics.room import within_room
 from pcbench.observers.parts.feedthrough import known_input
-from pcbench.protocols import Arrival, Leaf, Now, Room
+from pcbench.protocols import Arrival, Leaf, Now, Room, together
 
 
 class Measurement(NamedTuple):
@@ -65,10 +65,12 @@ def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer
     if not buffer.samples.taken.shape[0]:
         state = update(buffer.before, arrived)
         return Buffer(state, buffer.samples), state
-    entries = _merged(buffer.samples, arrived)
+    entries, kept = _merged(buffer.samples, arrived)
     newest, states = _through(update, buffer.before, entries)
-    before = jax.tree.map(lambda a: a[0], states)  # the oldest of K + 1 leaves the buffer
-    return Buffer(before, jax.tree.map(lambda a: a[1:], entries)), newest
+    before = jax.tree.map(
+        lambda a: lax.dynamic_index_in_dim(a, 0, keepdims=False), states
+    )  # the oldest of K + 1 leaves
+    return Buffer(before, kept), newest
 
 
 def newest(update: Update, buffer: Buffer) -> Any:
@@ -83,6 +85,7 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Meas
     corrected by all that has arrived, and says what is expected of the sample: the innovations in the order of arrival are
     independent if the model is true.
     """
+    entries, _ = _merged(buffer.samples, arrived)
     place = jnp.sum(buffer.samples.taken <= arrived.taken)
 
     def step(state: Any, row: tuple[Array, Measurement]) -> tuple[Any, None]:
@@ -91,7 +94,6 @@ def newest_with_copy(update: Update, copy: Update, buffer: Buffer, arrived: Meas
         there, here = jnp.any(sample.fresh), i == place
         return jax.tree.map(lambda a, b, c: jnp.where(here, a, jnp.where(there, b, c)), copied, used, state), None
 
-    entries = _merged(buffer.samples, arrived)
     return lax.scan(step, buffer.before, (jnp.arange(entries.taken.shape[0]), entries))[0]
 
 
@@ -106,13 +108,19 @@ def _through(update: Update, before: Any, entries: Measurement) -> tuple[Any, An
     return lax.scan(step, before, entries)
 
 
-def _merged(samples: Measurement, arrived: Measurement) -> Measurement:
-    """K samples in the order they were taken, and one more in its place: [K + 1]."""
-    later = samples.taken > arrived.taken
-    stays, moves = jnp.append(~later, False), jnp.append(False, later)  # what is newer than the arrival moves up by one
+def _merged(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Measurement]:
+    """K samples in the order they were taken, and one more in its place: [K + 1]; and the newest K of them."""
 
-    def one(a: Array, b: Array) -> Array:
-        s, m = (jnp.reshape(x, (-1, *[1] * b.ndim)) for x in (stays, moves))
-        return jnp.where(s, jnp.concatenate([a, b[None]]), jnp.where(m, jnp.concatenate([b[None], a]), b[None]))
+    def merge(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Measurement]:
+        later = samples.taken > arrived.taken
+        stays, moves = jnp.append(~later, False), jnp.append(False, later)  # what is newer moves up by one
 
-    return jax.tree.map(one, samples, arrived)
+        def one(a: Array, b: Array) -> Array:
+            s, m = (jnp.reshape(x, (-1, *[1] * b.ndim)) for x in (stays, moves))
+            return jnp.where(s, jnp.concatenate([a, b[None]]), jnp.where(m, jnp.concatenate([b[None], a]), b[None]))
+
+        merged = jax.tree.map(one, samples, arrived)
+        return merged, jax.tree.map(lambda a: a[1:], merged)
+
+    found: tuple[Measurement, Measurement] = together(merge)(samples, arrived)
+    return found
