@@ -1,237 +1,194 @@
-"""Break the code on purpose, one line at a time, and see the tests fail: `python tests/mutate.py`.
+"""Break the package at random places and see the tests fail: `python tests/mutate.py pcbench/simulation --sample 40`.
 
-`mutations.toml` beside this file lists what to break and which tests are about it. For each of them a copy of the package is
-changed, never the checkout, and the tests are run on that copy until one fails. Before that they all must pass on a copy that
-is not changed. Exit code 1 where a mutation survives that is not explained, or one that cannot be tried.
-
-Programs that were compiled and gains that were solved are kept for all copies: a program is known by its own text and gains by
-the problem's bits and the text that states it; where `synthesis` itself is changed, gains are solved anew.
+cosmic-ray makes the mutants, each one change of an operator, a number, a comparison or a loop. A sample of them is tried: the
+change is made in a copy of the package, and the tests of the module's folder are run on that copy until one fails. Before that
+they all must pass on a copy without a change. What survives is printed as a difference, and the score last: the share of mutants
+on which a test fails, with its 95 % interval (Wilson). Exit code 1 where the score is below `--least`.
 """
 
 import argparse
+import difflib
 import os
-import resource
+import random
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from pathlib import Path
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import NamedTuple
+
+from cosmic_ray.ast import ast_nodes, get_ast
+from cosmic_ray.mutating import mutate_code
+from cosmic_ray.plugins import get_operator, operator_names
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
-LONGEST = 300  # s: tests that take longer under a mutation never end
-LARGEST = 8 * 2**30  # bytes of a process: a loop that never ends may fill the memory first
-PASSED, FAILED = 0, 1  # what pytest returns where all tests pass, and where some fail
+LONGEST = 600  # [s] of the tests of one mutant: beyond, it never ends, which is a failure
+WITHOUT = (
+    "BitOr",
+    "RemoveDecorator",
+    "VariableReplacer",
+    "VariableInserter",
+    "NoOp",
+    "ExceptionReplacer",
+)  # X | None ...
+BESIDE = {  # tests of a folder's purpose that stand elsewhere
+    "simulation": ("invariants", "observers/test_dkf.py"),
+    "engine": ("simulation", "invariants"),
+    "observers": ("invariants",),
+    "dynamics": ("plants", "observers"),
+}
 
 
-class Mutation(NamedTuple):
-    """One line broken on purpose."""
+class Mutant(NamedTuple):
+    """One place of the package, changed."""
 
-    file: str  # below pcbench/
-    old: str  # stands there once
-    new: str
-    tests: tuple[str, ...]  # below tests/: FILE, or FILE::TEST
-    why: str  # what is wrong then
-    harmless: str = ""  # why no test can fail; empty: one must
+    file: Path  # below the repository
+    operator: str
+    occurrence: int
+    line: int
 
     @property
     def title(self) -> str:
-        """Return where it is and what is wrong."""
-        return f"{self.file}: {self.why}"
+        """Return where it is and what is changed."""
+        return f"{self.file}:{self.line} {self.operator.split('/')[-1]}"
+
+    def text(self) -> str:
+        """Return the file's text with the change in it."""
+        changed = mutate_code(
+            (ROOT / self.file).read_text(encoding="utf-8"), get_operator(self.operator)(), self.occurrence
+        )
+        return str(changed)
+
+    def difference(self) -> str:
+        """Return what is changed."""
+        old = (ROOT / self.file).read_text(encoding="utf-8").splitlines()
+        lines = difflib.unified_diff(old, self.text().splitlines(), n=0, lineterm="")
+        return "\n".join(line for line in lines if line[:1] in "+-" and line[:3] not in ("+++", "---"))
 
 
-class Tried(NamedTuple):
-    """What came of a mutation."""
-
-    mutation: Mutation
-    outcome: str
-    seconds: float
-    said: str = ""  # pytest's last words
-
-    @property
-    def fine(self) -> bool:
-        """Return whether a test has failed that should, or none can."""
-        return self.outcome in ("caught", "explained")
+def mutants(file: Path) -> Iterator[Mutant]:
+    """Yield all mutants of a file."""
+    tree = get_ast((ROOT / file).read_text(encoding="utf-8"))
+    for name in operator_names():
+        operator = get_operator(name)
+        if any(word in name for word in WITHOUT) or operator.arguments():
+            continue
+        positions = (start for node in ast_nodes(tree) for start, _ in operator().mutation_positions(node))
+        for i, (line, _) in enumerate(positions):
+            yield Mutant(file, name, i, line)
 
 
-def listed() -> list[Mutation]:
-    """Return the list beside this file."""
-    raw = tomllib.loads((TESTS / "mutations.toml").read_text(encoding="utf-8"))
-    return [Mutation(**{**each, "tests": tuple(each["tests"])}) for each in raw["mutation"]]
+def tests_of(file: Path) -> list[str]:
+    """Return the tests that are about a file's folder."""
+    folder = file.parts[1] if len(file.parts) > 2 else "house"
+    return [each for each in (folder, *BESIDE.get(folder, ())) if (TESTS / each).exists()]
 
 
-def mutated(m: Mutation, text: str) -> str:
-    """Return a file's text with the mutation in it; raise ValueError where that has no one place."""
-    if text.count(m.old) != 1:
-        raise ValueError(f"{m.title}: {m.old!r} stands there {text.count(m.old)} times, expected once")
-    return text.replace(m.old, m.new)
-
-
-class Workshop:
-    """A folder for copies of the package, and what they share."""
-
-    def __init__(self, folder: str) -> None:
-        self.folder, self.running, self.stopped = Path(folder), set[subprocess.Popen[str]](), False
-        for shared in ("programs", "gains"):
-            (self.folder / shared).mkdir()
-
-    def copy(self, name: str, m: Mutation | None = None) -> Path:
-        """Make a copy of the package, with a mutation in it; return the folder it is in."""
-        place = self.folder / name
-        shutil.copytree(ROOT / "pcbench", place / "pcbench")
-        if m:
-            path = place / "pcbench" / m.file
-            path.write_text(mutated(m, path.read_text(encoding="utf-8")), encoding="utf-8")
-            for compiled in (path.parent / "__pycache__").glob(f"{path.stem}.*"):
-                compiled.unlink()
-        cache = place / f"pcbench-tests-{os.getuid()}-{os.getpid()}"  # where conftest.py looks for it
-        cache.mkdir()
-        for shared in ("programs", "gains"):
-            if shared == "programs" or not (m and m.file.startswith("synthesis/")):
-                (cache / shared).symlink_to(self.folder / shared)
-        return place
-
-    def pytest(self, place: Path, tests: Iterable[str], *how: str, longest: float = LONGEST) -> tuple[int, str]:
-        """Run tests on a copy, of whole files those that are not slow; return what pytest returns and says."""
-        tests = list(tests)
-        which = "not slow or slow" if all("::" in test for test in tests) else "not slow"
-        given = ["-m", "pytest", f"--rootdir={ROOT}", "-c", str(ROOT / "pyproject.toml"), *how]
-        given += ["-q", "-n", "0", "-m", which, "-p", "no:cacheprovider", "--hypothesis-seed=0", "--durations=0"]
-        return self.python(place, *given, *(str(TESTS / test) for test in tests), longest=longest)
-
-    def python(self, place: Path, *words: str, longest: float = LONGEST) -> tuple[int, str]:
-        """Run Python where a copy is the package that is imported; return its exit code and what it says."""
-        env = os.environ | {"PYTHONPATH": str(place), "TMPDIR": str(place)}
-        process = subprocess.Popen(
-            [sys.executable, *words], cwd=place, env=env, text=True, start_new_session=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-        )  # fmt: skip
-        self.running.add(process)
-        if hasattr(resource, "prlimit"):
-            resource.prlimit(process.pid, resource.RLIMIT_DATA, (LARGEST, LARGEST))
-        try:
-            said, _ = process.communicate(timeout=longest)
-            return process.returncode, said
-        except subprocess.TimeoutExpired:
-            self.end(process)
-            return FAILED, f"never ends (after {longest:g} s)"
-        finally:
-            self.running.discard(process)
-
-    def end(self, process: subprocess.Popen[str]) -> None:
-        """End a process and all that it has started."""
+def pytest(place: Path, tests: list[str], longest: float) -> int:
+    """Run tests on the copy of the package in a folder; return pytest's exit code, 1 where they never end."""
+    words = [
+        "-m",
+        "pytest",
+        f"--rootdir={ROOT}",
+        "-c",
+        str(ROOT / "pyproject.toml"),
+        "-x",
+        "-q",
+        "-n",
+        "0",
+        "-m",
+        "not slow",
+    ]
+    words += ["-p", "no:cacheprovider", "--hypothesis-seed=0", *(str(TESTS / each) for each in tests)]
+    env = os.environ | {"PYTHONPATH": str(place), "PCBENCH_CACHE": str(place / "cache")}
+    (place / "cache").mkdir(mode=0o700)
+    quiet = subprocess.DEVNULL
+    process = subprocess.Popen(
+        [sys.executable, *words], cwd=place, env=env, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True
+    )
+    try:
+        return process.wait(timeout=longest)
+    except subprocess.TimeoutExpired:
+        return 1
+    finally:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
 
-    def stop(self) -> None:
-        """End whatever runs, and start no more."""
-        self.stopped = True
-        for process in list(self.running):
-            self.end(process)
 
-    def attempt(self, number: int, m: Mutation) -> Tried:
-        """Try one mutation."""
-        start = perf_counter()
-        if self.stopped:
-            return Tried(m, "not tried", 0.0)
-        place = self.copy(f"mutation-{number}", m)
-        code, said = self.pytest(place, m.tests, "-x")
-        shutil.rmtree(place, ignore_errors=True)
-        outcome = {PASSED: "explained" if m.harmless else "SURVIVED", FAILED: "caught"}.get(code, "BROKEN")
-        return Tried(m, outcome, perf_counter() - start, "\n".join(said.splitlines()[-25:]))
-
-    def unbroken(self, tests: Iterable[str]) -> str:
-        """Return what is wrong with the tests on a copy that is not changed; empty: nothing."""
-        place = self.copy("unbroken")
-        _, found = self.python(place, "-c", "import pcbench; print(pcbench.__file__)")
-        if Path(found.strip()) != place / "pcbench" / "__init__.py":
-            return f"the package that is imported is {found}, expected the copy"
-        tests = list(tests)
-        code, said = self.pytest(place, tests, longest=LONGEST * max(len(tests), 1))  # all of them in one go
-        return "" if code == PASSED else said
+def attempt(folder: Path, tests: list[str] | None, m: Mutant | None) -> tuple[Mutant | None, bool, float]:
+    """Return a mutant, whether a test fails on it, and how long that took; None: the package as it is, on all tests."""
+    start, place = perf_counter(), Path(tempfile.mkdtemp(dir=folder))
+    shutil.copytree(ROOT / "pcbench", place / "pcbench", ignore=shutil.ignore_patterns("__pycache__"))
+    if m:
+        (place / m.file).write_text(m.text(), encoding="utf-8")
+    failed = pytest(place, tests or tests_of(m.file if m else Path()), LONGEST if m else 10 * LONGEST) != 0
+    shutil.rmtree(place, ignore_errors=True)
+    return m, failed, perf_counter() - start
 
 
-def tried(shop: Workshop, mutations: list[Mutation], jobs: int) -> Iterator[Tried]:
-    """Try mutations, some at a time, and yield them as they are done."""
-    with ThreadPoolExecutor(jobs) as pool:
-        waiting = [pool.submit(shop.attempt, i, m) for i, m in enumerate(mutations)]
-        try:
-            for done in as_completed(waiting):
-                yield done.result()
-        except BaseException:
-            shop.stop()
-            raise
+def interval(caught: int, many: int) -> tuple[float, float]:
+    """Return the 95 % interval of a share (Wilson)."""
+    z, p = 1.96, caught / many
+    middle, half = p + z * z / (2 * many), z * (p * (1 - p) / many + z * z / (4 * many**2)) ** 0.5
+    return (middle - half) / (1 + z * z / many), (middle + half) / (1 + z * z / many)
 
 
-def chosen(only: str) -> list[Mutation]:
-    """Return the mutations whose file, words, texts or tests have `only` in them."""
-    return [m for m in listed() if only in " ".join((m.title, m.old, m.new, *m.tests))]
-
-
-def show(mutations: list[Mutation], console: Any) -> None:
-    """Print what would be tried."""
-    for m in mutations:
-        console.print(f"{m.title}{' (harmless)' if m.harmless else ''}", markup=False, highlight=False)
-        for sign, text in (("-", m.old), ("+", m.new)):
-            for line in text.splitlines():
-                console.print(f"    {sign} {line}", markup=False, highlight=False)
-    console.print(f"{len(mutations)} mutations", highlight=False)
-
-
-def run(mutations: list[Mutation], jobs: int, console: Any) -> int:
-    """Try mutations, say what comes of each, and return the exit code."""
-    from rich.progress import MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = TextColumn("{task.description}"), MofNCompleteColumn(), TimeElapsedColumn()
-    done: list[Tried] = []
-    with tempfile.TemporaryDirectory(prefix="pcbench-mutations-", ignore_cleanup_errors=True) as folder:
-        shop = Workshop(folder)
-        with Progress(*columns, console=console, transient=True) as progress:
-            bar = progress.add_task("the tests without mutations", total=len(mutations))
-            try:
-                if wrong := shop.unbroken(dict.fromkeys(test for m in mutations for test in m.tests)):
-                    console.print(wrong, "The tests do not pass without any mutation.", sep="\n", markup=False)
-                    return 1
-                for each in tried(shop, mutations, jobs):
-                    done.append(each)
-                    console.print(
-                        f"{each.outcome:9} {each.seconds:5.1f} s  {each.mutation.title}", markup=False, highlight=False
-                    )
-                    if each.outcome == "BROKEN":
-                        console.print(each.said, markup=False, highlight=False)
-                    progress.update(bar, advance=1, description="mutations")
-            except KeyboardInterrupt:
-                shop.stop()
-                progress.stop()
-                console.print(f"Stopped; {len(done)} of {len(mutations)} mutations were tried.", highlight=False)
-                return 130
-    many = {name: sum(t.outcome == name for t in done) for name in ("caught", "explained", "SURVIVED", "BROKEN")}
-    console.print(f"{len(done)} mutations: " + ", ".join(f"{n} {name}" for name, n in many.items()), highlight=False)
-    return 0 if all(t.fine for t in done) else 1
+def files_of(given: list[str], since: str | None) -> list[Path]:
+    """Return the files of the package that are named, or that have changed since a commit."""
+    if since:
+        words = ["git", "-C", str(ROOT), "diff", "--name-only", "--diff-filter=d", since, "--", *(given or ["pcbench"])]
+        names = subprocess.run(words, check=True, capture_output=True, text=True).stdout.split()
+        return [Path(name) for name in names if name.startswith("pcbench/") and name.endswith(".py")]
+    places = [ROOT / each for each in given]
+    found = [file for place in places for file in ([place] if place.is_file() else sorted(place.rglob("*.py")))]
+    return [file.relative_to(ROOT) for file in found]
 
 
 def main() -> int:
-    from rich.console import Console
-
+    """Try a sample of mutants; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", default="", metavar="SUBSTRING", help="only where this stands in file, text or tests")
-    parser.add_argument("--list", action="store_true", help="show the mutations and try none")
-    parser.add_argument("--jobs", type=int, default=1, help="how many to try at a time [default: 1]")
+    parser.add_argument("where", nargs="*", help="files or folders of the package, from the repository on")
+    parser.add_argument("--since", metavar="COMMIT", help="only files that have changed since a commit")
+    parser.add_argument("--sample", type=int, default=40, help="how many mutants to try [default: 40]")
+    parser.add_argument("--seed", type=int, default=0, help="which ones [default: 0]")
+    parser.add_argument("--jobs", type=int, default=2, help="how many at a time [default: 2]")
+    parser.add_argument("--tests", action="append", help="tests to run instead of those of the folder (repeatable)")
+    parser.add_argument("--least", type=float, default=0.0, help="score below which the exit code is 1 [default: 0]")
     given = parser.parse_args()
-    console = Console(soft_wrap=True)
-    mutations = chosen(given.only)
-    if given.list:
-        show(mutations, console)
-        return 0
-    return run(mutations, max(given.jobs, 1), console)
+    every = [m for file in files_of(given.where, given.since) for m in mutants(file)]
+    if not every:
+        parser.error(
+            "there is nothing to change; name files or folders such as pcbench/simulation, or a commit with --since"
+        )
+    some = random.Random(given.seed).sample(every, min(given.sample, len(every)))
+    caught = 0
+    with tempfile.TemporaryDirectory(prefix="pcbench-mutants-", ignore_cleanup_errors=True) as name:
+        tests = given.tests or sorted({test for m in some for test in tests_of(m.file)})
+        if attempt(Path(name), tests, None)[1]:
+            print(f"The tests do not pass without any change: {' '.join(tests)}", file=sys.stderr)
+            return 1
+        with ThreadPoolExecutor(given.jobs) as pool:
+            waiting = [pool.submit(attempt, Path(name), given.tests, m) for m in some]
+            for done, future in enumerate(as_completed(waiting), 1):
+                m, failed, seconds = future.result()
+                caught += failed
+                print(
+                    f"{done:4}/{len(some)} {'caught  ' if failed else 'SURVIVED'} {seconds:6.1f} s  {m.title}",
+                    flush=True,
+                )
+                if not failed:
+                    print(m.difference(), flush=True)
+    low, high = interval(caught, len(some))
+    share = f"{caught / len(some):.0%}, 95 % interval {low:.0%} to {high:.0%}"
+    print(f"{caught} of {len(some)} mutants caught, of {len(every)} that there are: {share}")
+    return int(caught / len(some) < given.least)
 
 
 if __name__ == "__main__":
