@@ -2,8 +2,8 @@
 
 cosmic-ray makes the mutants, each one change of an operator, a number, a comparison or a loop. A sample of them is tried: the
 change is made in a copy of the package, and the tests of the module's folder are run on that copy until one fails. Before that
-they all must pass on a copy without a change. What survives is printed as a difference, and the score last: the share of mutants
-on which a test fails, with its 95 % interval (Wilson). Exit code 1 where the score is below `--least`.
+they all must pass on a copy without a change. What survives is printed as a difference, and the score last: the share of
+mutants on which a test fails, with its 95 % interval (Wilson). Exit code 1 where the score is below `--least`.
 """
 
 import argparse

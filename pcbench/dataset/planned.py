@@ -41,37 +41,37 @@ class Planned(NamedTuple):
         The first task of a program comes after one that makes it and estimates how long a call takes; that one comes before the
         other tasks of the program before, so that two programs are made side by side.
         """
-        waiting: deque[task.Task] = deque()
-        for each in self._in_order(wanted):
-            if each.timed:
-                yield each
-                yield from waiting
-                waiting.clear()
-                continue
-            waiting.append(each)
-            if len(waiting) > AHEAD:
-                yield waiting.popleft()
-        yield from waiting
-
-    def _in_order(self, wanted: SeedsOf) -> Iterator[task.Task]:
-        """Yield the tasks, cell by cell, each program's first after one that estimates how long a call of it takes."""
         cells = {cell.key: cell for cell in self.owned.cells}
         turns = {cells[key].entry(label).expensive for key, labels in self.todo.items() for label in labels}
         known: set[Hashable] = set()
         for expensive in sorted(turns):
-            for p in self.drafts(wanted):
-                ranges = {
-                    label: each
-                    for label, each in self.todo.get(p.cell.key, {}).items()
-                    if label in p.labels and p.cell.entry(label).expensive == expensive
-                }
-                if ranges:
-                    whole = padding.fitted(p, self.room, self.ask)
-                    for each in task.tasks(whole, p.layout.width, ranges):
-                        if (program := padding.key_of(whole)) not in known:
-                            known.add(program)
-                            yield each._replace(timed=True)
-                        yield each
+            waiting: deque[task.Task] = deque()
+            for each in self._tasks(wanted, expensive, known):
+                if each.timed:
+                    yield each
+                    yield from waiting
+                    waiting.clear()
+                    continue
+                waiting.append(each)
+                if len(waiting) > AHEAD:
+                    yield waiting.popleft()
+            yield from waiting
+
+    def _tasks(self, wanted: SeedsOf, expensive: bool, known: set[Hashable]) -> Iterator[task.Task]:
+        """Yield the tasks of observers that are expensive, or are not; of a program that is not `known`, one that times it."""
+        for p in self.drafts(wanted):
+            ranges = {
+                label: each
+                for label, each in self.todo.get(p.cell.key, {}).items()
+                if label in p.labels and p.cell.entry(label).expensive == expensive
+            }
+            if ranges:
+                whole = padding.fitted(p, self.room, self.ask)
+                for each in task.tasks(whole, p.layout.width, ranges):
+                    if (program := padding.key_of(whole)) not in known:
+                        known.add(program)
+                        yield each._replace(timed=True)
+                    yield each
 
 
 def planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:
