@@ -12,7 +12,6 @@ of the noise of an output. An error that decays to the rounding of a small state
 In a stabilised loop the state stays small, but observers that predict by the response to the input (`gains.motion`) keep it.
 """
 
-from functools import partial
 from typing import Any
 
 import jax
@@ -20,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pcbench.errors import DigitsError
+from pcbench.machine import program_cache
 from pcbench.planning.padding import Plan
 from pcbench.plants import signals_of
 from pcbench.simulation.problem import Layout, Outcome, Problem, present
@@ -118,7 +118,7 @@ def _matters(p: Plan, size: Floats) -> bool:
     """Whether the rounding of signals [n + s] so large is no trifle beside all that the cell compares and draws."""
     n = len(p.problem.x0)
     state = np.where(np.isfinite(size[:n]), size[:n], 0.0)
-    y = np.asarray(jax.jit(partial(_output, p.layout))(jax.tree.map(np.asarray, p.problem), state))
+    y = np.asarray(_MEASURED(p.layout, jax.tree.map(np.asarray, p.problem), state))
     return bool(
         (EPS * size > TRIFLE * np.asarray(p.problem.band)[: len(size)]).any()
         or _beyond(size[:n], _process(p.problem))
@@ -129,6 +129,9 @@ def _matters(p: Plan, size: Floats) -> bool:
 def _output(layout: Layout, p: Problem, x: Any) -> Any:
     """What is measured of a state at the last tick, without noise: [q]."""
     return layout.plant.output(p.params, present(p, p.windows[-1, 0], True), x)
+
+
+_MEASURED = program_cache.bounded(_output, static_argnums=0)  # it is asked after each call of a cell: compiled once
 
 
 def _process(problem: Problem) -> Floats:
