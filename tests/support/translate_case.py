@@ -1,0 +1,172 @@
+"""Turn commands, TOML, Python and C from the names of before 0.1.0 into those of 0.1.0: `python translate_case.py FILE ...`.
+
+The tables are the plan of the renaming too: as long as the package has the old names, its own files go through here. Each file
+is rewritten in place. What is one name everywhere (`dkf`) is replaced wherever it is a word; a word that is also plain English
+(`drift`, `tail`) only where it is a name: a key, a keyword, an attribute of a record, a quoted word, an option's value. Names
+that a file gives to things of its own are left as they are, so read what comes out.
+"""
+
+import re
+import sys
+from pathlib import Path
+
+START, END = r"(?:(?<![A-Za-z0-9])|(?<=\\n))", r"(?![A-Za-z0-9])"  # after a line break that is written \n, too
+
+WORDS = {
+    # observers, their labels, a scenario
+    "dkf": "kf",
+    "DKF": "KF",
+    "iekf": "ekf-iterated",
+    "open-loop": "model-only",
+    "kf-now": "kf-ignore-delay",
+    "kf-discard": "kf-drop-delayed",
+    "kf-shift": "kf-shifted-innovation",
+    "kf-rewind": "kf-reprocess",
+    "kf-horizon": "kf-delayed-horizon",
+    "bank-blind": "mmae-delay-blind",
+    "ekf-doubts": "ekf-inflated-q",
+    "as-believed": "as-assumed",
+    # fields of a scenario
+    "stamp_offset": "timestamp_offset",
+    "stamp_drift": "clock_skew",
+    "stamp_jitter": "timestamp_jitter",
+    "delay_steps": "delay_values",
+    "delay_stay": "delay_self_transition",
+    "delay_share": "delay_weights",
+    "delay_turns": "delay_sequence",
+    "delay_swing": "delay_sine",
+    "delay_gamma": "delay_gamma_mean",
+    "delay_shape": "delay_gamma_shape",
+    "noise_tail": "student_t_dof",
+    "random_start": "random_initial_state",
+    "random-start": "random-initial-state",
+    "start_spread": "initial_spread",
+    "start-spread": "initial-spread",
+    "start_box": "initial_box",
+    # metrics and columns
+    "tail_cost": "steady_lq_cost",
+    "tail_peak": "steady_max_abs_error",
+    **{
+        f"tail_{name}": f"steady_{name}"
+        for name in ("mae", "mse", "rmse", "squares", "tracking_rmse", "input_rms", "pooled_rmse")
+    },
+    "tail_pooled_tracking_rmse": "steady_pooled_tracking_rmse",
+    "tail_pooled_input_rms": "steady_pooled_input_rms",
+    "nis_degrees": "nis_dof",
+    "nees_states": "nees_dof",
+    "carries_input": "predicts_unknown_input",
+    "first_bad_time": "divergence_time",
+    **{f"inside_{k}_sigma": f"coverage_{k}_sigma" for k in (1, 2, 3)},
+}
+NAMES = {  # that are words of English too
+    "bank": "mmae-delay",
+    "jitter": "sampling_jitter",
+    "resolution": "quantization_step",
+    "burst": "mean_burst_length",
+    "horizon": "duration",
+    "early": "prefilled",
+    "drift": "parameter_drift",
+    "tail": "steady_start",
+    "profile": "sampling_pattern",
+    "peak": "max_abs_error",
+    "final": "final_error",
+    "efficiency": "rms_efficiency",
+}
+OF_OBSERVERS = {  # options, by the new name of the observer
+    "kf-drop-delayed": {"limit": "max_age"},
+    "kf-delayed-horizon": {"horizon": "lag", "duration": "lag"},
+}
+STUDIES = {
+    "beliefs": "model-mismatch",
+    "faults": "measurement-errors",
+    "fair-reactor": "equal-tuning-reactor",
+    "fair": "equal-tuning",
+    "late": "delayed-measurements",
+    "map": "period-delay-map",
+}
+COMMANDS = {
+    "suffices": "find-limit",
+    "log": "info",
+    "draws": "external prepare",
+    "guest": "external run",
+    "score": "external score",
+    "trace": "simulate",
+}
+OPTIONS = {
+    "--fresh": "--overwrite",
+    "--below": "--threshold",
+    "--over": "--axis",
+    "--within": "--tol",
+    "--kinds": "--formats",
+    "--block": "--block-size",
+    "--cell": "--grid-point",
+    "--costs": "--operations",
+    "--judge": "--validation-seeds",
+    "--train": "--training-seeds",
+}
+FUNCTIONS = {
+    "suffices": "find_limit",
+    "trace": "simulate",
+    "exact": "exact_moments",
+    "log": "info",
+    "costs": "operation_counts",
+    "plant": "make_plant",
+    "certified": "require_certified",
+    "uncertified": "no_certificate",
+}
+IN_C = {"note": "snapshot", "fresh": "mask", "since": "ticks_since_arrival"}  # of what arrives, `a`
+RECORDS = r"(?:scenario|axes|lti|sampling|scoring|truth|options\.\w+)"
+
+
+def translate(text: str) -> str:
+    """Return a text with the names of 0.1.0."""
+    for old, new in WORDS.items():
+        after = r"(?!_mean|_shape)" if old == "delay_gamma" else ""
+        text = re.sub(f"{START}{old}{END}{after}", new, text)
+    for old, new in NAMES.items():
+        for where in (
+            rf"(?<=[\"'`]){old}(?=[\"'`\[]|=\S)",  # quoted, or the key of a quoted KEY=VALUE
+            rf"(?<![\w-])(?<=--metric ){old}{END}",
+            rf"(?<=--over ){old}{END}",
+            rf"(?<=--axis ){old}{END}",
+            rf"(?<=[(,\s]){old}(?==[^=\s])",  # a keyword, KEY=VALUE on a command line
+            rf"(?:^|(?<=\\n)){old}(?= = )",  # a key of TOML
+            rf"(?<=\"){old}(?= = )",
+        ):
+            text = re.sub(where, new, text, flags=re.MULTILINE)
+        text = re.sub(rf"(?<![\w.])({RECORDS}\.){old}(?=[=\s\"'`\[])", rf"\g<1>{new}", text)
+    for observer, options in OF_OBSERVERS.items():
+        for old, new in options.items():
+            text = re.sub(rf"({observer}\.){old}{END}", rf"\g<1>{new}", text)
+            text = re.sub(rf"({observer}\"?:? ?=? ?{{ ?\"?){old}{END}", rf"\g<1>{new}", text)
+            text = re.sub(
+                rf"(\[(?:options|observers)\.{observer}\]\n(?:\w+ = .*\n)*?){old}(?= = )", rf"\g<1>{new}", text
+            )
+    for old, new in STUDIES.items():
+        text = re.sub(
+            rf"(pcbench(?: \w+|\.\w+\(\"?|,? ?\"?\w+\",? \"?) ?|results/){old}(?![\w-])", rf"\g<1>{new}", text
+        )
+    for old, new in COMMANDS.items():
+        text = re.sub(rf"(?<=pcbench ){old}(?![\w-])", new, text)
+    for old, new in OPTIONS.items():
+        text = re.sub(rf"(?<![\w-]){old}(?![\w-])", new, text)
+    for old, new in FUNCTIONS.items():
+        text = re.sub(rf"(?<=\bpcbench\.){old}(?=\()", new, text)
+    for old, new in IN_C.items():
+        text = re.sub(rf"(?<=\ba\.){old}(?= (?:=|\[)|\[)", new, text)
+    return re.sub(r"\b(\w+)_note\(", r"\1_snapshot(", text)
+
+
+def main() -> int:
+    """Rewrite the files that are named; return the exit code."""
+    for name in sys.argv[1:]:
+        path = Path(name)
+        before = path.read_text(encoding="utf-8")
+        if (after := translate(before)) != before:
+            path.write_text(after, encoding="utf-8")
+            print(name)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
