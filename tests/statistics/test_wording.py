@@ -25,6 +25,7 @@ WRITTEN = [
 @pytest.mark.parametrize(("given", "text"), WRITTEN)
 def test_an_estimate_is_written_with_half_its_interval(given, text):
     assert wording.estimate(*given) == text
+    assert wording.interval(dict(zip(("mean", "ci_low", "ci_high"), given, strict=True))) == text
 
 
 def test_a_sign_is_written_of_a_positive_difference_too():
@@ -41,7 +42,7 @@ def pair(a, b, **changes):
     return pd.DataFrame([{"observer_a": a, "observer_b": b} | usual | changes])
 
 
-def test_a_difference_is_that_of_the_observer_to_the_best_whichever_stands_first():
+def test_a_difference_is_the_observer_less_the_best_in_either_order():
     assert wording.difference(pair("x", "best"), "x", "best") == "+0.40 ± 0.10"
     assert (
         wording.difference(pair("best", "x", mean_diff=-0.4, ci_low=-0.5, ci_high=-0.3), "x", "best") == "+0.40 ± 0.10"
