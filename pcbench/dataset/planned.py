@@ -1,7 +1,7 @@
 """What of a study is to be done, cell by cell: designed and checked before anything is written, and cut into tasks."""
 
 from collections import deque
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable, Iterable, Iterator
 from typing import NamedTuple
 
 from pcbench import planning
@@ -13,7 +13,7 @@ from pcbench.planning.padding import Plan
 from pcbench.study.cells import Cell
 
 DRAFTS = 2**27  # bytes of drafts that are kept between planning and computing, those of 10,000 cells of few schedules
-AHEAD = 16  # tasks that wait while the next program is begun
+AHEAD = 16  # tasks that wait for the program after theirs
 SeedsOf = Callable[[Cell], Seeds]
 Gaps = dict[tuple[str, int], dict[str, list[Seeds]]]  # by cell and observer
 
@@ -38,24 +38,13 @@ class Planned(NamedTuple):
     def tasks(self, wanted: SeedsOf) -> Iterator[task.Task]:
         """Yield the tasks, cell by cell; those of expensive observers last, so that nothing waits for them.
 
-        The first task of a program comes after one that makes it and estimates how long a call takes; that one comes before the
-        other tasks of the program before, so that two programs are made side by side.
+        The first task of a program comes after one that makes it and estimates how long a call takes (see `interleaved`).
         """
         cells = {cell.key: cell for cell in self.owned.cells}
         turns = {cells[key].entry(label).expensive for key, labels in self.todo.items() for label in labels}
         known: set[Hashable] = set()
         for expensive in sorted(turns):
-            waiting: deque[task.Task] = deque()
-            for each in self._tasks(wanted, expensive, known):
-                if each.timed:
-                    yield each
-                    yield from waiting
-                    waiting.clear()
-                    continue
-                waiting.append(each)
-                if len(waiting) > AHEAD:
-                    yield waiting.popleft()
-            yield from waiting
+            yield from interleaved(self._tasks(wanted, expensive, known))
 
     def _tasks(self, wanted: SeedsOf, expensive: bool, known: set[Hashable]) -> Iterator[task.Task]:
         """Yield the tasks of observers that are expensive, or are not; of a program that is not `known`, one that times it."""
@@ -72,6 +61,24 @@ class Planned(NamedTuple):
                         known.add(program)
                         yield each._replace(timed=True)
                     yield each
+
+
+def interleaved(tasks: Iterable[task.Task], ahead: int = AHEAD) -> Iterator[task.Task]:
+    """Yield tasks with the one that makes a program before the others of the program before it; these wait, at most `ahead`.
+
+    So two programs are compiled side by side, although all tasks of one wait for it.
+    """
+    waiting: deque[task.Task] = deque()
+    for each in tasks:
+        if each.timed:
+            yield each
+            yield from waiting
+            waiting.clear()
+        else:
+            waiting.append(each)
+            if len(waiting) > ahead:
+                yield waiting.popleft()
+    yield from waiting
 
 
 def planned(owned: Owned, todo: Gaps, wanted: SeedsOf) -> Planned:

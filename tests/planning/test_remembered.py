@@ -1,6 +1,7 @@
 """Drafts are made once though a study goes over its cells twice, as far as they fit; what is planned is the same."""
 
 from itertools import groupby
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -31,6 +32,28 @@ def planned(study, place):
     owned = ownership.claim(place, read.grid_of(study | {"seeds": 2}, {}, []))
     wanted = fill.everything(owned, [])
     return planning.planned(owned, fill.missing(owned, [], wanted, lambda cell: 64), wanted), wanted
+
+
+class Task(NamedTuple):
+    """A task: which one, and whether it makes a program."""
+
+    name: str
+    timed: bool = False
+
+
+@pytest.mark.parametrize(
+    ("given", "ahead", "wanted"),
+    [
+        ("A a1 a2 B b1 C c1 c2", 16, "A B a1 a2 C b1 c1 c2"),
+        ("A a1 a2 a3 a4 B b1", 2, "A a1 a2 B a3 a4 b1"),
+        ("A a1 a2 a3", 16, "A a1 a2 a3"),
+        ("A B C", 16, "A B C"),
+        ("", 16, ""),
+    ],
+)
+def test_a_program_is_begun_before_the_tasks_of_the_one_before_it(given, ahead, wanted):
+    tasks = [Task(name, name.isupper()) for name in given.split()]
+    assert " ".join(t.name for t in planning.interleaved(tasks, ahead)) == wanted
 
 
 @pytest.mark.parametrize("study", [OPEN, CLOSED], ids=["open", "closed"])
