@@ -29,20 +29,17 @@ from cosmic_ray.plugins import get_operator, operator_names
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
 LONGEST = 600  # [s] of the tests of one mutant: beyond, it never ends, which is a failure
-WITHOUT = (
-    "BitOr",
-    "RemoveDecorator",
-    "VariableReplacer",
-    "VariableInserter",
-    "NoOp",
-    "ExceptionReplacer",
-)  # X | None ...
-BESIDE = {  # tests of a folder's purpose that stand elsewhere
-    "simulation": ("invariants", "observers/test_dkf.py"),
+# no mutants of types (X | None), of decorators, of exceptions' classes, and none that cosmic-ray needs words for
+WITHOUT = ("BitOr", "RemoveDecorator", "ExceptionReplacer", "NoOp", "VariableReplacer", "VariableInserter")
+MORE = {  # folders with tests that are about a folder of the package, besides its own
+    "simulation": ("invariants", "observers"),
     "engine": ("simulation", "invariants"),
     "observers": ("invariants",),
     "dynamics": ("plants", "observers"),
 }
+
+
+RUNNING: set["subprocess.Popen[bytes]"] = set()  # which Ctrl-C ends
 
 
 class Mutant(NamedTuple):
@@ -87,31 +84,21 @@ def mutants(file: Path) -> Iterator[Mutant]:
 def tests_of(file: Path) -> list[str]:
     """Return the tests that are about a file's folder."""
     folder = file.parts[1] if len(file.parts) > 2 else "house"
-    return [each for each in (folder, *BESIDE.get(folder, ())) if (TESTS / each).exists()]
+    return [each for each in (folder, *MORE.get(folder, ())) if (TESTS / each).exists()]
 
 
 def pytest(place: Path, tests: list[str], longest: float) -> int:
     """Run tests on the copy of the package in a folder; return pytest's exit code, 1 where they never end."""
-    words = [
-        "-m",
-        "pytest",
-        f"--rootdir={ROOT}",
-        "-c",
-        str(ROOT / "pyproject.toml"),
-        "-x",
-        "-q",
-        "-n",
-        "0",
-        "-m",
-        "not slow",
-    ]
-    words += ["-p", "no:cacheprovider", "--hypothesis-seed=0", *(str(TESTS / each) for each in tests)]
+    words = ["-m", "pytest", f"--rootdir={ROOT}", "-c", str(ROOT / "pyproject.toml"), "-x", "-q", "-n", "0"]
+    words += ["-p", "no:cacheprovider", "--hypothesis-seed=0"]
+    words += ["-m", "not slow", *(str(TESTS / each) for each in tests)]
     env = os.environ | {"PYTHONPATH": str(place), "PCBENCH_CACHE": str(place / "cache")}
     (place / "cache").mkdir(mode=0o700)
     quiet = subprocess.DEVNULL
     process = subprocess.Popen(
         [sys.executable, *words], cwd=place, env=env, stdin=quiet, stdout=quiet, stderr=quiet, start_new_session=True
     )
+    RUNNING.add(process)
     try:
         return process.wait(timeout=longest)
     except subprocess.TimeoutExpired:
@@ -120,6 +107,7 @@ def pytest(place: Path, tests: list[str], longest: float) -> int:
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+        RUNNING.discard(process)
 
 
 def attempt(folder: Path, tests: list[str] | None, m: Mutant | None) -> tuple[Mutant | None, bool, float]:
@@ -144,9 +132,16 @@ def files_of(given: list[str], since: str | None) -> list[Path]:
     """Return the files of the package that are named, or that have changed since a commit."""
     if since:
         words = ["git", "-C", str(ROOT), "diff", "--name-only", "--diff-filter=d", since, "--", *(given or ["pcbench"])]
-        names = subprocess.run(words, check=True, capture_output=True, text=True).stdout.split()
-        return [Path(name) for name in names if name.startswith("pcbench/") and name.endswith(".py")]
+        done = subprocess.run(words, capture_output=True, text=True)
+        if done.returncode:
+            raise SystemExit(f"mutate.py: --since {since}: {done.stderr.splitlines()[0]}")
+        return [Path(name) for name in done.stdout.split() if name.startswith("pcbench/") and name.endswith(".py")]
     places = [ROOT / each for each in given]
+    for place in places:
+        if not (place.exists() and place.is_relative_to(ROOT / "pcbench")):
+            raise SystemExit(
+                f"mutate.py: {place}: no file or folder of the package; name one, such as pcbench/simulation."
+            )
     found = [file for place in places for file in ([place] if place.is_file() else sorted(place.rglob("*.py")))]
     return [file.relative_to(ROOT) for file in found]
 
@@ -167,6 +162,8 @@ def main() -> int:
         parser.error(
             "there is nothing to change; name files or folders such as pcbench/simulation, or a commit with --since"
         )
+    if min(given.sample, given.jobs) < 1:
+        parser.error("--sample and --jobs: expected at least 1")
     some = random.Random(given.seed).sample(every, min(given.sample, len(every)))
     caught = 0
     with tempfile.TemporaryDirectory(prefix="pcbench-mutants-", ignore_cleanup_errors=True) as name:
@@ -176,15 +173,19 @@ def main() -> int:
             return 1
         with ThreadPoolExecutor(given.jobs) as pool:
             waiting = [pool.submit(attempt, Path(name), given.tests, m) for m in some]
-            for done, future in enumerate(as_completed(waiting), 1):
-                m, failed, seconds = future.result()
-                caught += failed
-                print(
-                    f"{done:4}/{len(some)} {'caught  ' if failed else 'SURVIVED'} {seconds:6.1f} s  {m.title}",
-                    flush=True,
-                )
-                if not failed:
-                    print(m.difference(), flush=True)
+            try:
+                for done, future in enumerate(as_completed(waiting), 1):
+                    m, failed, seconds = future.result()
+                    caught += failed
+                    outcome = "caught  " if failed else "SURVIVED"
+                    print(f"{done:4}/{len(some)} {outcome} {seconds:6.1f} s  {m.title}", flush=True)
+                    if not failed:
+                        print(m.difference(), flush=True)
+            except KeyboardInterrupt:
+                pool.shutdown(wait=False, cancel_futures=True)
+                for process in list(RUNNING):
+                    os.killpg(process.pid, signal.SIGKILL)
+                return 130
     low, high = interval(caught, len(some))
     share = f"{caught / len(some):.0%}, 95 % interval {low:.0%} to {high:.0%}"
     print(f"{caught} of {len(some)} mutants caught, of {len(every)} that there are: {share}")
