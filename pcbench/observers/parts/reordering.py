@@ -67,10 +67,8 @@ def replay(update: Update, buffer: Buffer, arrived: Measurement) -> tuple[Buffer
         return Buffer(state, buffer.samples), state
     entries, kept = _merged(buffer.samples, arrived)
     newest, states = _through(update, buffer.before, entries)
-    before = jax.tree.map(
-        lambda a: lax.dynamic_index_in_dim(a, 0, keepdims=False), states
-    )  # the oldest of K + 1 leaves
-    return Buffer(before, kept), newest
+    leaving = jax.tree.map(lambda a: lax.dynamic_index_in_dim(a, 0, keepdims=False), states)  # the oldest of K + 1
+    return Buffer(leaving, kept), newest
 
 
 def newest(update: Update, buffer: Buffer) -> Any:
@@ -109,7 +107,10 @@ def _through(update: Update, before: Any, entries: Measurement) -> tuple[Any, An
 
 
 def _merged(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Measurement]:
-    """K samples in the order they were taken, and one more in its place: [K + 1]; and the newest K of them."""
+    """K samples in the order they were taken, and one more in its place: [K + 1]; and the newest K of them.
+
+    All runs merge in one piece: entry by entry, a program would grow with K.
+    """
 
     def merge(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Measurement]:
         later = samples.taken > arrived.taken
@@ -122,5 +123,5 @@ def _merged(samples: Measurement, arrived: Measurement) -> tuple[Measurement, Me
         merged = jax.tree.map(one, samples, arrived)
         return merged, jax.tree.map(lambda a: a[1:], merged)
 
-    found: tuple[Measurement, Measurement] = together(merge)(samples, arrived)
-    return found
+    both: tuple[Measurement, Measurement] = together(merge)(samples, arrived)
+    return both
