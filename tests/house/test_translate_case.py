@@ -24,6 +24,14 @@ TEXTS = {
         'pcbench.trace(x, options={"kf-horizon": {"horizon": 0.3}}, axes={"jitter": [0.1]}, horizon=3.0)',
         'pcbench.simulate(x, options={"kf-delayed-horizon": {"lag": 0.3}}, axes={"sampling_jitter": [0.1]}, duration=3.0)',
     ),
+    "keys of a study": (
+        'vary = "each"\ntuning = ["paper", "tuned"]\nbound = 1e6\n',
+        'vary = "one-at-a-time"\ntuning = ["published", "tuned"]\ndivergence_threshold = 1e6\n',
+    ),
+    "studies in python": (
+        'pcbench.run("late", out="results/map")',
+        'pcbench.run("delayed-measurements", out="results/period-delay-map")',
+    ),
     "c": (
         "dkf_note(&m); a.fresh[0] = 1; a.since = 3; dkf_jump(&m, &a);",
         "kf_snapshot(&m); a.mask[0] = 1; a.ticks_since_arrival = 3; kf_jump(&m, &a);",

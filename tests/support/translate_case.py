@@ -1,9 +1,9 @@
 """Turn commands, TOML, Python and C from the names of before 0.1.0 into those of 0.1.0: `python translate_case.py FILE ...`.
 
-The tables are the plan of the renaming too: as long as the package has the old names, its own files go through here. Each file
-is rewritten in place. What is one name everywhere (`dkf`) is replaced wherever it is a word; a word that is also plain English
-(`drift`, `tail`) only where it is a name: a key, a keyword, an attribute of a record, a quoted word, an option's value. Names
-that a file gives to things of its own are left as they are, so read what comes out.
+The package itself has the old names still; when it is renamed, its own files go through here too. Each file is rewritten in
+place. A name of one meaning (`dkf`) is replaced wherever it is a word; a word that is plain English too (`drift`) only as a
+name: a key, a keyword, an attribute of a record, a quoted word, an option's value. Names that a file gives to things of its own
+are left as they are, so read what comes out.
 """
 
 import re
@@ -71,12 +71,20 @@ NAMES = {  # that are words of English too
     "peak": "max_abs_error",
     "final": "final_error",
     "efficiency": "rms_efficiency",
+    "divergence": "divergence_rate",
+    "unsettled": "unsettled_rate",
+    "cost": "lq_cost",
+    "bound": "divergence_threshold",
+}
+VALUES = {  # of keys of a study
+    ("vary", "each"): "one-at-a-time",
+    ("tuning", "paper"): "published",
 }
 OF_OBSERVERS = {  # options, by the new name of the observer
     "kf-drop-delayed": {"limit": "max_age"},
     "kf-delayed-horizon": {"horizon": "lag", "duration": "lag"},
 }
-STUDIES = {
+STUDIES = {  # after `pcbench COMMAND`, in `pcbench.run("...")`, as a folder of results/
     "beliefs": "model-mismatch",
     "faults": "measurement-errors",
     "fair-reactor": "equal-tuning-reactor",
@@ -110,6 +118,9 @@ FUNCTIONS = {
     "exact": "exact_moments",
     "log": "info",
     "costs": "operation_counts",
+    "tune_log": "tune",
+    "opened": "open_result",
+    "together": "vmap_as_unit",
     "plant": "make_plant",
     "certified": "require_certified",
     "uncertified": "no_certificate",
@@ -142,10 +153,10 @@ def translate(text: str) -> str:
             text = re.sub(
                 rf"(\[(?:options|observers)\.{observer}\]\n(?:\w+ = .*\n)*?){old}(?= = )", rf"\g<1>{new}", text
             )
+    for (key, old), new in VALUES.items():
+        text = re.sub(rf"({key}\"?(?:=|: | = )\[?(?:\".*\", )?\"){old}(?=\")", rf"\g<1>{new}", text)
     for old, new in STUDIES.items():
-        text = re.sub(
-            rf"(pcbench(?: \w+|\.\w+\(\"?|,? ?\"?\w+\",? \"?) ?|results/){old}(?![\w-])", rf"\g<1>{new}", text
-        )
+        text = re.sub(rf"(pcbench \w+ |pcbench\.\w+\(\"|results/){old}(?![\w-])", rf"\g<1>{new}", text)
     for old, new in COMMANDS.items():
         text = re.sub(rf"(?<=pcbench ){old}(?![\w-])", new, text)
     for old, new in OPTIONS.items():
