@@ -171,21 +171,22 @@ def main() -> int:
         if attempt(Path(name), tests, None)[1]:
             print(f"The tests do not pass without any change: {' '.join(tests)}", file=sys.stderr)
             return 1
-        with ThreadPoolExecutor(given.jobs) as pool:
-            waiting = [pool.submit(attempt, Path(name), given.tests, m) for m in some]
-            try:
-                for done, future in enumerate(as_completed(waiting), 1):
-                    m, failed, seconds = future.result()
-                    caught += failed
-                    outcome = "caught  " if failed else "SURVIVED"
-                    print(f"{done:4}/{len(some)} {outcome} {seconds:6.1f} s  {m.title}", flush=True)
-                    if not failed:
-                        print(m.difference(), flush=True)
-            except KeyboardInterrupt:
-                pool.shutdown(wait=False, cancel_futures=True)
-                for process in list(RUNNING):
+        pool = ThreadPoolExecutor(given.jobs)
+        waiting = [pool.submit(attempt, Path(name), given.tests, m) for m in some]
+        try:
+            for done, future in enumerate(as_completed(waiting), 1):
+                m, failed, seconds = future.result()
+                caught += failed
+                outcome = "caught  " if failed else "SURVIVED"
+                print(f"{done:4}/{len(some)} {outcome} {seconds:6.1f} s  {m.title}", flush=True)
+                if not failed:
+                    print(m.difference(), flush=True)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in list(RUNNING):
+                with suppress(ProcessLookupError):
                     os.killpg(process.pid, signal.SIGKILL)
-                return 130
+            return 130
     low, high = interval(caught, len(some))
     share = f"{caught / len(some):.0%}, 95 % interval {low:.0%} to {high:.0%}"
     print(f"{caught} of {len(some)} mutants caught, of {len(every)} that there are: {share}")
