@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator
+from itertools import chain
 from typing import NamedTuple
 
 from pcbench import planning
@@ -29,8 +30,11 @@ class Planned(NamedTuple):
     cells: int = 0  # how many cells those are
 
     def drafts(self, wanted: SeedsOf) -> Iterator[Plan]:
-        """Yield the cells' drafts."""
-        yield from self.kept
+        """Yield the cells' drafts; of those that are kept the ones of a program together, which is made once then."""
+        programs: dict[Hashable, list[Plan]] = {}
+        for p in self.kept:
+            programs.setdefault(padding.key_of(padding.fitted(p, self.room, self.ask)), []).append(p)
+        yield from chain.from_iterable(programs.values())
         if self.cells < len(self.owned.cells):
             many = lambda cell: wanted(cell).many  # noqa: E731
             yield from planning.drafts(self.owned.cells, self.todo, self.ask, many, self.cells, apart=True)

@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from pcbench.dynamics.room import power_of_2
 from pcbench.errors import UserError
 from pcbench.export.vector import JUMP, NOTE, SAMPLED, Event, Vector
 from pcbench.logs.windows import Window
-from pcbench.planning.padding import rounded
 from pcbench.plants import signals_of
 from pcbench.replaying import feed
 from pcbench.replaying.prepared import Prepared, prepared
@@ -24,7 +24,7 @@ def recorded(a: Asked, tells: bool) -> tuple[Prepared, Vector]:
             f"{a.name}: got {a.last + 1:,} ticks, expected at most {LONGEST:,}, as each is a line of the C that tests the "
             "observer; take a part of the recording that has its longest delays."
         )
-    length = min(LENGTH, max(rounded(a.last + 1), 2))
+    length = min(LENGTH, max(power_of_2(a.last + 1), 2))
     room = feed.room(a.log, a.found, a.clock, length, a.last)
     p = prepared(a.cell, room, a.last, a.log.name)
     many = len(signals_of(a.cell.scenario))

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from pcbench.dynamics.room import power_of_2
 from pcbench.engine import runner
 from pcbench.machine import pools
 from pcbench.moments import items as items_of
@@ -66,7 +67,7 @@ def planned(cells: list[Cell], together: bool = False) -> Iterator[Plan]:
         room = padding.room_of(p)
         own = _ring(p.cell)
         fitted = padding.fitted(p, room)  # a loop has its controller's numbers from here on
-        places = padding.rounded(own if _carried(fitted) else most if own > least else min(most, least))
+        places = power_of_2(own if _carried(fitted) else most if own > least else min(most, least))
         whole = fitted._replace(layout=fitted.layout._replace(ring=max(room.ring, places)))
         mixed = losses_alone(whole) or delays_alone(whole)
         apart = not together and (split or mixed or _remembered(whole) > LARGE)

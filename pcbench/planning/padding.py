@@ -1,7 +1,8 @@
 """One shape for many cells: room for the largest of them, so that they share a compiled program.
 
-Room is what no number depends on: slots, rings, rows. A cell's own numbers and everything else in its layout stay as
-drafted, so that alone it has the same bits as among others.
+Room is what no number depends on: slots, rings, rows; and what some cells draw beside the noise, of which the others get a
+neutral one (outliers of probability 0, a quantization step of 0, infinitely many degrees of freedom). A cell's own numbers and
+everything else in its layout stay as drafted, so that alone it has the same bits as among others.
 """
 
 from collections.abc import Hashable, Iterable, Iterator
@@ -12,10 +13,12 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from pcbench.dynamics.room import power_of_2
 from pcbench.planning import controller, once
 from pcbench.protocols import Plant
 from pcbench.simulation import conformance
 from pcbench.simulation.problem import Layout, Problem
+from pcbench.simulation.sample_noise import Outliers, Rounding
 from pcbench.simulation.schedule import per_lane, shared
 from pcbench.study.cells import Cell
 from pcbench.synthesis.certificate import Certificate
@@ -39,6 +42,7 @@ class Capacity(NamedTuple):
 
     slots: int = 1  # arrivals at one tick
     due: int = 0  # samples of a run on a schedule of its own
+    shares: int = 0  # delays among which those of samples are drawn, each by itself
     ring: int = 0  # packets on the network
     early: int = 0  # packets on it at the start
     notes: int = 0  # for which observers note what they need at one tick, besides the first
@@ -47,6 +51,9 @@ class Capacity(NamedTuple):
     falls: int = 0  # jumps of the unknown input
     pending: int = 0  # commands on their way over a network
     chunks: int = 0  # of a flow that goes by them
+    outliers: bool = False  # some samples are outliers,
+    rounding: bool = False  # are rounded,
+    tail: bool = False  # have noise of Student's distribution
     rows: tuple[tuple[tuple[str, int], int], ...] = ()  # by plant and leaf of its numbers
 
 
@@ -58,14 +65,18 @@ def room_of(p: Plan) -> Capacity:
     return Capacity(
         slots=schedule.arrive.shape[1] if common else 1,
         due=0 if common else schedule.due.shape[1],
-        ring=rounded(p.layout.ring),
-        early=rounded(len(schedule.early)) if common else 0,
+        shares=0 if common else schedule.share.shape[1],
+        ring=power_of_2(p.layout.ring),
+        early=power_of_2(len(schedule.early)) if common else 0,
         notes=schedule.also.shape[1] if common else 0,
-        back=rounded(back),
-        ahead=rounded(ahead),
+        back=power_of_2(back),
+        ahead=power_of_2(ahead),
         falls=len(p.problem.jumps),
-        pending=rounded(p.layout.pending),
+        pending=power_of_2(p.layout.pending),
         chunks=p.layout.lifted,
+        outliers=bool(p.problem.outliers),
+        rounding=bool(p.problem.rounding),
+        tail=not isinstance(p.problem.tail, tuple),
         rows=tuple(rows.items()),
     )
 
@@ -91,6 +102,7 @@ def fitted(p: Plan, room: Capacity, ask: once.Once = once.anew) -> Plan:
     ]
     falling = np.pad(p.problem.jumps, (0, room.falls - len(p.problem.jumps)), constant_values=shared.NEVER)
     problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, wide), jumps=falling)
+    problem = _with_neutral(problem, room)
     layout = p.layout._replace(ring=room.ring, lifted=p.layout.lifted and room.chunks)
     if p.reach:
         law, line = controller.close(p.cell, controller.Reach(room.back, room.ahead), p.cell.times.ticks)
@@ -100,12 +112,21 @@ def fitted(p: Plan, room: Capacity, ask: once.Once = once.anew) -> Plan:
     return p._replace(problem=problem, layout=layout)
 
 
+def _with_neutral(p: Problem, room: Capacity) -> Problem:
+    """Give a problem what other cells draw, where it has none: what changes no sample."""
+    return p._replace(
+        outliers=p.outliers or (Outliers(np.asarray(0.0), np.asarray(1.0)) if room.outliers else ()),
+        rounding=p.rounding or (Rounding(np.zeros(len(p.noise_std)), np.asarray(0.0)) if room.rounding else ()),
+        tail=np.asarray(np.inf) if room.tail and isinstance(p.tail, tuple) else p.tail,
+    )
+
+
 def stacked(each: list[shared.Schedule]) -> shared.Schedule:
     """Return schedules of runs in one, every array with the runs first."""
     room = Capacity(
-        slots=rounded(max(s.arrive.shape[1] for s in each)),
-        early=rounded(max(len(s.early) for s in each)),
-        notes=rounded(max(s.also.shape[1] for s in each)),
+        slots=power_of_2(max(s.arrive.shape[1] for s in each)),
+        early=power_of_2(max(len(s.early) for s in each)),
+        notes=power_of_2(max(s.also.shape[1] for s in each)),
     )
     stacked: shared.Schedule = jax.tree.map(lambda *a: np.stack(a), *(_padded(s, room) for s in each))
     return stacked
@@ -114,7 +135,7 @@ def stacked(each: list[shared.Schedule]) -> shared.Schedule:
 def _padded(schedule: shared.Schedule | per_lane.Times, room: Capacity) -> shared.Schedule | per_lane.Times:
     if isinstance(schedule, shared.Schedule):
         return shared.pad_notes(shared.pad_early(shared.pad_slots(schedule, room.slots), room.early), room.notes)
-    return per_lane.padded(schedule, room.due)
+    return per_lane.padded(schedule, room.due, room.shares)
 
 
 def fit(drafts: list[Plan]) -> list[Plan]:
@@ -143,8 +164,3 @@ def key_of(p: Plan) -> Hashable:
     """Return what decides the compiled program of a fitted cell."""
     leaves, tree = jax.tree.flatten(p.problem)
     return p.layout, tree, tuple(np.shape(a) for a in leaves)
-
-
-def rounded(many: int) -> int:
-    """Return the next power of 2: few sizes, few programs."""
-    return 1 << (many - 1).bit_length() if many else 0

@@ -18,11 +18,11 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
+from pcbench.dynamics.room import power_of_2
 from pcbench.errors import UserError
 from pcbench.gains import gradient
 from pcbench.gains.parameters import Vector
 from pcbench.machine import program_cache
-from pcbench.planning.padding import rounded
 from pcbench.replaying import feed, stretch
 from pcbench.replaying.prepared import Prepared, prepared
 from pcbench.replaying.replay import Asked
@@ -57,7 +57,7 @@ def recorded(a: Asked) -> Recorded:
         raise UserError(
             f"{a.log.name}: got {a.last + 1} ticks, expected {MOST} at most to tune on; cut the log, or take a longer tick."
         )
-    length = max(rounded(a.last + 1), 2)
+    length = max(power_of_2(a.last + 1), 2)
     room = feed.room(a.log, a.found, a.clock, length, a.last)
     p = prepared(a.cell, room, a.last, a.log.name)
     if a.log.inputs is not None and len(a.log.inputs.names) != p.m:

@@ -10,9 +10,9 @@ import jax
 import numpy as np
 
 from pcbench import planning
+from pcbench.dynamics.room import power_of_2
 from pcbench.errors import UserError
 from pcbench.logs.windows import Room
-from pcbench.planning.padding import rounded
 from pcbench.plants import signals_of
 from pcbench.protocols import Observer
 from pcbench.replaying.stretch import PLANT
@@ -48,7 +48,7 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
     )
     designs = {o: planning.designed(o, cell.entry(o), known, options) for o, options in cell.options.items()}
     m, signals = known.model.B.shape[1], len(signals_of(s))
-    back = min(last + 1, rounded(room.latest + (2 * room.overtaking + 2) * max(room.apart, 1)))
+    back = min(last + 1, power_of_2(room.latest + (2 * room.overtaking + 2) * max(room.apart, 1)))
     belief = s.belief
     around = cell.choices.random_start and belief.start_box
     problem = Problem(
@@ -69,7 +69,7 @@ def prepared(cell: Cell, room: Room, last: int, log: str) -> Prepared:
         plant=PLANT,
         observers=tuple((o, cell.entry(o).observer) for o in cell.options),
         width=1,
-        ring=rounded(max(room.flight, 1)),
+        ring=power_of_2(max(room.flight, 1)),
         random_start=False,
         watch=False,
     )

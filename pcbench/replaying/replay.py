@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from pcbench.dynamics.room import power_of_2
 from pcbench.errors import UserError
 from pcbench.logs import reading
 from pcbench.logs.events import Clocked
@@ -16,7 +17,6 @@ from pcbench.logs.windows import Room
 from pcbench.machine import ending, process
 from pcbench.machine.progress import SILENT, Progress
 from pcbench.planning import all_observers
-from pcbench.planning.padding import rounded
 from pcbench.plants import signals_of
 from pcbench.replaying import abreast, feed, folder, judging, scoring, smoother, stretch
 from pcbench.replaying.prepared import Prepared, prepared
@@ -76,7 +76,7 @@ def replay(
     with process.float64(), ending.temporary_folder() as spare:
         a = asked(log, plant, names, delay=delay, start=start, overrides=overrides)
         a.said.extend(turned_back(a.found))
-        length = min(LENGTH, max(rounded(a.last + 1), 2))
+        length = min(LENGTH, max(power_of_2(a.last + 1), 2))
         room = feed.room(a.log, a.found, a.clock, length, a.last)
         if read.ALL in names:
             a = _capable(a, room, names)

@@ -22,7 +22,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from pcbench.protocols import Leaf
 from pcbench.simulation import draws
@@ -54,9 +54,13 @@ def rounded(r: Rounding, y: Array, uniform: Array) -> Array:
 
 
 def students(w: Array, z: Array, n: Array) -> Array:
-    """Return what has Student's distribution with n degrees of freedom, scaled to variance 1, of two normal numbers."""
-    r = w * w + z * z
-    return w * jnp.sqrt((n - 2.0) * jnp.expm1(r / n) / jnp.where(r > 0, r, 1.0))
+    """Return what has Student's distribution with n degrees of freedom, scaled to variance 1, of two normal numbers.
+
+    It is w where n is infinite.
+    """
+    r, finite = w * w + z * z, jnp.isfinite(n)
+    m = jnp.where(finite, n, 3.0)
+    return jnp.where(finite, w * jnp.sqrt((m - 2.0) * jnp.expm1(r / m) / jnp.where(r > 0, r, 1.0)), w)
 
 
 def drawing(p: Problem, root_seed: Array, seeds: Array) -> Noise:
@@ -69,7 +73,9 @@ def drawing(p: Problem, root_seed: Array, seeds: Array) -> Noise:
     dither = draws.run_keys(root_seed, seeds, "dither", many) if p.rounding else []
 
     def drawn(channels: list[int], index: Any) -> Array:
-        v = noise(channels, index)
+        v = lax.optimization_barrier(
+            noise(channels, index)
+        )  # no program computes a cell's noise together with what it is for
         return jnp.concatenate([v, draws.uniforms_of([dither[j] for j in channels], index)]) if dither else v
 
     def noise(channels: list[int], index: Any) -> Array:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.dynamics.linear import Model
+from pcbench.dynamics.room import power_of_2
 from pcbench.errors import DesignError, UserError
 
 SHORT = 1e-5  # part of a rate asked for that a proof may fall short of it: an optimum lies on the boundary
@@ -90,8 +91,8 @@ class Setting(NamedTuple):
 
     @property
     def room(self) -> np.ndarray:
-        """Room [K] for the samples that may be overtaken (`protocols.Room`)."""
-        return np.zeros(self.overtaking)
+        """Room [K] for the samples that may be overtaken (`protocols.Room`): a power of 2, so that cells share programs."""
+        return np.zeros(power_of_2(self.overtaking))
 
 
 def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certificate:

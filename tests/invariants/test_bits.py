@@ -97,6 +97,32 @@ def test_alone_equals_among_other_cells_and_scenarios(alone):
     same(alone, many["cart/gaussian-fast0"], 0)
 
 
+PRESENT = {"outlier_probability": [0.0, 0.3], "resolution": [0.0, 1.0], "noise_tail": [0.0, 3.0]}  # the first: none
+KINDS = [  # scenario, observers, axes: a shared schedule, a random one, nonlinear plants
+    ("cart/gaussian", ["dkf"], {"process_std": [[0.02, 0.0]]}, "steps"),
+    ("cart/gaussian", ["dkf"], {"loss": [0.2]}, "steps"),
+    *(
+        pytest.param(*kind, engine, marks=pytest.mark.nightly)
+        for engine in ("steps", "products", "definition")
+        for kind in (
+            ("cart/gaussian", TWO, {"process_std": [[0.02, 0.0]]}),
+            ("cart/gaussian", TWO, {"loss": [0.2]}),
+            ("arm/sampled", ["ekf"], {}),
+            ("reactor/batch", ["ekf", "ukf"], {}),
+        )
+    ),
+]
+
+
+@pytest.mark.parametrize(("scenario", "observers", "axes", "engine"), KINDS)
+def test_run_equals_alone_among_cells_with_outliers_rounding_and_students_noise(scenario, observers, axes, engine):
+    """They share a program, in which its samples are outliers with probability 0 and are rounded to steps of 0."""
+    alone = results(SEVEN, observers, (scenario,), axes=axes, engine=engine)
+    many = results(SEVEN, observers, (scenario,), axes=axes | PRESENT, engine=engine)
+    assert len(many) == 8
+    same(alone[scenario + "0"], many[scenario + "0"], 0, observers)
+
+
 @pytest.mark.nightly
 def test_on_the_arm_with_drift_too(monkeypatch):
     """Each run's own stiffness, a heavy plant's narrower calls, unknown inputs."""

@@ -53,6 +53,18 @@ def test_cells_whose_runs_have_times_of_their_own_have_room_for_the_most_samples
         assert p.layout.ring >= per_lane.room(p.cell.times.clocks, p.cell.times.ticks, 0)
 
 
+def test_delays_of_a_wider_distribution_leave_the_others_as_they_were():
+    """Gamma distributions of two means have tables of two lengths, and every sample its own delay."""
+    before = drafts({"delay_gamma": [0.05, 0.4], "delay_shape": [3.0]}, ("open-loop",))
+    after = padding.fit(before)
+    assert before[0].problem.schedule.share.shape != before[1].problem.schedule.share.shape
+    assert len({padding.key_of(p) for p in after}) == 1
+    for small, p in zip(before, after, strict=True):
+        with process.float64():
+            one, other = (per_lane.clock_times(each.problem.schedule, 0, 3, np.arange(5)) for each in (small, p))
+        np.testing.assert_array_equal(one, np.asarray(other)[:, : len(one[0])])
+
+
 def test_falls_of_an_unknown_input_that_fill_a_list_never_come():
     """A square falls or rises every second, a sine never: in the tail from 1 s on, at 1, 2 and 3 s."""
     arm = SCENARIOS["arm/sampled"].having(horizon=3.5, tail=1.0, input="zero")
@@ -63,8 +75,8 @@ def test_falls_of_an_unknown_input_that_fill_a_list_never_come():
 
 
 def test_room_is_the_larger_of_each():
-    a = padding.Capacity(1, 20, 3, 4, 2, 50, 6, 7, 9, 64, ((("cart", 0), 1), (("arm", 1), 9)))
-    b = padding.Capacity(2, 10, 8, 1, 1, 60, 5, 0, 3, 128, ((("cart", 0), 5),))
+    a = padding.Capacity(1, 20, 5, 3, 4, 2, 50, 6, 7, 9, 64, True, False, False, ((("cart", 0), 1), (("arm", 1), 9)))
+    b = padding.Capacity(2, 10, 4, 8, 1, 1, 60, 5, 0, 3, 128, True, True, False, ((("cart", 0), 5),))
     for one in (padding.larger(a, b), padding.larger(b, a)):
-        assert one[:-1] == (2, 20, 8, 4, 2, 60, 6, 7, 9, 128)
+        assert one[:-1] == (2, 20, 5, 8, 4, 2, 60, 6, 7, 9, 128, True, True, False)
         assert dict(one.rows) == {("cart", 0): 5, ("arm", 1): 9}

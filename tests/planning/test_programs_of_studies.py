@@ -17,7 +17,7 @@ PROGRAMS = {
     "fair": 1,
     "beliefs": 1,
     "late": 1,
-    "faults": 9,
+    "faults": 5,
     "reactor": 3,  # each expensive observer has one of its own
     "fair-reactor": 2,
     "all": 12,

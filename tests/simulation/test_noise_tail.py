@@ -28,6 +28,7 @@ def test_it_is_students_distribution_and_of_variance_one(n):
     assert np.all(np.sign(v) == np.sign(w))
     normal = sample_noise.students(jnp.asarray(w), jnp.asarray(z), jnp.asarray(1e9))
     np.testing.assert_allclose(normal, w, rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(sample_noise.students(jnp.asarray(w), jnp.asarray(z), jnp.asarray(np.inf)), w)
 
 
 def test_the_samples_are_those_of_the_addresses_and_all_else_is_as_without():

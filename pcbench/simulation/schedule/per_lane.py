@@ -79,10 +79,14 @@ def _most(clock: Clock, ticks: int) -> int:
     return len(sampling.instants(clock, ticks + clock.jitter)) - 1
 
 
-def padded(t: Times, samples: int) -> Times:
-    """Add instants that never come, so that the times of one study share a shape."""
+def padded(t: Times, samples: int, steps: int = 0) -> Times:
+    """Add instants that never come, and to shares of delays the last again, so that the times of one study share a shape."""
     more = samples - t.due.shape[1]
-    return t._replace(due=np.pad(t.due, [(0, 0), (0, more)], constant_values=NEVER))
+    t = t._replace(due=np.pad(t.due, [(0, 0), (0, more)], constant_values=NEVER))
+    if not (many := t.share.shape[1]):
+        return t
+    wide = [(0, 0), (0, max(steps - many, 0))]
+    return t._replace(steps=np.pad(t.steps, wide, "edge"), share=np.pad(t.share, wide, "edge"))
 
 
 def clock_times(t: Times, c: int, root_seed: Array, seeds: Array) -> tuple[Array, Array]:
