@@ -7,11 +7,6 @@ from jax import Array
 ROOM = "pcbench_within_room"  # the name by which exports know the function
 
 
-def power_of_2(many: int) -> int:
-    """Return the least power of 2 that is not below `many`, or 0 for 0: few sizes, few programs."""
-    return 1 << (many - 1).bit_length() if many else 0
-
-
 def within_room(x: Array, within: Array) -> Array:
     """Return x, which is meaningless where it is not `within` the room.
 

@@ -21,7 +21,7 @@ from pcbench.simulation.sample_noise import Noise
 
 def prepare(layout: Layout, p: Problem, root_seed: Array, seeds: Array) -> tuple[Happen, State]:
     """Return what lets a tick's events happen to a block of runs, and the state before tick 0."""
-    noise = sample_noise.drawing(p, root_seed, seeds)
+    noise = sample_noise.drawing(p, root_seed, seeds, apart=True)
     state = rings(layout, p, noise, begin(layout, p, root_seed, seeds))
     return partial(happen, layout, p, noise), state
 

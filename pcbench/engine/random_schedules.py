@@ -189,7 +189,7 @@ def _noise(p: Problem, times: Times, root_seed: Array, seeds: Array) -> list[Arr
 
     Drawn beforehand: the hash behind a draw costs a chunk of lanes more than its jump.
     """
-    noise, index = sample_noise.drawing(p, root_seed, seeds), jnp.arange(times.due.shape[1])
+    noise, index = sample_noise.drawing(p, root_seed, seeds, apart=True), jnp.arange(times.due.shape[1])
     each = [lax.map(lambda i, j=j: noise([j], i[None]), index) for j in range(p.noise_std.shape[0])]
     return [rows[:, i] for i in range(each[0].shape[1]) for rows in each]
 

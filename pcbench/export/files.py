@@ -20,7 +20,7 @@ from pcbench.export import replay as replaying
 from pcbench.export.library import About
 from pcbench.export.vector import Vector
 from pcbench.machine import process
-from pcbench.planning import alone, controller, drafts, padding, setting
+from pcbench.planning import alone, controller, draft, padding, setting
 from pcbench.plants import signals_of
 from pcbench.protocols import Observer
 from pcbench.replaying.replay import asked, replay
@@ -97,7 +97,7 @@ def exported(
             )
         if log is not None:
             return _exported(_recorded(log, study, observer, delay, start, overrides or []))
-        (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit(list(drafts([cell]))))
+        (p,) = (alone(planned, asked.root_seed, seed) for planned in padding.fit([draft(cell, cell.options)]))
         return _exported(_simulated(p, asked.root_seed, seed))
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from pcbench.dynamics.room import power_of_2
 from pcbench.errors import UserError
 from pcbench.export.vector import JUMP, NOTE, SAMPLED, Event, Vector
 from pcbench.logs.windows import Window
@@ -10,6 +9,7 @@ from pcbench.plants import signals_of
 from pcbench.replaying import feed
 from pcbench.replaying.prepared import Prepared, prepared
 from pcbench.replaying.replay import LENGTH, Asked
+from pcbench.synthesis.certificate import power_of_2
 
 LONGEST = 300_000  # ticks, which become lines of C
 

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from pcbench.dynamics.room import power_of_2
 from pcbench.engine import runner
 from pcbench.machine import pools
 from pcbench.moments import items as items_of
@@ -30,6 +29,7 @@ from pcbench.planning import drafts, padding
 from pcbench.planning.padding import Plan
 from pcbench.simulation.schedule import per_lane
 from pcbench.study.cells import Cell
+from pcbench.synthesis.certificate import power_of_2
 
 SPLIT = 64  # cells, of more than which each observer goes by itself
 PACKETS = 8  # room of cells that have no more on the network: at an event all of it is gone through

@@ -26,7 +26,7 @@ from pcbench.simulation.sample_noise import Outliers, Rounding
 from pcbench.simulation.schedule import per_lane, regular, shared
 from pcbench.study import Study
 from pcbench.study.cells import Cell, cells_of
-from pcbench.synthesis.certificate import Setting
+from pcbench.synthesis.certificate import Setting, power_of_2
 
 AnySchedule = shared.Schedule | per_lane.Times  # one for all runs, or numbers by which each run draws its own
 
@@ -58,7 +58,9 @@ def drafts(
         if not cell.times.random:
             most[cell.scenario.plant] = known.roomier(most.get(cell.scenario.plant, known))
     for cell, known in zip(every[skip:], settings[skip:], strict=True):
-        if not cell.times.random:  # where sampling is random, room for more costs more than a program
+        if cell.times.random:  # then room for all would cost more than a program
+            known = known._replace(spare=power_of_2(known.overtaking))
+        else:
             known = known.roomier(most[cell.scenario.plant])
         for options in _programs(cell, apart) if wanted is None or cell.key in wanted else [{}]:
             p = draft(cell, options, known, ask)

@@ -1,8 +1,9 @@
 """One shape for many cells: room for the largest of them, so that they share a compiled program.
 
 Room is what no number depends on: slots, rings, rows; and what some cells draw beside the noise, of which the others get a
-neutral one (outliers of probability 0, a quantization step of 0, infinitely many degrees of freedom). A cell's own numbers and
-everything else in its layout stay as drafted, so that alone it has the same bits as among others.
+neutral one (outliers of probability 0, a quantization step of 0, infinitely many degrees of freedom) unless the definition
+simulates them. A cell's own numbers and everything else in its layout stay as drafted, so that alone it has the same bits as
+among others.
 """
 
 from collections.abc import Hashable, Iterable, Iterator
@@ -13,7 +14,6 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from pcbench.dynamics.room import power_of_2
 from pcbench.planning import controller, once
 from pcbench.protocols import Plant
 from pcbench.simulation import conformance
@@ -21,7 +21,7 @@ from pcbench.simulation.problem import Layout, Problem
 from pcbench.simulation.sample_noise import Outliers, Rounding
 from pcbench.simulation.schedule import per_lane, shared
 from pcbench.study.cells import Cell
-from pcbench.synthesis.certificate import Certificate
+from pcbench.synthesis.certificate import Certificate, power_of_2
 
 
 class Plan(NamedTuple):
@@ -102,7 +102,7 @@ def fitted(p: Plan, room: Capacity, ask: once.Once = once.anew) -> Plan:
     ]
     falling = np.pad(p.problem.jumps, (0, room.falls - len(p.problem.jumps)), constant_values=shared.NEVER)
     problem = p.problem._replace(schedule=schedule, params=jax.tree.unflatten(tree, wide), jumps=falling)
-    problem = _with_neutral(problem, room)
+    problem = problem if p.layout.defined else _with_neutral(problem, room)
     layout = p.layout._replace(ring=room.ring, lifted=p.layout.lifted and room.chunks)
     if p.reach:
         law, line = controller.close(p.cell, controller.Reach(room.back, room.ahead), p.cell.times.ticks)

@@ -18,7 +18,6 @@ import numpy as np
 from jax import Array
 from numpy.typing import NDArray
 
-from pcbench.dynamics.room import power_of_2
 from pcbench.errors import UserError
 from pcbench.gains import gradient
 from pcbench.gains.parameters import Vector
@@ -26,6 +25,7 @@ from pcbench.machine import program_cache
 from pcbench.replaying import feed, stretch
 from pcbench.replaying.prepared import Prepared, prepared
 from pcbench.replaying.replay import Asked
+from pcbench.synthesis.certificate import power_of_2
 
 MOST = 1 << 22  # ticks of a log that is held in memory
 

@@ -10,7 +10,6 @@ import jax
 import numpy as np
 
 from pcbench import planning
-from pcbench.dynamics.room import power_of_2
 from pcbench.errors import UserError
 from pcbench.logs.windows import Room
 from pcbench.plants import signals_of
@@ -19,7 +18,7 @@ from pcbench.replaying.stretch import PLANT
 from pcbench.simulation import conformance
 from pcbench.simulation.problem import Layout, Problem, Recent
 from pcbench.study.cells import Cell
-from pcbench.synthesis.certificate import Certificate, Setting
+from pcbench.synthesis.certificate import Certificate, Setting, power_of_2
 
 
 class Prepared(NamedTuple):

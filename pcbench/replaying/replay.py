@@ -6,7 +6,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from pcbench.dynamics.room import power_of_2
 from pcbench.errors import UserError
 from pcbench.logs import reading
 from pcbench.logs.events import Clocked
@@ -24,6 +23,7 @@ from pcbench.study import read
 from pcbench.study.cells import Cell
 from pcbench.study.labels import label_of
 from pcbench.study.raw import Described
+from pcbench.synthesis.certificate import power_of_2
 
 LENGTH = 1 << 16  # ticks of a part
 HORIZONS = 10  # of the plant file that a log may cover per row; a longer one has times of two clocks or units

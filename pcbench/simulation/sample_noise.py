@@ -63,8 +63,12 @@ def students(w: Array, z: Array, n: Array) -> Array:
     return jnp.where(finite, w * jnp.sqrt((m - 2.0) * jnp.expm1(r / m) / jnp.where(r > 0, r, 1.0)), w)
 
 
-def drawing(p: Problem, root_seed: Array, seeds: Array) -> Noise:
-    """Return what draws the noise of samples of some channels."""
+def drawing(p: Problem, root_seed: Array, seeds: Array, apart: bool = False) -> Noise:
+    """Return what draws the noise of samples of some channels.
+
+    With `apart` a compiler cannot fuse the noise with what uses it: a run then has the same bits with and without outliers of
+    probability 0.
+    """
     many = p.noise_std.shape[0]
     keys = draws.run_keys(root_seed, seeds, "measurement", many)
     odd = draws.run_keys(root_seed, seeds, "outlier", many) if p.outliers else []
@@ -73,9 +77,8 @@ def drawing(p: Problem, root_seed: Array, seeds: Array) -> Noise:
     dither = draws.run_keys(root_seed, seeds, "dither", many) if p.rounding else []
 
     def drawn(channels: list[int], index: Any) -> Array:
-        v = lax.optimization_barrier(
-            noise(channels, index)
-        )  # no program computes a cell's noise together with what it is for
+        v = noise(channels, index)
+        v = lax.optimization_barrier(v) if apart else v
         return jnp.concatenate([v, draws.uniforms_of([dither[j] for j in channels], index)]) if dither else v
 
     def noise(channels: list[int], index: Any) -> Array:

@@ -10,13 +10,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pcbench.dynamics.linear import Model
-from pcbench.dynamics.room import power_of_2
 from pcbench.errors import DesignError, UserError
 
 SHORT = 1e-5  # part of a rate asked for that a proof may fall short of it: an optimum lies on the boundary
 UNCERTIFIED = "uncertified"  # a status
 NO_GAIN = "none: no gain"  # an inequality: there is nothing to prove
 NO_NOISE = 1e-12  # variance taken where a scenario has no measurement noise
+
+
+def power_of_2(many: int) -> int:
+    """Return the least power of 2 that is not below `many`, or 0 for 0: few sizes, few programs."""
+    return 1 << (many - 1).bit_length() if many else 0
 
 
 class Certificate(NamedTuple):
@@ -53,6 +57,7 @@ class Setting(NamedTuple):
     P0: np.ndarray  # [n, n] prior covariance of x(0) about xhat(0)
     input_intensity: float  # process noise through the input that a designer assumes, per second
     overtaking: int = 0  # K: how many newer samples may arrive before one
+    spare: int = 0  # K that there is room for at least, so that cells share programs
     process_std: tuple[
         Any, ...
     ] = ()  # [n] of a tick's noise as assumed, or a root [n, n] of its covariance; empty: none
@@ -91,8 +96,8 @@ class Setting(NamedTuple):
 
     @property
     def room(self) -> np.ndarray:
-        """Room [K] for the samples that may be overtaken (`protocols.Room`): a power of 2, so that cells share programs."""
-        return np.zeros(power_of_2(self.overtaking))
+        """Room [K] for the samples that may be overtaken (`protocols.Room`)."""
+        return np.zeros(max(self.overtaking, self.spare))
 
 
 def certified(certificate: Certificate, where: str, least: float = 0.0) -> Certificate:
